@@ -1,0 +1,146 @@
+//! Axes, and values that exist once for each of them.
+//!
+//! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
+//! three. X, Y and Z always exist; A, B and C when `N` reaches them.
+
+/// One axis of the machine, in the order of its letter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Axis {
+    /// First linear axis.
+    X,
+    /// Second linear axis.
+    Y,
+    /// Third linear axis, along the spindle.
+    Z,
+    /// Fourth axis.
+    A,
+    /// Fifth axis.
+    B,
+    /// Sixth axis.
+    C,
+}
+
+impl Axis {
+    /// All axes that any board may have, in order.
+    pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::A, Axis::B, Axis::C];
+
+    /// Place of the axis in a [`PerAxis`], 0 for X.
+    #[inline]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The letter that names the axis in a program.
+    pub const fn letter(self) -> u8 {
+        match self {
+            Axis::X => b'X',
+            Axis::Y => b'Y',
+            Axis::Z => b'Z',
+            Axis::A => b'A',
+            Axis::B => b'B',
+            Axis::C => b'C',
+        }
+    }
+
+    /// The axis of a program letter (upper case), if the letter names one.
+    pub const fn from_letter(letter: u8) -> Option<Axis> {
+        match letter {
+            b'X' => Some(Axis::X),
+            b'Y' => Some(Axis::Y),
+            b'Z' => Some(Axis::Z),
+            b'A' => Some(Axis::A),
+            b'B' => Some(Axis::B),
+            b'C' => Some(Axis::C),
+            _ => None,
+        }
+    }
+
+    /// The axes of a machine with `N` axes, in order.
+    pub fn of_machine<const N: usize>() -> impl Iterator<Item = Axis> {
+        Axis::ALL.into_iter().take(N)
+    }
+}
+
+/// One value for each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PerAxis<T, const N: usize>(pub [T; N]);
+
+impl<T: Copy, const N: usize> PerAxis<T, N> {
+    /// The same value for every axis.
+    pub const fn all(value: T) -> Self {
+        Self([value; N])
+    }
+
+    /// A value for each axis, made from the axis.
+    pub fn from_axis(mut make: impl FnMut(Axis) -> T) -> Self {
+        Self(core::array::from_fn(|i| make(Axis::ALL.get(i).copied().unwrap_or(Axis::X))))
+    }
+
+    /// The value of an axis; `None` if this machine does not have the axis.
+    #[inline]
+    pub fn get(&self, axis: Axis) -> Option<T> {
+        self.0.get(axis.index()).copied()
+    }
+
+    /// Replaces the value of an axis. An axis that this machine does not have is ignored.
+    #[inline]
+    pub fn set(&mut self, axis: Axis, value: T) {
+        if let Some(slot) = self.0.get_mut(axis.index()) {
+            *slot = value;
+        }
+    }
+
+    /// Each value transformed.
+    #[inline]
+    pub fn map<U: Copy>(&self, make: impl FnMut(T) -> U) -> PerAxis<U, N> {
+        PerAxis(self.0.map(make))
+    }
+
+    /// Two values of each axis combined.
+    #[inline]
+    #[allow(clippy::indexing_slicing, reason = "from_fn calls with i < N, and both arrays have N values")]
+    pub fn zip<U: Copy, V: Copy>(&self, other: &PerAxis<U, N>, mut make: impl FnMut(T, U) -> V) -> PerAxis<V, N> {
+        PerAxis(core::array::from_fn(|i| make(self.0[i], other.0[i])))
+    }
+
+    /// The values in axis order.
+    pub fn iter(&self) -> impl Iterator<Item = &T> {
+        self.0.iter()
+    }
+
+    /// The values in axis order, to be changed.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
+        self.0.iter_mut()
+    }
+}
+
+impl<T: Copy + Default, const N: usize> Default for PerAxis<T, N> {
+    fn default() -> Self {
+        Self([T::default(); N])
+    }
+}
+
+/// A set of axes, bit 0 for X.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AxisMask(pub u8);
+
+impl AxisMask {
+    /// No axis.
+    pub const NONE: AxisMask = AxisMask(0);
+
+    /// The set with one more axis.
+    pub const fn with(self, axis: Axis) -> AxisMask {
+        AxisMask(self.0 | (1 << axis.index()))
+    }
+
+    /// Whether the axis is in the set.
+    #[inline]
+    pub const fn has(self, axis: Axis) -> bool {
+        self.0 & (1 << axis.index()) != 0
+    }
+
+    /// Whether the set is empty.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+}

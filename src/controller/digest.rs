@@ -1,0 +1,41 @@
+//! A digest of a step stream, by which two machines are compared: the simulator computes it from its trace, a target
+//! without pins from what it would have written to them.
+
+/// Running digest over (time, step bits, direction bits) of each step event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Digest {
+    time: u64,
+    order: u64,
+}
+
+/// Offset basis and prime of 64-bit FNV-1a (Fowler, Noll, Vo), here applied to whole words instead of bytes.
+const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
+const PRIME: u64 = 0x0000_0100_0000_01B3;
+
+impl Default for Digest {
+    fn default() -> Self {
+        Self { time: BASIS, order: BASIS }
+    }
+}
+
+impl Digest {
+    /// Adds a step event. `ticks` is the time in step-clock ticks for which the step task has been busy since the first
+    /// step; `steps` and `directions` have bit 0 for X.
+    #[inline]
+    pub fn add(&mut self, ticks: u64, steps: u8, directions: u8) {
+        let bits = u64::from(steps) | u64::from(directions) << 8;
+        self.time = (self.time ^ ticks).wrapping_mul(PRIME);
+        self.time = (self.time ^ bits).wrapping_mul(PRIME);
+        self.order = (self.order ^ bits).wrapping_mul(PRIME);
+    }
+
+    /// Digest over times and bits.
+    pub fn time_hash(&self) -> u64 {
+        self.time
+    }
+
+    /// Digest over bits alone.
+    pub fn order_hash(&self) -> u64 {
+        self.order
+    }
+}

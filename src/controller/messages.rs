@@ -1,0 +1,301 @@
+//! Every type that crosses between tasks, and the depth of every queue.
+//!
+//! ```text
+//!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first
+//!  serial ──lines─────▶ control ◀──events──── step
+//!  inputs ──signals───▶ control ──replies───▶ serial
+//! ```
+//! What happens when a queue is full stands at its depth.
+
+use crate::axes::PerAxis;
+
+/// Depth of serial -> control, realtime commands. Full: the sender stops receiving until there is room (`control` drains
+/// it in each turn, so only a hung `control` can fill it).
+pub const REALTIME_DEPTH: usize = 32;
+/// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
+/// back-pressure (USB, QEMU); on a plain UART the byte is dropped and [`Event::Overrun`] reports it.
+pub const LINES_DEPTH: usize = 255;
+/// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
+/// normally bounds it (see `QUEUED_TIME` in `motion`).
+pub const SEGMENTS_DEPTH: usize = 64;
+/// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` drains it in each turn. Full:
+/// the step task keeps the event and sends it at its next entry.
+pub const EVENTS_DEPTH: usize = 4;
+/// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host slows its own answers only.
+pub const REPLIES_DEPTH: usize = 32;
+/// Depth of inputs -> control. Full: the newest state replaces what could not be sent, as levels and not edges cross.
+pub const SIGNALS_DEPTH: usize = 8;
+
+/// A command that acts at once, even in the middle of a line; one byte on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "Grbl's own names; bytes in protocol::realtime")]
+pub enum Realtime {
+    /// 0x18. The sender has also raised the sticky stop of the step task.
+    Reset,
+    Status,
+    CycleStart,
+    FeedHold,
+    SafetyDoor,
+    JogCancel,
+    FeedReset,
+    FeedUp10,
+    FeedDown10,
+    FeedUp1,
+    FeedDown1,
+    RapidFull,
+    RapidHalf,
+    RapidQuarter,
+    SpindleReset,
+    SpindleUp10,
+    SpindleDown10,
+    SpindleUp1,
+    SpindleDown1,
+    SpindleStop,
+    FloodToggle,
+    MistToggle,
+}
+
+/// A byte of a line and the epoch it came in: the number (wrapping) of resets and jog cancels that the splitter had
+/// seen before it. So a byte sent before a 0x18 is dropped and one sent after it never is, although the two queues to
+/// `control` keep no order between them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LineByte {
+    /// The byte.
+    pub byte: u8,
+    /// The splitter's epoch when it came.
+    pub epoch: u8,
+}
+
+/// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToStep {
+    /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] and only by machines that have
+    /// them.
+    BlockRest {
+        /// Unsigned steps of A, B, C.
+        steps: [u32; 3],
+    },
+    /// The straight move that the following segments are pieces of. Takes effect with the first of them.
+    Block {
+        /// Unsigned steps of X, Y, Z.
+        steps: [u32; 3],
+        /// Bit set = axis moves to negative; bit 0 is X.
+        directions: u8,
+    },
+    /// A piece of the current block.
+    Segment(Segment),
+    /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
+    /// `control` knew of; the gate stays shut when there has been another one since.
+    Resume {
+        /// Value of [`StepEvent::Stopped::stops`] that this answers.
+        stops: u8,
+    },
+}
+
+/// Some ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its dominant axis
+/// ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// Step-clock ticks before the first tick of the segment, in fixed point with [`INTERVAL_FRACTION_BITS`]; each
+    /// further tick follows after `ramp` more.
+    pub interval: u32,
+    /// Change of the interval from tick to tick, same fixed point.
+    pub ramp: i32,
+    /// How many ticks, at least 1.
+    pub ticks: u16,
+    /// Spindle or laser power from the first tick on, 0 (off) to 65535 (full).
+    pub power: u16,
+    /// Smoothing: 2^level ticks make a step of the dominant axis; 0..=4.
+    pub level: u8,
+    /// See the `FLAG_` constants of [`Segment`].
+    pub flags: u8,
+}
+
+impl Segment {
+    /// The segment begins the block sent last.
+    pub const FLAG_NEW_BLOCK: u8 = 1;
+    /// Motion is at rest after this segment: an empty queue is no fault.
+    pub const FLAG_LAST: u8 = 2;
+    /// Time passes and nothing moves: the ticks advance no units (feeds slower than the timer's reach).
+    pub const FLAG_WAIT: u8 = 4;
+}
+
+/// Fraction bits of [`Segment::interval`].
+pub const INTERVAL_FRACTION_BITS: u32 = 12;
+/// Units of progress in one step of the dominant axis.
+pub const UNITS_PER_STEP: u32 = 16;
+
+/// step -> control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepEvent<const N: usize> {
+    /// Pulses have stopped because someone asked (reset, limit).
+    Stopped {
+        /// How often this has happened since power-up (wrapping).
+        stops: u8,
+        /// Whether the machine was stepping when the stop came.
+        moving: bool,
+        /// Step counter of each axis: net steps since power-up (wrapping).
+        position: PerAxis<i32, N>,
+    },
+    /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
+    Underrun {
+        /// As in [`StepEvent::Stopped`].
+        stops: u8,
+        /// As in [`StepEvent::Stopped`].
+        position: PerAxis<i32, N>,
+    },
+}
+
+/// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Signals {
+    /// Limit switches, bit 0 for X.
+    pub limits: u8,
+    /// Probe touches.
+    pub probe: bool,
+    /// Safety door open.
+    pub door: bool,
+    /// Feed-hold button.
+    pub hold: bool,
+    /// Cycle-start button.
+    pub start: bool,
+    /// Reset (abort) button.
+    pub reset: bool,
+}
+
+/// Something that happened, told to the controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event<const N: usize> {
+    /// A realtime command.
+    Realtime(Realtime),
+    /// A byte of a line. To be given only while `wants_line()`.
+    Line(LineByte),
+    /// Received bytes were lost before they reached the line queue.
+    Overrun,
+    /// The step task reports.
+    Step(StepEvent<N>),
+    /// The inputs changed.
+    Signals(Signals),
+    /// The [`Output::Store`] given last is safe.
+    Stored,
+    /// The [`Output::Store`] given last could not be written.
+    StoreFailed,
+    /// A host has just opened the port.
+    Connected,
+}
+
+/// What the pump knows and the controller does not; handed over before events and outputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Observed {
+    /// Segments that the step task has begun since power-up (wrapping), `Stepper::segments_begun`.
+    pub segments_begun: u32,
+    /// Whether the step task has nothing left to do.
+    pub step_idle: bool,
+    /// Free bytes of the line queue.
+    pub rx_free: u16,
+}
+
+/// Which queues of the pump can take something now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Room {
+    /// One [`Output::Step`].
+    pub step: bool,
+    /// One [`Output::Reply`].
+    pub reply: bool,
+}
+
+/// A few bytes of answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Chunk {
+    /// How many of `bytes` count, 1..=15.
+    pub len: u8,
+    /// The text.
+    pub bytes: [u8; 15],
+}
+
+impl Chunk {
+    /// The bytes that count.
+    pub fn as_bytes(&self) -> &[u8] {
+        self.bytes.get(..usize::from(self.len)).unwrap_or(&[])
+    }
+}
+
+/// Which way the spindle turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SpindleDirection {
+    /// M5.
+    #[default]
+    Off,
+    /// M3.
+    Clockwise,
+    /// M4.
+    CounterClockwise,
+}
+
+/// Coolant outputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Coolant {
+    /// M8.
+    pub flood: bool,
+    /// M7.
+    pub mist: bool,
+}
+
+/// Levels of the outputs that change slowly; `control` writes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlowOutputs {
+    /// Spindle enable and direction.
+    pub spindle: SpindleDirection,
+    /// Spindle power while the step task has nothing to do, 0 to 65535; segments carry their own.
+    pub power: u16,
+    /// Coolant.
+    pub coolant: Coolant,
+    /// Motor drivers on.
+    pub drivers: bool,
+}
+
+/// Wiring facts that the pump's own tasks need, from the settings; sent at start and after each change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wiring {
+    /// `$0`, length of a step pulse in microseconds.
+    pub pulse_us: u8,
+    /// `$29`, time from a direction change to the next step in microseconds.
+    pub direction_setup_us: u8,
+    /// `$2`, bit set = step output active low.
+    pub step_invert: u8,
+    /// `$3`, bit set = direction output inverted.
+    pub direction_invert: u8,
+    /// `$4`, enable output inverted.
+    pub enable_invert: bool,
+    /// `$5`, all limit inputs inverted.
+    pub limit_invert: bool,
+    /// `$6`, probe input inverted.
+    pub probe_invert: bool,
+}
+
+/// A record for the settings store: a key and up to 100 bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// What is stored; the meaning belongs to `settings`.
+    pub key: u8,
+    /// The value; empty deletes.
+    pub value: heapless::Vec<u8, 100>,
+}
+
+/// What the controller wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// For the step task.
+    Step(ToStep),
+    /// For the host.
+    Reply(Chunk),
+    /// For the slow pins.
+    Pins(SlowOutputs),
+    /// For the tasks that own the fast pins.
+    Wiring(Wiring),
+    /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
+    Store(Record),
+    /// A piece of work was done inside and there is more: ask again.
+    Worked,
+}
+
