@@ -246,8 +246,10 @@ pub struct Coolant {
 pub struct SlowOutputs {
     /// Spindle enable and direction.
     pub spindle: SpindleDirection,
-    /// Spindle power while the step task has nothing to do, 0 to 65535; segments carry their own.
+    /// Spindle power, 0 (off) to 65535 (full).
     pub power: u16,
+    /// Laser: while the step task is busy the power of its segments ([`Segment::power`]) holds instead of `power`.
+    pub power_from_segments: bool,
     /// Coolant.
     pub coolant: Coolant,
     /// Motor drivers on.
@@ -277,7 +279,7 @@ pub struct Wiring {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// What is stored; the meaning belongs to `settings`.
-    pub key: u8,
+    pub key: u16,
     /// The value; empty deletes.
     pub value: heapless::Vec<u8, 100>,
 }
@@ -293,6 +295,8 @@ pub enum Output {
     Pins(SlowOutputs),
     /// For the tasks that own the fast pins.
     Wiring(Wiring),
+    /// Stop the step task at once, as a reset does: mark and pend it. Answered by [`StepEvent::Stopped`].
+    Stop,
     /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
     Store(Record),
     /// A piece of work was done inside and there is more: ask again.

@@ -1,0 +1,5 @@
+//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle.
+
+pub mod realtime_override;
+pub mod spindle;
+pub mod state;

@@ -1,0 +1,71 @@
+//! Overrides: factors that the operator puts on feed, rapids and spindle while the job runs.
+
+use crate::messages::Realtime;
+
+/// The three overrides in percent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Overrides {
+    /// Of programmed feeds, 10 to 200.
+    pub feed: u8,
+    /// Of rapids: 100, 50 or 25.
+    pub rapid: u8,
+    /// Of the programmed spindle speed, 10 to 200.
+    pub spindle: u8,
+}
+
+/// Least and greatest feed and spindle override in percent.
+const RANGE: core::ops::RangeInclusive<i16> = 10..=200;
+
+impl Default for Overrides {
+    fn default() -> Self {
+        Self { feed: 100, rapid: 100, spindle: 100 }
+    }
+}
+
+fn stepped(percent: u8, by: i16) -> u8 {
+    (i16::from(percent) + by).clamp(*RANGE.start(), *RANGE.end()) as u8
+}
+
+impl Overrides {
+    /// The overrides after one command; every press counts. Other commands change nothing.
+    #[must_use]
+    pub fn after(mut self, command: Realtime) -> Overrides {
+        match command {
+            Realtime::FeedReset => self.feed = 100,
+            Realtime::FeedUp10 => self.feed = stepped(self.feed, 10),
+            Realtime::FeedDown10 => self.feed = stepped(self.feed, -10),
+            Realtime::FeedUp1 => self.feed = stepped(self.feed, 1),
+            Realtime::FeedDown1 => self.feed = stepped(self.feed, -1),
+            Realtime::RapidFull => self.rapid = 100,
+            Realtime::RapidHalf => self.rapid = 50,
+            Realtime::RapidQuarter => self.rapid = 25,
+            Realtime::SpindleReset => self.spindle = 100,
+            Realtime::SpindleUp10 => self.spindle = stepped(self.spindle, 10),
+            Realtime::SpindleDown10 => self.spindle = stepped(self.spindle, -10),
+            Realtime::SpindleUp1 => self.spindle = stepped(self.spindle, 1),
+            Realtime::SpindleDown1 => self.spindle = stepped(self.spindle, -1),
+            _ => {}
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presses_add_up_within_the_range() {
+        let mut o = Overrides::default();
+        for _ in 0..30 {
+            o = o.after(Realtime::FeedUp10);
+        }
+        assert_eq!(o.feed, 200);
+        for _ in 0..300 {
+            o = o.after(Realtime::FeedDown1);
+        }
+        assert_eq!(o.feed, 10);
+        assert_eq!(o.after(Realtime::RapidQuarter).rapid, 25);
+        assert_eq!(o.after(Realtime::Status), o);
+    }
+}

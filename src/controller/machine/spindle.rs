@@ -1,0 +1,48 @@
+//! From a spindle speed to the power of its output.
+
+/// Power just above off: 1 of Grbl's 255 PWM steps, so that a speed at the minimum does not switch off.
+const LEAST_POWER: f32 = 257.0;
+const FULL_POWER: f32 = 65_535.0;
+
+/// `$30` and `$31`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpindleRange {
+    /// Speed at full power, rpm.
+    pub maximum: f32,
+    /// Speed at least power, rpm.
+    pub minimum: f32,
+}
+
+impl SpindleRange {
+    /// Power (0 to 65535) and real speed (rpm) for a programmed speed under an override in percent. Speeds outside the
+    /// range run at its ends; 0 is off.
+    pub fn output(&self, programmed: f32, percent: u8) -> (u16, f32) {
+        let speed = programmed * f32::from(percent) / 100.0;
+        if speed <= 0.0 {
+            (0, 0.0)
+        } else if self.minimum >= self.maximum || speed >= self.maximum {
+            (FULL_POWER as u16, self.maximum)
+        } else if speed <= self.minimum {
+            (LEAST_POWER as u16, self.minimum)
+        } else {
+            let share = (speed - self.minimum) / (self.maximum - self.minimum);
+            ((LEAST_POWER + share * (FULL_POWER - LEAST_POWER)) as u16, speed)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds_map_to_power() {
+        let range = SpindleRange { maximum: 1000.0, minimum: 200.0 };
+        assert_eq!(range.output(0.0, 100), (0, 0.0));
+        assert_eq!(range.output(50.0, 100), (257, 200.0));
+        assert_eq!(range.output(1000.0, 100), (65_535, 1000.0));
+        assert_eq!(range.output(600.0, 200), (65_535, 1000.0));
+        assert_eq!(range.output(600.0, 100), (32_896, 600.0));
+        assert_eq!(SpindleRange { maximum: 0.0, minimum: 0.0 }.output(10.0, 100), (65_535, 0.0));
+    }
+}

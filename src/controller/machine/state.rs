@@ -1,0 +1,82 @@
+//! The states of the machine and their names in status reports.
+//!
+//! ```text
+//!            $X, $H ok                 !, M0                      ~
+//!  Alarm ───────────────▶ Normal ───────────────▶ Hold ───────────────▶ Normal
+//!    ▲                    │ ▲ │ ▲                  │  door, 0x84
+//!    │ reset in motion,   │ │ │ └── $C, reset ── Check
+//!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
+//!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
+//!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
+//! ```
+//! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
+
+use crate::units::Instant;
+
+/// What the machine is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Program lines are executed.
+    Normal,
+    /// A jog is moving. `cancelling`: it is braking and will be forgotten.
+    Jog {
+        /// Braking because of 0x85 or `!`.
+        cancelling: bool,
+    },
+    /// Feed hold: braking or at rest; only `~` goes on.
+    Hold,
+    /// Safety door: see [`Door`].
+    Door(Door),
+    /// Locked until `$X`, `$H` or a reset.
+    Alarm,
+    /// Locked by a hard or soft limit: only a reset helps.
+    Critical,
+    /// Lines are checked and not executed.
+    Check,
+    /// Everything is off until a reset.
+    Sleep,
+}
+
+/// Phases of the safety door.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Door {
+    /// Braking; spindle and coolant follow once at rest.
+    Braking,
+    /// At rest with spindle and coolant off.
+    Parked,
+    /// `~` came: the spindle runs up until the given time, then the coolant starts.
+    SpindleRestoring(Instant),
+    /// The coolant builds up until the given time, then motion goes on.
+    CoolantRestoring(Instant),
+}
+
+impl Mode {
+    /// Whether received lines wait unread.
+    pub fn is_suspended(self) -> bool {
+        matches!(self, Mode::Hold | Mode::Door(_) | Mode::Sleep | Mode::Critical)
+    }
+
+    /// Whether the machine is locked.
+    pub fn is_alarm(self) -> bool {
+        matches!(self, Mode::Alarm | Mode::Critical)
+    }
+
+    /// The state as `?` names it. `at_rest`: nothing moves; `running`: a program's motion is under way; `door_open`: the
+    /// door input is active.
+    pub fn name(self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
+        match self {
+            Mode::Normal if running => "Run",
+            Mode::Normal => "Idle",
+            Mode::Jog { .. } => "Jog",
+            Mode::Hold if at_rest => "Hold:0",
+            Mode::Hold => "Hold:1",
+            Mode::Door(Door::Braking) => "Door:2",
+            Mode::Door(Door::Parked) if door_open => "Door:1",
+            Mode::Door(Door::Parked) => "Door:0",
+            Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => "Door:3",
+            Mode::Alarm | Mode::Critical => "Alarm",
+            Mode::Check => "Check",
+            Mode::Sleep => "Sleep",
+        }
+    }
+}

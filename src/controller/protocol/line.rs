@@ -1,0 +1,145 @@
+//! One line as the host wrote it, filtered the way Grbl does: no blanks, no comments, upper case.
+
+/// Longest line in Grbl's dialect, after filtering.
+pub const GRBL_LENGTH: usize = 79;
+/// Longest line in Oxmill's dialect, after filtering.
+pub const LENGTH: usize = 256;
+
+/// What a byte completed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pushed {
+    /// Nothing yet.
+    More,
+    /// A line: see [`Line::text`].
+    Complete,
+    /// A line that did not fit; its text is worth nothing.
+    TooLong,
+}
+
+/// Rules that depend on the dialect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rules {
+    /// Longest line, after filtering.
+    pub length: usize,
+    /// Whether CR LF is one line end (Grbl takes it for two).
+    pub merge_crlf: bool,
+}
+
+/// A line being received.
+#[derive(Debug)]
+pub struct Line {
+    text: heapless::Vec<u8, LENGTH>,
+    comment: Comment,
+    overflow: bool,
+    after_cr: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Comment {
+    None,
+    /// Up to `)`.
+    Parentheses,
+    /// Up to the end of the line.
+    Semicolon,
+}
+
+impl Default for Line {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Line {
+    /// An empty line.
+    pub const fn new() -> Self {
+        Self { text: heapless::Vec::new(), comment: Comment::None, overflow: false, after_cr: false }
+    }
+
+    /// The text up to now.
+    pub fn text(&self) -> &[u8] {
+        &self.text
+    }
+
+    /// Whether nothing of a line has come yet.
+    pub fn is_empty(&self) -> bool {
+        self.text.is_empty() && self.comment == Comment::None && !self.overflow
+    }
+
+    /// Forgets the text: the next byte begins a line.
+    pub fn clear(&mut self) {
+        self.text.clear();
+        self.comment = Comment::None;
+        self.overflow = false;
+    }
+
+    /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
+    pub fn damage(&mut self) {
+        self.overflow = true;
+    }
+
+    /// Takes the next byte. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
+    pub fn push(&mut self, byte: u8, rules: Rules) -> Pushed {
+        let second_of_crlf = byte == b'\n' && self.after_cr && rules.merge_crlf;
+        self.after_cr = byte == b'\r';
+        match byte {
+            b'\n' if second_of_crlf => return Pushed::More,
+            b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
+            b')' if self.comment == Comment::Parentheses => self.comment = Comment::None,
+            _ if self.comment != Comment::None => {}
+            b'(' => self.comment = Comment::Parentheses,
+            b';' => self.comment = Comment::Semicolon,
+            // Grbl's block delete: the slash goes, the rest of the line is executed.
+            0..=b' ' | b'/' => {}
+            _ => {
+                if self.text.len() >= rules.length || self.text.push(byte.to_ascii_uppercase()).is_err() {
+                    self.overflow = true;
+                }
+            }
+        }
+        Pushed::More
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OXMILL: Rules = Rules { length: LENGTH, merge_crlf: true };
+    const GRBL: Rules = Rules { length: GRBL_LENGTH, merge_crlf: false };
+
+    fn lines(bytes: &[u8], rules: Rules) -> Vec<String> {
+        let mut line = Line::new();
+        let mut all = Vec::new();
+        for byte in bytes {
+            match line.push(*byte, rules) {
+                Pushed::More => continue,
+                Pushed::Complete => all.push(String::from_utf8(line.text().to_vec()).unwrap()),
+                Pushed::TooLong => all.push("too long".into()),
+            }
+            line.clear();
+        }
+        all
+    }
+
+    #[test]
+    fn blanks_comments_and_slashes_vanish() {
+        assert_eq!(lines(b" g0 (in) x0 (a(b) ;y\n", OXMILL), ["G0X0"]);
+        assert_eq!(lines(b"G0X0(;)Y0\nG0X0;(Y1\n/G0\nG0 (open X5\n", OXMILL), ["G0X0Y0", "G0X0", "G0", "G0"]);
+        assert_eq!(lines(b"(a(b)c) G0\n", OXMILL), ["C)G0"]);
+    }
+
+    #[test]
+    fn line_ends_by_dialect() {
+        assert_eq!(lines(b"G21\r\nG90\rG94\n\n", OXMILL), ["G21", "G90", "G94", ""]);
+        assert_eq!(lines(b"G21\r\nG90\n", GRBL), ["G21", "", "G90"]);
+    }
+
+    #[test]
+    fn length_is_counted_after_filtering() {
+        let fits = [b"N".as_slice(), &[b'0'; 78], b" (comment)\n"].concat();
+        assert_eq!(lines(&fits, GRBL)[0].len(), 79);
+        let long = [b"N".as_slice(), &[b'0'; 79], b"\nG0\n"].concat();
+        assert_eq!(lines(&long, GRBL), ["too long", "G0"]);
+        assert_eq!(lines(&long, OXMILL)[0].len(), 80);
+    }
+}

@@ -1,0 +1,370 @@
+//! Every answer that a host can get, byte for byte as Grbl 1.1h prints it (plus what Grbl does not have).
+//!
+//! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
+
+use super::text::{Text, length, put, real, whole};
+use crate::axes::PerAxis;
+use crate::messages::{Coolant, Signals, SpindleDirection};
+use crate::settings::{Entry, Kind};
+use crate::units::Coordinate;
+
+/// Version of the Grbl interface that is spoken.
+pub const GRBL_VERSION: &str = "1.1h";
+
+const END: &[u8] = b"\r\n";
+
+/// `ok`
+pub fn ok(out: &mut Text) {
+    put(out, b"ok\r\n");
+}
+
+/// `error:N`
+pub fn error(out: &mut Text, code: u8) {
+    put(out, b"error:");
+    whole(out, u64::from(code));
+    put(out, END);
+}
+
+/// `ALARM:N`
+pub fn alarm(out: &mut Text, code: u8) {
+    put(out, b"ALARM:");
+    whole(out, u64::from(code));
+    put(out, END);
+}
+
+/// The line that greets a host.
+pub fn welcome(out: &mut Text) {
+    put(out, b"\r\nGrbl ");
+    put(out, GRBL_VERSION.as_bytes());
+    put(out, b" ['$' for help]\r\n");
+}
+
+/// `[MSG:...]`
+pub fn message(out: &mut Text, text: &str) {
+    put(out, b"[MSG:");
+    put(out, text.as_bytes());
+    put(out, b"]\r\n");
+}
+
+/// `[MSG:...]` with a number at its end.
+pub fn message_number(out: &mut Text, text: &str, number: u32) {
+    put(out, b"[MSG:");
+    put(out, text.as_bytes());
+    whole(out, u64::from(number));
+    put(out, b"]\r\n");
+}
+
+/// The answer to `$`.
+pub fn help(out: &mut Text) {
+    put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n");
+}
+
+/// One row of `$$`.
+pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
+    put(out, b"$");
+    whole(out, u64::from(number));
+    put(out, b"=");
+    let places = if matches!(entry.kind, Kind::Real) { 3 } else { 0 };
+    real(out, value, places);
+    put(out, END);
+}
+
+/// `$N0=line`
+pub fn startup_line(out: &mut Text, index: usize, line: &[u8]) {
+    put(out, b"$N");
+    whole(out, index as u64);
+    put(out, b"=");
+    put(out, line);
+    put(out, END);
+}
+
+/// `>line:` before the answer to a startup line that has been run.
+pub fn startup_echo(out: &mut Text, line: &[u8]) {
+    put(out, b">");
+    put(out, line);
+    put(out, b":");
+}
+
+/// `[VER:...]` and `[OPT:...]`
+pub fn build_info(out: &mut Text, user: &[u8], blocks: usize, rx_bytes: usize) {
+    put(out, b"[VER:");
+    put(out, GRBL_VERSION.as_bytes());
+    put(out, b".");
+    put(out, env!("CARGO_PKG_VERSION").as_bytes());
+    put(out, b":");
+    put(out, user);
+    put(out, b"]\r\n[OPT:VNM,");
+    whole(out, blocks as u64);
+    put(out, b",");
+    whole(out, rx_bytes as u64);
+    put(out, b"]\r\n");
+}
+
+fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, inches: bool) {
+    for (i, value) in place.iter().enumerate() {
+        if i > 0 {
+            put(out, b",");
+        }
+        length(out, *value, inches);
+    }
+}
+
+/// `[G54:x,y,z]`; `name` is in tenths: 540 is G54, 591 is G59.1.
+pub fn parameter<const N: usize>(out: &mut Text, name: u16, place: &PerAxis<Coordinate, N>, inches: bool) {
+    put(out, b"[");
+    code(out, b'G', name);
+    put(out, b":");
+    position(out, place, inches);
+    put(out, b"]\r\n");
+}
+
+/// `[TLO:z]`
+pub fn tool_length(out: &mut Text, value: Coordinate, inches: bool) {
+    put(out, b"[TLO:");
+    length(out, value, inches);
+    put(out, b"]\r\n");
+}
+
+/// `[PRB:x,y,z:ok]`
+pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, success: bool, inches: bool) {
+    put(out, b"[PRB:");
+    position(out, place, inches);
+    put(out, if success { b":1]\r\n" } else { b":0]\r\n" });
+}
+
+/// What `$G` prints. Codes are in tenths: 382 is G38.2.
+#[derive(Clone, Copy, Debug)]
+pub struct ParserState {
+    /// Motion, coordinate system, plane, units, distance mode, feed mode.
+    pub groups: [u16; 6],
+    /// M0, M1, M2 or M30 while it holds.
+    pub flow: Option<u16>,
+    /// Spindle.
+    pub spindle: SpindleDirection,
+    /// Coolant.
+    pub coolant: Coolant,
+    /// T.
+    pub tool: u32,
+    /// F in mm/min (or as it was written in inverse-time mode).
+    pub feed: f32,
+    /// S in rpm.
+    pub speed: f32,
+}
+
+fn code(out: &mut Text, letter: u8, tenths: u16) {
+    put(out, &[letter]);
+    whole(out, u64::from(tenths / 10));
+    if tenths % 10 != 0 {
+        put(out, b".");
+        whole(out, u64::from(tenths % 10));
+    }
+}
+
+/// `[GC:...]`
+pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
+    put(out, b"[GC:");
+    for (i, group) in state.groups.iter().enumerate() {
+        if i > 0 {
+            put(out, b" ");
+        }
+        code(out, b'G', *group);
+    }
+    if let Some(flow) = state.flow {
+        put(out, b" ");
+        code(out, b'M', flow);
+    }
+    put(
+        out,
+        match state.spindle {
+            SpindleDirection::Off => b" M5",
+            SpindleDirection::Clockwise => b" M3",
+            SpindleDirection::CounterClockwise => b" M4",
+        },
+    );
+    if state.coolant.mist {
+        put(out, b" M7");
+    }
+    if state.coolant.flood {
+        put(out, b" M8");
+    }
+    if !state.coolant.mist && !state.coolant.flood {
+        put(out, b" M9");
+    }
+    put(out, b" T");
+    whole(out, u64::from(state.tool));
+    put(out, b" F");
+    rate(out, state.feed, inches);
+    put(out, b" S");
+    real(out, state.speed, 0);
+    put(out, b"]\r\n");
+}
+
+/// A speed in mm/min, printed in the unit of reports.
+fn rate(out: &mut Text, mm_per_minute: f32, inches: bool) {
+    if inches { real(out, mm_per_minute / 25.4, 1) } else { real(out, mm_per_minute, 0) }
+}
+
+/// What `?` prints; fields that are `None` are left out.
+#[derive(Clone, Copy, Debug)]
+pub struct Status<const N: usize> {
+    /// `Idle`, `Hold:1` and so on.
+    pub state: &'static str,
+    /// Machine position.
+    pub machine: PerAxis<Coordinate, N>,
+    /// Work offset: WCS + G92 + tool length.
+    pub offset: PerAxis<Coordinate, N>,
+    /// `$10` bit 0: machine position, else work position.
+    pub show_machine: bool,
+    /// Free blocks and free received bytes.
+    pub buffer: Option<(usize, u16)>,
+    /// Line number being executed.
+    pub line: Option<u32>,
+    /// Actual speed in mm/min.
+    pub feed: f32,
+    /// Spindle speed in rpm.
+    pub speed: f32,
+    /// Active inputs.
+    pub pins: Signals,
+    /// Whether this report carries `WCO`.
+    pub show_offset: bool,
+    /// Overrides in percent (feed, rapid, spindle), and what is running, if this report carries them.
+    pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
+}
+
+/// `<...>`
+pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, inches: bool) {
+    put(out, b"<");
+    put(out, status.state.as_bytes());
+    if status.show_machine {
+        put(out, b"|MPos:");
+        position(out, &status.machine, inches);
+    } else {
+        put(out, b"|WPos:");
+        position(out, &status.machine.zip(&status.offset, |m, o| m - o), inches);
+    }
+    if let Some((blocks, bytes)) = status.buffer {
+        put(out, b"|Bf:");
+        whole(out, blocks as u64);
+        put(out, b",");
+        whole(out, u64::from(bytes));
+    }
+    if let Some(line) = status.line {
+        put(out, b"|Ln:");
+        whole(out, u64::from(line));
+    }
+    put(out, b"|FS:");
+    rate(out, status.feed, inches);
+    put(out, b",");
+    real(out, status.speed, 0);
+    pins(out, &status.pins);
+    if status.show_offset {
+        put(out, b"|WCO:");
+        position(out, &status.offset, inches);
+    }
+    if let Some(([feed, rapid, speed], spindle, coolant)) = status.overrides {
+        put(out, b"|Ov:");
+        whole(out, u64::from(feed));
+        put(out, b",");
+        whole(out, u64::from(rapid));
+        put(out, b",");
+        whole(out, u64::from(speed));
+        accessories(out, spindle, coolant);
+    }
+    put(out, b">\r\n");
+}
+
+fn pins(out: &mut Text, pins: &Signals) {
+    let mut letters: heapless::Vec<u8, 11> = heapless::Vec::new();
+    let active = [
+        (pins.probe, b'P'),
+        (pins.limits & 1 != 0, b'X'),
+        (pins.limits & 2 != 0, b'Y'),
+        (pins.limits & 4 != 0, b'Z'),
+        (pins.limits & 8 != 0, b'A'),
+        (pins.limits & 16 != 0, b'B'),
+        (pins.limits & 32 != 0, b'C'),
+        (pins.door, b'D'),
+        (pins.reset, b'R'),
+        (pins.hold, b'H'),
+        (pins.start, b'S'),
+    ];
+    letters.extend(active.iter().filter(|(on, _)| *on).map(|(_, letter)| *letter));
+    if !letters.is_empty() {
+        put(out, b"|Pn:");
+        put(out, &letters);
+    }
+}
+
+fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
+    let mut letters: heapless::Vec<u8, 3> = heapless::Vec::new();
+    letters.extend(match spindle {
+        SpindleDirection::Off => None,
+        SpindleDirection::Clockwise => Some(b'S'),
+        SpindleDirection::CounterClockwise => Some(b'C'),
+    });
+    letters.extend(coolant.flood.then_some(b'F'));
+    letters.extend(coolant.mist.then_some(b'M'));
+    if !letters.is_empty() {
+        put(out, b"|A:");
+        put(out, &letters);
+    }
+}
+
+/// Decides which reports carry `WCO` and `Ov`: rarely, as they change rarely.
+///
+/// `WCO` comes in the first report and then in every 10th (30th while the machine is busy), `Ov` alike (every 10th or
+/// 20th), never both in one report unless the override is due at once; a change makes either due.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RareFields {
+    offset_in: u8,
+    overrides_in: u8,
+}
+
+impl RareFields {
+    /// The work offset has changed.
+    pub fn offset_changed(&mut self) {
+        self.offset_in = 0;
+    }
+
+    /// An override or accessory has changed.
+    pub fn overrides_changed(&mut self) {
+        self.overrides_in = 0;
+    }
+
+    /// Whether the next report carries (`WCO`, `Ov`).
+    pub fn next(&mut self, busy: bool) -> (bool, bool) {
+        let offset = self.offset_in == 0;
+        if offset {
+            self.offset_in = if busy { 29 } else { 9 };
+            // One long field a report.
+            self.overrides_in = self.overrides_in.max(1);
+        } else {
+            self.offset_in -= 1;
+        }
+        let overrides = self.overrides_in == 0;
+        if overrides {
+            self.overrides_in = if busy { 19 } else { 9 };
+        } else {
+            self.overrides_in -= 1;
+        }
+        (offset, overrides)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rare_fields_take_turns() {
+        let mut fields = RareFields::default();
+        let idle: Vec<(bool, bool)> = (0..22).map(|_| fields.next(false)).collect();
+        let at = |want: (bool, bool)| idle.iter().enumerate().filter(|(_, f)| **f == want).map(|(i, _)| i).collect();
+        let offsets: Vec<usize> = at((true, false));
+        let overrides: Vec<usize> = at((false, true));
+        assert_eq!(offsets, [0, 10, 20]);
+        assert_eq!(overrides, [1, 11, 21]);
+        fields.overrides_changed();
+        assert_eq!(fields.next(true), (false, true));
+    }
+}

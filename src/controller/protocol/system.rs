@@ -1,0 +1,157 @@
+//! `$` lines: which command it is and with what, or why not. Whether the machine's state allows it is not known here.
+
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::number;
+use crate::units::Decimal;
+
+/// A `$` command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum System<'a> {
+    /// `$`
+    Help,
+    /// `$$`
+    Settings,
+    /// `$#`
+    Parameters,
+    /// `$G`
+    ParserState,
+    /// `$I`
+    BuildInfo,
+    /// `$I=text`
+    SetBuildInfo(&'a [u8]),
+    /// `$N`
+    StartupLines,
+    /// `$N0=line`, `$N1=line`
+    SetStartupLine(usize, &'a [u8]),
+    /// `$C`
+    CheckMode,
+    /// `$X`
+    Unlock,
+    /// `$H`, or `$HX` and so on for one axis
+    Home(Option<Axis>),
+    /// `$J=...`
+    Jog(&'a [u8]),
+    /// `$RST=$`, `$RST=#`, `$RST=*`
+    Restore(Restore),
+    /// `$SLP`
+    Sleep,
+    /// `$n=v`
+    Set(u16, Decimal),
+}
+
+/// What `$RST` brings back to its default.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Restore {
+    /// The settings.
+    Settings,
+    /// Coordinate systems, G28 and G30.
+    Coordinates,
+    /// Everything, startup lines and build info included.
+    All,
+}
+
+/// In which states a `$` command works; asked before the rest of the line is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Allowed {
+    /// Any.
+    Always,
+    /// Idle or alarm.
+    AtRest,
+    /// Idle or jog.
+    ForJog,
+}
+
+/// The states that a line's command letter allows (the line begins with `$`).
+pub fn allowed(line: &[u8]) -> Allowed {
+    match line.get(1) {
+        None | Some(b'$' | b'G' | b'C' | b'X') => Allowed::Always,
+        Some(b'J') => Allowed::ForJog,
+        Some(_) => Allowed::AtRest,
+    }
+}
+
+/// Reads a `$` line (filtered; begins with `$`).
+///
+/// # Errors
+/// [`Error::InvalidStatement`] for a known command that goes on wrongly, [`Error::BadNumber`] for an unknown one.
+pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
+    let rest = line.get(2..).unwrap_or(&[]);
+    let alone = |command| if rest.is_empty() { Ok(command) } else { Err(Error::InvalidStatement) };
+    match line.get(1) {
+        None => Ok(System::Help),
+        Some(b'$') => alone(System::Settings),
+        Some(b'G') => alone(System::ParserState),
+        Some(b'C') => alone(System::CheckMode),
+        Some(b'X') => alone(System::Unlock),
+        Some(b'#') => alone(System::Parameters),
+        Some(b'J') => rest.strip_prefix(b"=").map(System::Jog).ok_or(Error::InvalidStatement),
+        Some(b'S') if rest == b"LP" => Ok(System::Sleep),
+        Some(b'S') => Err(Error::InvalidStatement),
+        Some(b'I') if rest.is_empty() => Ok(System::BuildInfo),
+        Some(b'I') => rest.strip_prefix(b"=").map(System::SetBuildInfo).ok_or(Error::InvalidStatement),
+        Some(b'H') => match rest {
+            [] => Ok(System::Home(None)),
+            [letter] => Axis::from_letter(*letter).map(|a| System::Home(Some(a))).ok_or(Error::InvalidStatement),
+            _ => Err(Error::InvalidStatement),
+        },
+        Some(b'R') => match rest {
+            b"ST=$" => Ok(System::Restore(Restore::Settings)),
+            b"ST=#" => Ok(System::Restore(Restore::Coordinates)),
+            b"ST=*" => Ok(System::Restore(Restore::All)),
+            _ => Err(Error::InvalidStatement),
+        },
+        Some(b'N') if rest.is_empty() => Ok(System::StartupLines),
+        Some(b'N') => {
+            let (index, line) = numbered(rest)?;
+            match index {
+                0 | 1 => Ok(System::SetStartupLine(usize::from(index), line)),
+                _ => Err(Error::InvalidStatement),
+            }
+        }
+        Some(_) => {
+            let (setting, text) = numbered(line.get(1..).unwrap_or(&[]))?;
+            let (value, used) = number::read(text).ok_or(Error::BadNumber)?;
+            if used == text.len() { Ok(System::Set(setting, value)) } else { Err(Error::InvalidStatement) }
+        }
+    }
+}
+
+/// Splits `n=text`. A fraction of `n` is cut off, as Grbl does; a number that no setting can have becomes one that none
+/// has.
+fn numbered(text: &[u8]) -> Result<(u16, &[u8]), Error> {
+    let (index, used) = number::read(text).ok_or(Error::BadNumber)?;
+    let rest = text.get(used..).and_then(|t| t.strip_prefix(b"=")).ok_or(Error::InvalidStatement)?;
+    let index = if index < Decimal::ZERO { u16::MAX } else { u16::try_from(index.truncate()).unwrap_or(u16::MAX) };
+    Ok((index, rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_read() {
+        assert_eq!(read(b"$"), Ok(System::Help));
+        assert_eq!(read(b"$100=250.5"), Ok(System::Set(100, Decimal(2_505_000_000))));
+        assert_eq!(read(b"$1.5=3"), Ok(System::Set(1, Decimal::from_int(3))));
+        assert_eq!(read(b"$N1=G20"), Ok(System::SetStartupLine(1, b"G20")));
+        assert_eq!(read(b"$HX"), Ok(System::Home(Some(Axis::X))));
+        assert_eq!(read(b"$RST=*"), Ok(System::Restore(Restore::All)));
+        assert_eq!(read(b"$I=ABC"), Ok(System::SetBuildInfo(b"ABC")));
+    }
+
+    #[test]
+    fn refusals_have_grbls_numbers() {
+        for line in ["$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$RST", "$RST=X", "$N0", "$N2=G0", "$N-1=G0"]
+        {
+            assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
+        }
+        for line in ["$1", "$1=5X", "$1=25ABC", "$HQ"] {
+            assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
+        }
+        for line in ["$Z", "$ABC", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N="] {
+            assert_eq!(read(line.as_bytes()), Err(Error::BadNumber), "{line}");
+        }
+    }
+}

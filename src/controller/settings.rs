@@ -1,0 +1,376 @@
+//! The `$` table: number, name, unit, default and range of every setting, and the values themselves.
+//!
+//! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as
+//! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
+
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::units::{Decimal, StepsPerMm};
+
+/// How a value is checked and printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Whole number from `.0` to `.1`; fractions are cut off.
+    Whole(u32, u32),
+    /// 0 or 1; any other whole number up to 255 counts as 1.
+    Switch,
+    /// Not negative, printed with three decimals.
+    Real,
+    /// Not negative, printed without decimals.
+    Speed,
+}
+
+/// One row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// The number after `$`. For a setting that exists per axis, the one of X.
+    pub number: u16,
+    /// What it is.
+    pub name: &'static str,
+    /// In which unit; empty for none.
+    pub unit: &'static str,
+    /// How it is checked and printed.
+    pub kind: Kind,
+    /// Value of a new controller.
+    pub default: f32,
+    /// Whether Grbl 1.1h knows the number.
+    pub grbl: bool,
+}
+
+const fn entry(number: u16, name: &'static str, unit: &'static str, kind: Kind, default: f32, grbl: bool) -> Entry {
+    Entry { number, name, unit, kind, default, grbl }
+}
+
+/// Settings that exist once. The order is the order of [`Key`].
+pub const SCALARS: [Entry; Key::COUNT] = [
+    entry(0, "Step pulse", "us", Kind::Whole(1, 255), 10.0, true),
+    entry(1, "Step idle delay", "ms", Kind::Whole(0, 255), 25.0, true),
+    entry(2, "Step invert", "mask", Kind::Whole(0, 255), 0.0, true),
+    entry(3, "Direction invert", "mask", Kind::Whole(0, 255), 0.0, true),
+    entry(4, "Enable invert", "", Kind::Switch, 0.0, true),
+    entry(5, "Limit invert", "", Kind::Switch, 0.0, true),
+    entry(6, "Probe invert", "", Kind::Switch, 0.0, true),
+    entry(10, "Status report", "mask", Kind::Whole(0, 255), 1.0, true),
+    entry(11, "Junction deviation", "mm", Kind::Real, 0.010, true),
+    entry(12, "Arc tolerance", "mm", Kind::Real, 0.002, true),
+    entry(13, "Report in inches", "", Kind::Switch, 0.0, true),
+    entry(20, "Soft limits", "", Kind::Switch, 0.0, true),
+    entry(21, "Hard limits", "", Kind::Switch, 0.0, true),
+    entry(22, "Homing", "", Kind::Switch, 0.0, true),
+    entry(23, "Homing direction", "mask", Kind::Whole(0, 255), 0.0, true),
+    entry(24, "Homing locate feed", "mm/min", Kind::Real, 25.0, true),
+    entry(25, "Homing seek rate", "mm/min", Kind::Real, 500.0, true),
+    entry(26, "Homing debounce", "ms", Kind::Whole(0, 65_535), 250.0, true),
+    entry(27, "Homing pull-off", "mm", Kind::Real, 1.0, true),
+    entry(29, "Direction set-up", "us", Kind::Whole(0, 255), 5.0, false),
+    entry(30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true),
+    entry(31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true),
+    entry(32, "Laser mode", "", Kind::Switch, 0.0, true),
+    entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
+];
+
+/// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
+/// [`AxisKey`].
+pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
+    entry(100, "Resolution", "steps/mm", Kind::Real, 250.0, true),
+    entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
+    entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
+    entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
+];
+
+/// Names the rows of [`SCALARS`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the table says what each is")]
+pub enum Key {
+    StepPulse,
+    IdleDelay,
+    StepInvert,
+    DirectionInvert,
+    EnableInvert,
+    LimitInvert,
+    ProbeInvert,
+    StatusReport,
+    JunctionDeviation,
+    ArcTolerance,
+    ReportInches,
+    SoftLimits,
+    HardLimits,
+    Homing,
+    HomingDirection,
+    HomingLocate,
+    HomingSeek,
+    HomingDebounce,
+    HomingPullOff,
+    DirectionSetup,
+    SpindleMaximum,
+    SpindleMinimum,
+    Laser,
+    Dialect,
+}
+
+impl Key {
+    /// How many there are.
+    pub const COUNT: usize = 24;
+}
+
+/// Names the rows of [`PER_AXIS`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the table says what each is")]
+pub enum AxisKey {
+    Resolution,
+    MaxRate,
+    Acceleration,
+    Travel,
+}
+
+impl AxisKey {
+    /// How many there are.
+    pub const COUNT: usize = 4;
+}
+
+/// Where a setting stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    Scalar(usize),
+    PerAxis(usize, Axis),
+}
+
+/// The values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings<const N: usize> {
+    scalars: [f32; Key::COUNT],
+    per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
+}
+
+impl<const N: usize> Default for Settings<N> {
+    fn default() -> Self {
+        Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) }
+    }
+}
+
+impl<const N: usize> Settings<N> {
+    /// How many lines `$$` has.
+    pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
+
+    /// A value of the first table.
+    pub fn value(&self, key: Key) -> f32 {
+        self.scalars.get(key as usize).copied().unwrap_or(0.0)
+    }
+
+    /// A value of the first table as a whole number.
+    pub fn whole(&self, key: Key) -> u32 {
+        self.value(key) as u32
+    }
+
+    /// A value of the first table as yes or no.
+    pub fn is_on(&self, key: Key) -> bool {
+        self.value(key) != 0.0
+    }
+
+    /// The values of a setting that exists per axis.
+    pub fn axes(&self, key: AxisKey) -> PerAxis<f32, N> {
+        self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
+    }
+
+    fn find(number: u16) -> Option<Place> {
+        if let Some(i) = SCALARS.iter().position(|e| e.number == number) {
+            return Some(Place::Scalar(i));
+        }
+        PER_AXIS.iter().enumerate().find_map(|(i, e)| {
+            let axis = Axis::ALL.get(usize::from(number.checked_sub(e.number)?)).copied()?;
+            (axis.index() < N).then_some(Place::PerAxis(i, axis))
+        })
+    }
+
+    /// The `line`-th row of `$$`: number, value, and how to print it.
+    pub fn row(&self, line: usize) -> Option<(Entry, u16, f32)> {
+        if let Some(entry) = SCALARS.get(line) {
+            return Some((*entry, entry.number, self.scalars.get(line).copied()?));
+        }
+        let line = line.checked_sub(Key::COUNT)?;
+        let entry = PER_AXIS.get(line / N)?;
+        let axis = Axis::ALL.get(line % N)?;
+        Some((*entry, entry.number + axis.index() as u16, self.per_axis.get(line / N)?.get(*axis)?))
+    }
+
+    /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
+    ///
+    /// # Errors
+    /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
+    /// of range, [`Error::StepPulseTooShort`] for `$0`, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22`.
+    pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        if value < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
+        let place = Self::find(number).ok_or(Error::InvalidStatement)?;
+        let entry = match place {
+            Place::Scalar(i) => SCALARS.get(i),
+            Place::PerAxis(i, _) => PER_AXIS.get(i),
+        }
+        .ok_or(Error::InvalidStatement)?;
+        let value = match entry.kind {
+            Kind::Whole(least, greatest) => {
+                let whole = value.truncate() as u32;
+                // Grbl takes no pulse below 3 us.
+                let least = if number == 0 && self.value(Key::Dialect) == 0.0 { 3 } else { least };
+                if !(least..=greatest).contains(&whole) {
+                    let pulse = number == 0;
+                    return Err(if pulse { Error::StepPulseTooShort } else { Error::InvalidStatement });
+                }
+                whole as f32
+            }
+            Kind::Switch => match value.truncate() {
+                0 => 0.0,
+                1..=255 => 1.0,
+                _ => return Err(Error::InvalidStatement),
+            },
+            Kind::Real | Kind::Speed => value.to_f32(),
+        };
+        if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) {
+            return Err(Error::SoftLimitNeedsHoming);
+        }
+        self.put(place, value);
+        if number == HOMING && value == 0.0 {
+            // Soft limits mean nothing without a homed position.
+            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
+        }
+        Ok(())
+    }
+
+    /// Takes over a value that was stored before; an unknown number or a value that is no number is ignored.
+    pub fn restore(&mut self, number: u16, value: f32) {
+        if let Some(place) = Self::find(number)
+            && value.is_finite()
+            && value >= 0.0
+        {
+            self.put(place, value);
+        }
+    }
+
+    /// The value of a setting by its number, for storing.
+    pub fn by_number(&self, number: u16) -> Option<f32> {
+        match Self::find(number)? {
+            Place::Scalar(i) => self.scalars.get(i).copied(),
+            Place::PerAxis(i, axis) => self.per_axis.get(i)?.get(axis),
+        }
+    }
+
+    fn put(&mut self, place: Place, value: f32) {
+        match place {
+            Place::Scalar(i) => {
+                if let Some(slot) = self.scalars.get_mut(i) {
+                    *slot = value;
+                }
+            }
+            Place::PerAxis(i, axis) => {
+                if let Some(slot) = self.per_axis.get_mut(i) {
+                    slot.set(axis, value);
+                }
+            }
+        }
+    }
+
+    /// The number of the first setting that makes the set impossible to run: no steps/mm, rate or acceleration, or a
+    /// step rate (rate × resolution) beyond `safe_step_hz`. `None` when motion may run.
+    pub fn unrunnable(&self, safe_step_hz: u32) -> Option<u16> {
+        let resolution = self.axes(AxisKey::Resolution);
+        let rate = self.axes(AxisKey::MaxRate);
+        let acceleration = self.axes(AxisKey::Acceleration);
+        Axis::of_machine::<N>().find_map(|axis| {
+            let offset = axis.index() as u16;
+            let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
+            if StepsPerMm::new(r).is_none() {
+                Some(100 + offset)
+            } else if v <= 0.0 || r * v / 60.0 > safe_step_hz as f32 {
+                Some(110 + offset)
+            } else if a <= 0.0 {
+                Some(120 + offset)
+            } else {
+                None
+            }
+        })
+    }
+}
+
+/// Number of the setting that switches soft limits on.
+const SOFT_LIMITS: u16 = 20;
+/// Number of the setting that switches homing on.
+const HOMING: u16 = 22;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
+        settings.set(number, Decimal(thousandths * 10_000))
+    }
+
+    #[test]
+    fn every_key_names_its_row() {
+        for (key, number) in [
+            (Key::StepPulse, 0),
+            (Key::StatusReport, 10),
+            (Key::ReportInches, 13),
+            (Key::Homing, 22),
+            (Key::HomingPullOff, 27),
+            (Key::DirectionSetup, 29),
+            (Key::SpindleMinimum, 31),
+            (Key::Laser, 32),
+            (Key::Dialect, 900),
+        ] {
+            assert_eq!(SCALARS[key as usize].number, number);
+        }
+        assert_eq!(PER_AXIS[AxisKey::Travel as usize].number, 130);
+    }
+
+    #[test]
+    fn values_are_checked_before_they_are_taken() {
+        let mut s = Settings::<3>::default();
+        assert_eq!(set(&mut s, 0, 0), Err(Error::StepPulseTooShort));
+        assert_eq!(set(&mut s, 0, 256_000), Err(Error::StepPulseTooShort));
+        assert_eq!(set(&mut s, 1, 300_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 103, 1_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 7, 1_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 11, -1), Err(Error::NegativeValue));
+        assert_eq!(s, Settings::default());
+        assert_eq!(set(&mut s, 102, 80_500), Ok(()));
+        assert_eq!(s.axes(AxisKey::Resolution), PerAxis([250.0, 250.0, 80.5]));
+        assert_eq!(s.by_number(102), Some(80.5));
+    }
+
+    #[test]
+    fn soft_limits_live_and_die_with_homing() {
+        let mut s = Settings::<3>::default();
+        assert_eq!(set(&mut s, 20, 1_000), Err(Error::SoftLimitNeedsHoming));
+        set(&mut s, 22, 1_000).unwrap();
+        set(&mut s, 20, 1_000).unwrap();
+        set(&mut s, 22, 0).unwrap();
+        assert!(!s.is_on(Key::SoftLimits));
+    }
+
+    #[test]
+    fn a_set_that_cannot_run_names_its_setting() {
+        let mut s = Settings::<3>::default();
+        assert_eq!(s.unrunnable(100_000), None);
+        set(&mut s, 101, 0).unwrap();
+        assert_eq!(s.unrunnable(100_000), Some(101));
+        set(&mut s, 101, 250_000).unwrap();
+        set(&mut s, 112, 30_000_000).unwrap();
+        assert_eq!(s.unrunnable(100_000), Some(112));
+        set(&mut s, 112, 500_000).unwrap();
+        set(&mut s, 120, 0).unwrap();
+        assert_eq!(s.unrunnable(100_000), Some(120));
+    }
+
+    #[test]
+    fn the_listing_has_every_row_once() {
+        let s = Settings::<3>::default();
+        let numbers: Vec<u16> = (0..Settings::<3>::LINES).map(|i| s.row(i).unwrap().1).collect();
+        assert!(numbers.contains(&132) && numbers.contains(&900));
+        let mut unique = numbers.clone();
+        unique.sort_unstable();
+        unique.dedup();
+        assert_eq!(unique.len(), numbers.len());
+        assert!(s.row(Settings::<3>::LINES).is_none());
+    }
+}
