@@ -275,13 +275,27 @@ pub struct Wiring {
     pub probe_invert: bool,
 }
 
-/// A record for the settings store: a key and up to 100 bytes.
+/// A record of the settings store: a key and up to 100 bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// What is stored; the meaning belongs to `settings`.
+    /// What is stored; the meaning belongs to the controller.
     pub key: u16,
-    /// The value; empty deletes.
+    /// The value.
     pub value: heapless::Vec<u8, 100>,
+}
+
+/// A change of the settings store.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Store {
+    /// Write a record, replacing the one with its key.
+    Put(Record),
+    /// Remove all records with keys from `from` to `until - 1`.
+    Remove {
+        /// First key.
+        from: u16,
+        /// First key that stays.
+        until: u16,
+    },
 }
 
 /// What the controller wants done.
@@ -298,7 +312,7 @@ pub enum Output {
     /// Stop the step task at once, as a reset does: mark and pend it. Answered by [`StepEvent::Stopped`].
     Stop,
     /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
-    Store(Record),
+    Store(Store),
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }
