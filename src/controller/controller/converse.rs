@@ -158,17 +158,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     // Startup lines
 
-    pub(super) fn run_startup_line(&mut self, index: usize) {
-        let Some(line) = self.startup_lines.get(index).cloned() else { return };
-        if line.is_empty() {
-            self.task = Task::Startup(index + 1);
+    pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
+        let Some(line) = self.startup_lines.get(index).cloned() else {
+            if let Some(answer) = then {
+                self.finish(answer);
+            }
             return;
+        };
+        if !line.is_empty() {
+            self.say(|out| report::startup_echo(out, &line));
+            match self.gcode(&line, Answer::Startup(index, then.is_some())) {
+                Ok(()) => return,
+                Err(error) => self.refuse(error),
+            }
         }
-        self.say(|out| report::startup_echo(out, &line));
-        if let Err(error) = self.gcode(&line, Answer::Startup(index)) {
-            self.refuse(error);
-            self.task = Task::Startup(index + 1);
-        }
+        self.task = Task::Startup(index + 1, then);
     }
 
     pub(super) fn store_startup_line(&mut self, index: usize, line: heapless::Vec<u8, STORED_TEXT>) {
@@ -225,7 +229,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::CheckMode => self.toggle_check_mode()?,
             System::Unlock => self.unlock()?,
             System::Home(_) if !self.settings.is_on(Key::Homing) => return Err(Error::HomingDisabled),
-            System::Home(_) => return Err(Error::InvalidStatement),
+            System::Home(Some(_)) if self.dialect() == Dialect::Grbl => return Err(Error::InvalidStatement),
+            System::Home(axis) => self.begin_homing(axis)?,
             System::Jog(text) => return self.jog(text),
             System::Restore(what) => self.restore_defaults(what),
             System::Sleep => {
