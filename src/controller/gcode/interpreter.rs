@@ -7,6 +7,7 @@ use super::parse::Parsed;
 use super::{Context, jog};
 use crate::axes::PerAxis;
 use crate::error::Error;
+use crate::messages::Coolant;
 use crate::units::Coordinate;
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
@@ -73,6 +74,11 @@ impl<const N: usize> Interpreter<N> {
     /// What stays in force.
     pub fn modal(&self) -> &Modal {
         &self.modal
+    }
+
+    /// Coolant that the operator has switched, not the program.
+    pub fn set_coolant(&mut self, coolant: Coolant) {
+        self.modal.coolant = coolant;
     }
 
     /// All offsets.
