@@ -16,6 +16,8 @@ use crate::units::Coordinate;
 /// Keys of stored records: a setting has its own number (0 to 999).
 const KEY_OFFSETS: u16 = 1000;
 const KEY_STARTUP: u16 = 1100;
+/// Number of the dialect setting, above all others.
+const DIALECT: u16 = 900;
 const KEY_BUILD_INFO: u16 = 1200;
 
 /// An answer of many lines.
@@ -254,7 +256,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A setting has a new value: derived numbers follow, and it is stored.
     fn changed(&mut self, number: u16) {
         self.reconfigure();
-        if number == 13 || number == 10 {
+        if number == 13 {
             self.rare_fields.offset_changed();
         }
         self.save_setting(number);
@@ -298,8 +300,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
-            self.settings = Settings::default();
-            self.forget(0..KEY_OFFSETS);
+            // The dialect stays: it is how this host is spoken to.
+            let mut settings = Settings::default();
+            settings.restore(DIALECT, self.settings.value(Key::Dialect));
+            self.settings = settings;
+            self.forget(0..DIALECT);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();

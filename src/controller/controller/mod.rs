@@ -436,8 +436,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
-                    self.spindle_stopped = !self.spindle_stopped;
-                    self.rare_fields.overrides_changed();
+                    if self.spindle_stopped {
+                        self.restore_spindle();
+                    } else {
+                        self.spindle_stopped = true;
+                        self.rare_fields.overrides_changed();
+                    }
                 }
             }
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
@@ -488,15 +492,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A hold or a door is over: motion, a dwell or the lines that waited go on.
     fn leave_hold(&mut self) {
-        if self.spindle_stopped {
-            self.spindle_stopped = false;
-            self.rare_fields.overrides_changed();
-        }
+        self.restore_spindle();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         self.motion.resume();
         if !self.motion.is_idle() {
             self.start_motion();
+        }
+    }
+
+    /// A spindle that was stopped in a hold turns again.
+    fn restore_spindle(&mut self) {
+        if self.spindle_stopped {
+            self.spindle_stopped = false;
+            self.rare_fields.overrides_changed();
+            if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off {
+                self.say(|out| report::message(out, "Restoring spindle"));
+            }
         }
     }
 
@@ -508,6 +520,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Hold;
                 if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
                     self.spindle_stopped = true;
+                    self.rare_fields.overrides_changed();
                 }
             }
             Mode::Jog { .. } => self.cancel_jog(),
@@ -530,6 +543,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
                 self.motion.hold();
                 self.task.suspend(self.now);
+            }
+            Mode::Door(_) => {
+                self.say(|out| report::message(out, "Check Door"));
+                return;
             }
             Mode::Home => {
                 self.stop.order = true;
@@ -725,13 +742,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Power and speed of the spindle as it turns now.
-    fn spindle_output(&self) -> (u16, f32) {
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
-            (0, 0.0)
+    /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
+    /// with scaled power (M4) is off at no speed.
+    fn resting_power(&self) -> u16 {
+        let dark = self.settings.is_on(Key::Laser)
+            && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
+            0
         } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle)
+            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
         }
+    }
+
+    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
+    fn spindle_now(&self) -> (SpindleDirection, f32) {
+        let from_segments = self.settings.is_on(Key::Laser) && !self.motion.is_at_rest() && !self.spindle_stopped;
+        let power = if from_segments { self.motion.power() } else { self.resting_power() };
+        let direction = if power == 0 { SpindleDirection::Off } else { self.spindle };
+        (direction, self.spindle_range().speed_of(power))
     }
 
     /// A laser with constant power (M3) stays on between feed motions.
@@ -743,17 +771,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn changed_pins(&mut self) -> Option<SlowOutputs> {
-        let (power, _) = self.spindle_output();
-        let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
         let pins = SlowOutputs {
             spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
-            // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
-            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
-                0
-            } else {
-                power
-            },
-            power_from_segments: laser,
+            power: self.resting_power(),
+            power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
             coolant: self.coolant,
             drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
         };
@@ -810,7 +831,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
         let mask = self.settings.whole(Key::StatusReport);
-        let (_, speed) = self.spindle_output();
+        let (spindle, speed) = self.spindle_now();
         let grbl = self.dialect() == Dialect::Grbl;
         let line = self.motion.line_number();
         let status = report::Status {
@@ -825,7 +846,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             pins: self.signals,
             show_offset,
             overrides: show_overrides.then(|| {
-                let spindle = if self.spindle_stopped { SpindleDirection::Off } else { self.spindle };
                 ([self.overrides.feed, self.overrides.rapid, self.overrides.spindle], spindle, self.coolant)
             }),
         };
