@@ -66,7 +66,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match order {
             Order::Move { by, rate, watch } => {
                 let here = self.motion.machine_position();
-                let target = here.zip(&by, |from, by| from + Coordinate::from_mm_f32(by));
+                let target = here.zip(&by, |from, by| (from + Coordinate::from_mm_f32(by)).limited());
                 self.motion.line(&seek(target, Speed::Feed(rate)));
                 self.start_motion();
                 self.task = Task::Homing(homing, HomingWait::Motion(watch));
