@@ -118,6 +118,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         if let Err(error) = result {
             self.refuse(error);
+            let program = line.first() != Some(&b'$');
+            if program && self.settings.is_on(Key::StopOnError) && self.mode == Mode::Normal {
+                self.stop_softly(true);
+            }
         }
     }
 
@@ -145,11 +149,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         let stale = (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0;
-        let checked = self.interpreter.check_jog(line, self.context())?;
+        let mut checked = self.interpreter.check_jog(line, self.context())?;
         if stale || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
             return Ok(());
+        }
+        if self.settings.is_on(Key::JogClip) {
+            self.clip_to_travel(&mut checked);
         }
         if let Some(error) = self.refuse_motion(&checked, true) {
             return Err(error);
@@ -242,6 +249,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.coolant = Coolant::default();
                 self.drivers_on = false;
                 self.drivers_off_at = None;
+                // Axes can be moved by hand now.
+                self.trusted = false;
                 self.mode = Mode::Sleep;
             }
             System::Set(number, value) => {
@@ -293,6 +302,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.mode = Mode::Normal;
             self.alarm = None;
             self.say(|out| report::message(out, "Caution: Unlocked"));
+            if !self.trusted && self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+            }
         }
         self.say(report::ok);
         Ok(())

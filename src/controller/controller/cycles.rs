@@ -79,6 +79,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         place.set(axis, home);
                     }
                 }
+                // One axis alone does not make the others true.
+                self.trusted |= Axis::of_machine::<N>().all(|axis| axes.has(axis));
                 self.motion.set_machine_position(&place);
                 self.interpreter.set_position(self.motion.machine_position());
                 self.mode = Mode::Normal;

@@ -397,7 +397,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.motion_locked() {
             return Some(error);
         }
+        if checked.uses_machine_place && self.must_home_first() {
+            self.say(|out| report::message(out, "Home first: the machine position is not known"));
+            return Some(Error::Locked);
+        }
         (jog && self.leaves_travel(checked)).then_some(Error::JogOutsideTravel)
+    }
+
+    /// Lets a jog end where the travel does.
+    pub(super) fn clip_to_travel(&self, checked: &mut Checked<N>) {
+        if let gcode::Motion::Line { target, .. } = &checked.motion
+            && self.limits_travel()
+        {
+            let travel = self.settings.axes(AxisKey::Travel);
+            checked.redirect(target.zip(&travel, |p, t| p.clamp(-Coordinate::from_mm_f32(t), Coordinate::ZERO)));
+        }
+    }
+
+    /// Whether soft limits are in force. Without a true position there is nothing to compare with.
+    fn limits_travel(&self) -> bool {
+        self.settings.is_on(Key::SoftLimits) && !self.must_home_first()
     }
 
     /// Whether the settings allow no motion at all; then the host has been told which.
@@ -416,7 +435,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 .iter()
                 .any(|outside| *outside)
         };
-        self.settings.is_on(Key::SoftLimits)
+        self.limits_travel()
             && match &checked.motion {
                 gcode::Motion::None => false,
                 gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),

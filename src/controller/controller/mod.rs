@@ -68,9 +68,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     line: Line,
     /// A byte that came before the realtime command which opened its epoch.
     held: Option<LineByte>,
-    /// Resets and jog cancels taken.
+    /// Resets, stops and jog cancels taken.
     epoch: u8,
-    /// Bytes of older epochs are dropped: the epoch of the last reset.
+    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
     reset_epoch: u8,
     /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
     jog_epoch: u8,
@@ -79,6 +79,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 
     mode: Mode,
     alarm: Option<Alarm>,
+    /// The machine is where the counters say: it falls with a stop at speed and with drivers that are off, and comes back
+    /// with homing. Without homing nobody knows better, so it is then a warning and no lock.
+    trusted: bool,
     /// Motion has been started and not come to its end.
     running: bool,
     input_ended: bool,
@@ -162,6 +165,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_epoch: 0,
             mode: Mode::Normal,
             alarm: None,
+            trusted: true,
             running: false,
             input_ended: false,
             task: Task::None,
@@ -198,6 +202,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
+            self.trusted = false;
         }
         self.initialise();
     }
@@ -357,6 +362,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.end_jog();
                 }
             }
+            Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
                 self.door_coolant = self.coolant;
                 self.coolant = Coolant::default();
@@ -378,6 +384,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drivers_off_at = None;
             self.drivers_on = false;
         }
+    }
+
+    /// With homing on, what goes to a place of the machine waits for a position that is true.
+    fn must_home_first(&self) -> bool {
+        !self.trusted && self.settings.is_on(Key::Homing) && self.settings.is_on(Key::TrustNeeded)
     }
 
     fn start_idle_delay(&mut self) {
@@ -420,6 +431,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.reset_epoch = self.epoch;
                 self.jog_epoch = self.epoch;
                 self.begin_stop(StopReason::Reset);
+                self.release_held();
+            }
+            Realtime::Stop => {
+                self.epoch = self.epoch.wrapping_add(1);
+                self.reset_epoch = self.epoch;
+                self.jog_epoch = self.epoch;
+                self.line.clear();
+                self.stop_softly(false);
                 self.release_held();
             }
             Realtime::Status => self.status_due = true,
@@ -525,6 +544,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Jog { .. } => self.cancel_jog(),
             _ => {}
+        }
+    }
+
+    /// Brakes to a stop and forgets the job; the position stays true.
+    pub(super) fn stop_softly(&mut self, locked: bool) {
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Door(_));
+        if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
+            self.motion.hold();
+            self.mode = Mode::Stopping { locked };
+        }
+    }
+
+    fn end_soft_stop(&mut self, locked: bool) {
+        self.motion.discard();
+        self.running = false;
+        self.probing = None;
+        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.interpreter.set_position(self.motion.machine_position());
+        self.start_idle_delay();
+        if self.task.abandon() {
+            self.say(report::ok);
+        }
+        self.mode = if locked { Mode::Alarm } else { Mode::Normal };
+        if locked {
+            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
         }
     }
 
@@ -641,6 +685,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
+                self.trusted &= !moving;
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
@@ -662,6 +707,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.line.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
+            self.trusted &= !moving;
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }
@@ -828,7 +874,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
+        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
         let mask = self.settings.whole(Key::StatusReport);
         let (spindle, speed) = self.spindle_now();

@@ -36,6 +36,8 @@ pub struct Checked<const N: usize> {
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
     pub work_offset_changed: bool,
+    /// The motion goes to a place of the machine (G53, G28, G30), so it needs a machine position that is true.
+    pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit.
     pub store: Option<StoredOffset>,
     /// The motion.
@@ -60,6 +62,14 @@ impl<const N: usize> Checked<N> {
         &self.position
     }
 
+    /// A straight move that ends elsewhere: a jog cut short at the end of the travel.
+    pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
+        if let Motion::Line { target, .. } = &mut self.motion {
+            *target = place;
+            self.position = place;
+        }
+    }
+
     /// What leaves everything as it is.
     pub(super) fn of_state(state: &Interpreter<N>) -> Self {
         Self {
@@ -70,6 +80,7 @@ impl<const N: usize> Checked<N> {
             coolant: None,
             dwell: None,
             work_offset_changed: false,
+            uses_machine_place: false,
             store: None,
             motion: Motion::None,
             flow: Flow::None,
@@ -567,6 +578,8 @@ impl<'a, const N: usize> Check<'a, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
+        checked.uses_machine_place =
+            matches!(self.line.non_modal, Some(NonModal::MachineCoordinates | NonModal::Go(_)));
         if checked.flow == Flow::End {
             checked.modal.end_program();
         }
