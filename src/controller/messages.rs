@@ -298,4 +298,3 @@ pub enum Output {
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }
-

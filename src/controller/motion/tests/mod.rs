@@ -1,0 +1,4 @@
+//! The rooms of motion against each other and against oracles that share no code with them.
+
+mod jobs;
+mod rig;
