@@ -12,9 +12,9 @@ use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 const SEGMENT_TIME: f32 = 0.001;
 /// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
 const SMOOTH_RATE: f32 = 8000.0;
-/// Share of speed²/acceleration that one segment may cover: its speed then changes by a fifth at most, so that evenly
-/// changing intervals follow the curve (the intervals of a longer piece bend).
-const EVEN: f32 = 0.2;
+/// Share of speed²/acceleration that one segment may cover: its speed then changes by a tenth, and evenly
+/// changing intervals follow the curve within 0.3 % (the intervals of a longer piece bend).
+const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the nearest tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
 

@@ -9,9 +9,9 @@ use std::collections::VecDeque;
 /// One expiry of the timer that belonged to a segment.
 #[derive(Clone, Copy, Debug)]
 pub struct Record {
-    /// Time of the tick and the time since the one before.
+    /// Time of the tick and the time since the one before that advanced, waits included.
     pub time: u64,
-    pub interval: u32,
+    pub interval: u64,
     pub steps: u8,
     /// Direction levels that had been put out before this tick.
     pub directions: u8,
@@ -43,6 +43,7 @@ pub struct Rig<const N: usize, const B: usize> {
     pub moves: VecDeque<Move<N>>,
     pub time: u64,
     due: u32,
+    waited: u64,
     directions: u8,
     pub position: [i64; N],
     pub trace: Vec<Record>,
@@ -93,6 +94,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             moves: VecDeque::new(),
             time: 0,
             due: 0,
+            waited: 0,
             directions: 0,
             position: [0; N],
             trace: Vec::new(),
@@ -173,9 +175,14 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         if let Some((segment, block)) = self.current {
             let facts = self.blocks[block];
             let units = if segment.flags & Segment::FLAG_WAIT != 0 { 0 } else { 16 >> segment.level };
+            self.waited += u64::from(self.due);
+            if units == 0 {
+                assert_eq!(tick.steps, 0, "a step while waiting");
+            }
+            let interval = self.waited;
             self.trace.push(Record {
                 time: self.time,
-                interval: self.due,
+                interval,
                 steps: tick.steps,
                 directions: self.directions,
                 path: f64::from(units) / f64::from(facts.units) * facts.length,
@@ -184,6 +191,11 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                 acceleration: facts.acceleration,
                 block,
             });
+            if units == 0 {
+                self.trace.pop();
+            } else {
+                self.waited = 0;
+            }
         } else {
             assert_eq!(tick.steps, 0, "a step without a segment");
         }
@@ -274,7 +286,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
         let (mut path, mut time, mut ticks, mut limit, mut begin) = (0.0, 0.0, 0, 0.0_f64, None);
         for record in &self.trace {
-            let interval = f64::from(record.interval) / hz;
+            let interval = record.interval as f64 / hz;
             assert!(
                 record.path <= record.nominal * interval * 1.01 + 1e-9,
                 "too fast: {} of {} mm/s at {record:?}",
