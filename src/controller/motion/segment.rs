@@ -4,7 +4,7 @@
 //! ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
 //! cannot hold goes into the next segment, so no time is lost or gained.
 
-use super::profile::{Curve, square_root};
+use super::profile::{Curve, Pace};
 use super::stepper::MAX_LEVEL;
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
@@ -25,8 +25,8 @@ pub(super) struct Cut {
     pub level: u8,
     pub ticks: u32,
     pub seconds: f32,
-    /// Speed² at its end, in units²/s².
-    pub end2: f32,
+    /// Speed at its end, in units/s.
+    pub end: Pace,
     /// Change of the interval from tick to tick, in seconds.
     pub ramp: f32,
 }
@@ -46,8 +46,8 @@ fn level_for(speed: f32) -> u8 {
 }
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
-pub(super) fn cut(curve: &Curve, done: u32, left: u32, speed2: f32) -> Cut {
-    let speed = square_root(speed2);
+pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
+    let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);
     let mut level = level_for(speed);
     let change = phase.sign * curve.acceleration * SEGMENT_TIME;
@@ -94,16 +94,15 @@ pub(super) fn cut(curve: &Curve, done: u32, left: u32, speed2: f32) -> Cut {
     let ticks = (units / grain).clamp(1, most);
     let units = ticks * grain;
 
-    let (seconds, end2) = curve.advance(speed2, left as f32, units as f32);
+    let (seconds, end) = curve.advance(pace, left as f32, units as f32);
     let mut ramp = 0.0;
     if ticks > 1 && phase.sign != 0.0 {
-        let end = square_root(end2);
-        if speed > 0.0 && end > 0.0 {
+        if speed > 0.0 && end.speed > 0.0 {
             // The interval is grain / speed at either end of the segment.
-            ramp = grain as f32 * (speed - end) / (speed * end) / ticks as f32;
+            ramp = grain as f32 * (speed - end.speed) / (speed * end.speed) / ticks as f32;
         }
     }
-    Cut { units, level, ticks, seconds, end2, ramp }
+    Cut { units, level, ticks, seconds, end, ramp }
 }
 
 /// Intervals of one segment.
