@@ -10,6 +10,7 @@
 
 pub mod arc;
 mod block;
+mod extent;
 mod flight;
 mod kinematics;
 mod planner;
@@ -18,6 +19,7 @@ mod segment;
 pub mod stepper;
 
 pub use arc::{Arc, ArcGeometry};
+pub use extent::extent;
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::PerAxis;
@@ -526,6 +528,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // The programmed place, not the nearest step: what follows is measured from it.
         self.planned = *position;
         self.block_end = *position;
+    }
+
+    /// The machine position at a reading of the step counters.
+    pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
+        kinematics::place(&self.steps_per_mm, &counter.zip(&self.origin, i32::wrapping_add))
     }
 
     /// End of the queue, as programmed.

@@ -64,6 +64,8 @@ pub struct Stepper<const N: usize> {
     gate_shut: bool,
     stops: u8,
     begun: u32,
+    /// State of the probe that is waited for.
+    watch: Option<bool>,
 }
 
 /// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
@@ -115,6 +117,7 @@ impl<const N: usize> Stepper<N> {
             gate_shut: false,
             stops: 0,
             begun: 0,
+            watch: None,
         }
     }
 
@@ -147,6 +150,7 @@ impl<const N: usize> Stepper<N> {
                     *own = new;
                 }
             }
+            ToStep::Watch { probe } => self.watch = probe,
             ToStep::Resume { .. } => {}
         }
     }
@@ -245,7 +249,23 @@ impl<const N: usize> Stepper<N> {
         StepEvent::Underrun { stops: self.stops, position: self.position() }
     }
 
+    /// Whether [`Stepper::probe`] is to be called after each tick.
+    #[inline]
+    pub fn is_watching(&self) -> bool {
+        self.watch.is_some()
+    }
+
+    /// Looks at the probe. The first time it has the awaited state the place is latched; motion goes on.
+    pub fn probe(&mut self, active: bool) -> Option<StepEvent<N>> {
+        if self.watch != Some(active) {
+            return None;
+        }
+        self.watch = None;
+        Some(StepEvent::Probed { position: self.position() })
+    }
+
     fn shut(&mut self) {
+        self.watch = None;
         self.base = self.position().0;
         self.steps = [0; N];
         self.dominant = 0;
