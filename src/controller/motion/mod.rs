@@ -145,6 +145,8 @@ struct Running<const N: usize> {
 enum Announce {
     Rest,
     Block,
+    /// The block was left in its midst for moves of another kind.
+    Reenter,
     Nothing,
 }
 
@@ -158,6 +160,7 @@ struct Far {
 /// The facade of this room.
 #[derive(Clone, Debug)]
 pub struct Motion<const N: usize, const BLOCKS: usize> {
+    settings: MotionSettings<N>,
     steps_per_mm: PerAxis<StepsPerMm, N>,
     mm_per_step: [f32; N],
     max_rate: [f32; N],
@@ -205,6 +208,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
         let mut motion = Self {
+            settings,
             steps_per_mm: settings.steps_per_mm,
             mm_per_step: [1.0; N],
             max_rate: [1.0; N],
@@ -253,6 +257,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
+        self.settings = settings;
         self.steps_per_mm = settings.steps_per_mm;
         self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
@@ -432,6 +437,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.start();
     }
 
+    /// The step task has done something else meanwhile, and the machine is back at the very place: the running block is
+    /// announced anew. At rest only.
+    pub fn reenter(&mut self) {
+        if self.running.active {
+            self.running.announce = if N > 3 { Announce::Rest } else { Announce::Block };
+            self.running.fresh = true;
+        }
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> MotionSettings<N> {
+        self.settings
+    }
+
     /// Whether a hold is in force and what was handed over ends at rest.
     pub fn is_held(&self) -> bool {
         self.hold == Hold::Held
@@ -593,12 +612,16 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 Some(ToStep::BlockRest { steps })
             }
             Announce::Block => {
-                self.running.announce = Announce::Nothing;
+                self.running.announce = if self.running.done > 0 { Announce::Reenter } else { Announce::Nothing };
                 let mut steps = [0; 3];
                 for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
                     *out = *own;
                 }
                 Some(ToStep::Block { steps, directions: self.running.directions })
+            }
+            Announce::Reenter => {
+                self.running.announce = Announce::Nothing;
+                Some(ToStep::Reenter { units: self.running.done })
             }
             Announce::Nothing => Some(ToStep::Segment(self.segment())),
         }
