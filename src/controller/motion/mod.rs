@@ -22,11 +22,11 @@ pub use stepper::{Stepper, Tick};
 
 use crate::axes::PerAxis;
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
-use crate::units::{Coordinate, StepsPerMm};
+use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use flight::{Flight, Record};
 use planner::Planner;
-use profile::{Curve, Pace, square_root};
+use profile::{Curve, Pace, greater, lesser, square_root};
 use segment::{Cut, Pacer};
 use stepper::{signed_add, steps_taken};
 
@@ -193,9 +193,18 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     origin: PerAxis<i32, N>,
 }
 
+/// A difference of coordinates in mm. Below 0.2 m the 32-bit conversion of the machine gives the same `f32` as the wide one.
+#[inline]
+fn in_mm(way: Coordinate) -> f32 {
+    match i32::try_from(way.0) {
+        Ok(near) => near as f32 / DECIMAL_ONE as f32,
+        Err(_) => way.to_mm(),
+    }
+}
+
 /// `value` within bounds, the least one for a NaN.
 fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
-    if value > least { value.min(greatest) } else { least }
+    if value > least { lesser(value, greatest) } else { least }
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
@@ -311,7 +320,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         true
     }
 
+    #[inline]
     fn continue_long_move(&mut self) {
+        if self.long.is_some() {
+            self.cut_long_move();
+        }
+    }
+
+    #[inline(never)]
+    fn cut_long_move(&mut self) {
         while let Some(mut long) = self.long {
             if self.planner.free() == 0 {
                 return;
@@ -334,7 +351,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {
-            let way = (*to - *from).to_mm();
+            let way = in_mm(*to - *from);
             square += way * way;
         }
         square_root(square)
@@ -342,9 +359,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) {
-        let own = self.distance(&m.target);
+        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| in_mm(to - from));
+        let mut square = 0.0;
+        for part in way.iter() {
+            square += part * part;
+        }
+        let straight = square_root(square);
+        let own = if self.planned == self.block_end { straight } else { self.distance(&m.target) };
         let path = own + self.carried;
-        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         self.planned = m.target;
 
         let mut block = Block::<N>::EMPTY;
@@ -359,7 +381,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 directions |= 1 << bit;
             }
             if *steps > 0 {
-                least = least.max((*steps as f32 - 0.5) * mm);
+                least = greater((*steps as f32 - 0.5) * mm, least);
             }
             dominant = dominant.max(*steps);
         }
@@ -369,16 +391,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
         // taken as longer, and the next one as shorter by as much.
-        let length = path.max(least);
-        self.carried = (path - length).max(-least);
+        let length = greater(path, least);
+        self.carried = greater(path - length, -least);
         self.block_end = m.target;
         self.planned_steps = *target_steps;
 
-        let mut square = 0.0;
-        for part in way.iter() {
-            square += part * part;
-        }
-        let straight = square_root(square);
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
