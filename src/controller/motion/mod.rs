@@ -646,17 +646,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let clocks_per_ms = self.step_clock_hz / 1000;
         let far_fixed = u64::from(self.pacer.whole(FAR_MS * clocks_per_ms));
         if self.far.is_none() {
-            match self.cut() {
-                Some(cut) => {
-                    let time = self.pacer.fixed(cut.seconds);
-                    if cut.ticks > 1 || time <= far_fixed {
-                        let time = u32::try_from(time).unwrap_or(u32::MAX);
-                        return self.emit(&cut, time);
-                    }
-                    self.far = Some(Far { cut, time });
-                }
+            let (curve, left) = match self.curve() {
+                Some(curve) => curve,
                 None => return self.rest_here(),
+            };
+            let cut = segment::cut(&curve, self.running.done, left, self.pace);
+            let time = self.pacer.fixed(cut.seconds);
+            if cut.ticks > 1 || time <= far_fixed {
+                let time = u32::try_from(time).unwrap_or(u32::MAX);
+                return self.emit(&cut, time);
             }
+            self.far = Some(Far { cut, time });
         }
         let Some(far) = &mut self.far else { return self.rest_here() };
         if self.hold == Hold::Ramp {
@@ -675,14 +675,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.emit(&cut, time)
     }
 
-    /// The next piece of the running block; `None` if it is a stop at this very place.
-    fn cut(&self) -> Option<Cut> {
+    /// The speed curve of the running block and how many units are left of it; `None` for a stop at this very place.
+    #[inline]
+    fn curve(&self) -> Option<(Curve, u32)> {
         let run = &self.running;
         let left = run.total - run.done;
         if self.hold != Hold::Ramp {
             let exit2 = self.planner.exit2() * (run.scale * run.scale);
             let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.pace));
+            return Some((curve, left));
         }
         if self.pace.speed2 <= 0.0 {
             return None;
@@ -695,7 +696,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             // All of this block brakes, and the next one goes on with what speed is left.
             let exit2 = (self.pace.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
             let curve = Curve { acceleration: run.acceleration, nominal2: self.pace.speed2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.pace));
+            return Some((curve, left));
         }
         // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
         let mut stop = way as u32;
@@ -705,10 +706,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let stop = stop.clamp(1, left);
         let curve =
             Curve { acceleration: self.pace.speed2 / (2.0 * stop as f32), nominal2: self.pace.speed2, exit2: 0.0 };
-        Some(segment::cut(&curve, run.done, stop, self.pace))
+        Some((curve, stop))
     }
 
     /// A segment that moves nothing and lets the step task rest.
+    #[inline(never)]
     fn rest_here(&mut self) -> Segment {
         self.far = None;
         self.pace = Pace::REST;
