@@ -84,6 +84,12 @@ pub enum ToStep {
     },
     /// A piece of the current block.
     Segment(Segment),
+    /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer
+    /// active (`Some(false)`), and report it with [`StepEvent::Probed`]. `None` ends the watch.
+    Watch {
+        /// The awaited state of the probe.
+        probe: Option<bool>,
+    },
     /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
     /// `control` knew of; the gate stays shut when there has been another one since.
     Resume {
@@ -135,6 +141,11 @@ pub enum StepEvent<const N: usize> {
         /// Whether the machine was stepping when the stop came.
         moving: bool,
         /// Step counter of each axis: net steps since power-up (wrapping).
+        position: PerAxis<i32, N>,
+    },
+    /// The probe has reached the awaited state; motion goes on.
+    Probed {
+        /// Step counter of each axis at the tick that saw it.
         position: PerAxis<i32, N>,
     },
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
@@ -316,4 +327,3 @@ pub enum Output {
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }
-

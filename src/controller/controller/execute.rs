@@ -2,10 +2,12 @@
 //! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
 
 use super::converse::Listing;
+use super::cycles::{HomingWait, Probing};
 use super::{Controller, STORED_TEXT};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, ArcMove, Checked, Feed, Flow};
+use crate::machine::homing::Homing;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, SpindleDirection};
@@ -20,14 +22,16 @@ use crate::units::{Coordinate, Duration, Instant};
 pub(super) enum Task<const N: usize> {
     /// Nothing: the next line may come.
     None,
-    /// The startup line of this number is next.
-    Startup(usize),
+    /// The startup line of this number is next; when all have been run, someone may get an answer.
+    Startup(usize, Option<Answer>),
     /// An answer of many lines; the number is the next of them.
     Listing(Listing, usize),
     /// A record is being stored; then the answer is given.
     Storing(Answer),
     /// Motion has to end before the soft-limit alarm.
     SoftLimit,
+    /// The homing cycle.
+    Homing(Homing<N>, HomingWait),
     /// A line of G-code.
     Job(Job<N>),
 }
@@ -37,8 +41,8 @@ pub(super) enum Task<const N: usize> {
 pub(super) enum Answer {
     /// The host.
     Host,
-    /// A startup line that is being run.
-    Startup(usize),
+    /// A startup line that is being run; `.1` says whether the host waits for the last of them.
+    Startup(usize, bool),
     /// The host, for a startup line that is stored once it has been run without error.
     Validation(usize, heapless::Vec<u8, STORED_TEXT>),
     /// The host, and then the controller starts anew (`$RST`).
@@ -70,6 +74,8 @@ enum Stage<const N: usize> {
     Via,
     /// The motion itself.
     Target,
+    /// The probe moves.
+    Probing,
     /// Chords of an arc that are still to come.
     Chords(Arc<N>, f32),
     /// Motion has to end before the program pauses or ends.
@@ -88,16 +94,16 @@ impl<const N: usize> Task<N> {
     /// Whether a reset owes the host an `ok` for it.
     pub(super) fn answers_host(&self) -> bool {
         match self {
-            Task::Job(job) => !matches!(job.answer, Answer::Startup(_)),
-            Task::Storing(answer) => !matches!(answer, Answer::Startup(_)),
-            Task::Listing(..) | Task::SoftLimit => true,
-            Task::None | Task::Startup(_) => false,
+            Task::Job(Job { answer, .. }) | Task::Storing(answer) => !matches!(answer, Answer::Startup(_, false)),
+            Task::Listing(..) | Task::SoftLimit | Task::Homing(..) => true,
+            Task::Startup(_, answer) => answer.is_some(),
+            Task::None => false,
         }
     }
 
     pub(super) fn wakeup(&self) -> Option<Instant> {
         match self {
-            Task::Job(Job { stage: Stage::Dwell(until), .. }) => Some(*until),
+            Task::Job(Job { stage: Stage::Dwell(until), .. }) | Task::Homing(_, HomingWait::Until(until)) => Some(*until),
             _ => None,
         }
     }
@@ -136,13 +142,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let checking = self.mode == Mode::Check;
         let speed_needs_rest = checked.speed_changed
             && self.spindle != SpindleDirection::Off
-            && !(self.settings.is_on(Key::Laser) && checked.motion.is_some());
+            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None);
         let drain = !checking
             && (checked.spindle.is_some()
                 || checked.coolant.is_some()
                 || checked.dwell.is_some()
                 || checked.work_offset_changed
                 || checked.store.is_some()
+                || matches!(checked.motion, gcode::Motion::Probe { .. })
                 || speed_needs_rest);
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job { answer, checked, stage, jog });
@@ -160,10 +167,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         match core::mem::replace(&mut self.task, Task::None) {
-            Task::Startup(index) => {
-                self.run_startup_line(index);
+            Task::Startup(index, then) => {
+                self.run_startup_line(index, then);
                 true
             }
+            Task::Homing(homing, wait) => self.go_on_homing(homing, wait),
             Task::SoftLimit if self.motion.is_at_rest() => {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
@@ -219,7 +227,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.queue(target, speed(feed), &job).then_some(Stage::Flow)
                 }
                 gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
-                gcode::Motion::Probe { .. } | gcode::Motion::None => Some(Stage::Flow),
+                gcode::Motion::Probe { ref target, feed, away, .. } => {
+                    if self.begin_probe(target, speed(feed), away) {
+                        self.probing = Some(Probing::Seeking);
+                        Some(Stage::Probing)
+                    } else {
+                        Some(Stage::Done)
+                    }
+                }
+                gcode::Motion::None => Some(Stage::Flow),
             },
             Stage::Chords(ref mut arc, feed) => {
                 if self.motion.free_blocks() == 0 {
@@ -238,6 +254,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         None => Some(Stage::Flow),
                     }
                 }
+            }
+            Stage::Probing => {
+                let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                self.end_probe(must_touch).then_some(Stage::Flow)
             }
             Stage::Flow => self.flow(&job, checking),
             Stage::Paused => Some(Stage::Done),
@@ -293,11 +313,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Some(Stage::Paused)
             }
             Flow::End => {
-                let before = self.interpreter.work_offset();
-                self.interpreter.end_program();
-                if self.interpreter.work_offset() != before || !checking {
-                    self.rare_fields.offset_changed();
-                }
+                self.rare_fields.offset_changed();
                 if !checking {
                     self.spindle = SpindleDirection::Off;
                     self.coolant = Coolant::default();
@@ -353,14 +369,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let geometry = ArcGeometry {
             start: arc.start,
             target: arc.target,
-            axes: arc.axes,
-            centre: arc.centre,
+            first: arc.axes.first,
+            second: arc.axes.second,
+            centre: [arc.i, arc.j],
             clockwise: arc.clockwise,
             turns: arc.turns,
         };
         let chords = Arc::new(&geometry, self.settings.value(Key::ArcTolerance));
         let feed = match arc.feed {
-            Feed::PerSecond(feed) => feed,
+            Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => chords.length() / seconds,
             Feed::Rapid => f32::MAX,
         };
@@ -369,17 +386,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Why a motion may not be begun, if so.
     pub(super) fn refuse_motion(&mut self, checked: &Checked<N>, jog: bool) -> Option<Error> {
-        if !checked.motion.is_some() {
+        if checked.motion == gcode::Motion::None {
             return None;
         }
-        if let Some(setting) = self.settings.unrunnable(self.profile.safe_step_hz) {
-            self.say(|out| report::message_number(out, "Motion is locked: no motion is possible with setting $", setting.into()));
-            return Some(Error::Locked);
-        }
-        if matches!(checked.motion, gcode::Motion::Probe { .. }) {
-            return Some(Error::UnsupportedCommand);
+        if let Some(error) = self.motion_locked() {
+            return Some(error);
         }
         (jog && self.leaves_travel(checked)).then_some(Error::JogOutsideTravel)
+    }
+
+    /// Whether the settings allow no motion at all; then the host has been told which.
+    pub(super) fn motion_locked(&mut self) -> Option<Error> {
+        let setting = self.settings.unrunnable(self.profile.safe_step_hz)?;
+        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+        Some(Error::Locked)
     }
 
     /// Whether a motion ends (or turns) outside of the travel, with soft limits on.
@@ -405,9 +425,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.task = Task::None;
         match answer {
             Answer::Host => self.say(report::ok),
-            Answer::Startup(index) => {
+            Answer::Startup(index, host_waits) => {
                 self.say(report::ok);
-                self.task = Task::Startup(index + 1);
+                self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
             }
             Answer::Validation(index, line) => self.store_startup_line(index, line),
             Answer::Restart => {
@@ -421,7 +441,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 fn speed(feed: Feed) -> Speed {
     match feed {
         Feed::Rapid => Speed::Rapid,
-        Feed::PerSecond(speed) => Speed::Feed(speed),
+        Feed::PerMinute(speed) => Speed::Feed(speed),
         Feed::InverseTime(seconds) => Speed::Duration(seconds),
     }
 }

@@ -6,14 +6,16 @@
 //!
 //! * this file: what comes in and what goes out, realtime commands, stops and resets
 //! * [`execute`]: a checked line of G-code is carried out, step by step
+//! * [`cycles`]: homing and probing
 //! * [`converse`]: lines are dispatched and `$` commands answered
 
 mod converse;
+mod cycles;
 mod execute;
 
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Interpreter};
+use crate::gcode::{Dialect, Interpreter, MotionMode};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{Door, Mode};
@@ -27,6 +29,7 @@ use crate::protocol::report::{self, RareFields};
 use crate::protocol::text::{PIECE, Text};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_minute, per_second};
+use cycles::Probing;
 use execute::Task;
 
 /// Longest startup line and build info that is stored.
@@ -90,6 +93,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     door_coolant: Coolant,
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
+    probing: Option<Probing>,
+    /// `ToStep::Watch` that has to be given out.
+    probe_watch: Option<ToStep>,
     signals: Signals,
     /// When the drivers go off after the last motion (`$1`).
     drivers_off_at: Option<Instant>,
@@ -131,6 +137,8 @@ struct StopState {
 enum StopReason {
     Reset,
     Alarm(Alarm),
+    /// A homing switch.
+    Switch,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -165,6 +173,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             door_coolant: Coolant::default(),
             probed: PerAxis::default(),
             probe_succeeded: false,
+            probing: None,
+            probe_watch: None,
             signals: Signals::default(),
             drivers_off_at: None,
             drivers_on: false,
@@ -324,6 +334,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.mode.is_alarm() || self.mode == Mode::Sleep {
             return None;
         }
+        if let Some(watch) = self.probe_watch.take() {
+            return Some(watch);
+        }
         let message = self.motion.next(&self.observed);
         if message.is_some() {
             self.drivers_on = true;
@@ -392,7 +405,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn start_motion(&mut self) {
-        if matches!(self.mode, Mode::Normal | Mode::Jog { .. }) {
+        if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home) {
             self.running = true;
             self.motion.start();
         }
@@ -518,6 +531,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.hold();
                 self.task.suspend(self.now);
             }
+            Mode::Home => {
+                self.stop.order = true;
+                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
+                return;
+            }
             _ => return,
         }
         self.say(|out| report::message(out, "Check Door"));
@@ -531,7 +549,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.stop.order = true;
             self.begin_stop(StopReason::Reset);
         }
-        if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+        if self.mode == Mode::Home {
+            self.home_switch();
+        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
             self.stop.order = true;
             self.begin_stop(StopReason::Alarm(Alarm::HardLimit));
         }
@@ -564,6 +584,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop.moving |= moving;
                 self.motion.stopped(&position);
             }
+            StepEvent::Probed { position } => {
+                self.probe_contact(&position);
+                return;
+            }
             StepEvent::Underrun { stops, position } => {
                 self.stop.seen = stops;
                 self.stop.expected = self.stop.expected.wrapping_add(1);
@@ -585,11 +609,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let moving = self.stop.moving;
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
+        self.running = false;
+        self.probing = None;
+        self.probe_watch = None;
+        if reason == StopReason::Switch {
+            // Homing goes on from here.
+            self.motion.discard();
+            return;
+        }
         self.spindle = SpindleDirection::Off;
         self.coolant = Coolant::default();
-        self.running = false;
         match reason {
+            StopReason::Switch => {}
             StopReason::Reset => self.finish_reset(moving),
+            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
@@ -608,8 +641,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
         self.line.clear();
-        if moving {
-            self.raise(Alarm::AbortInMotion);
+        if moving || self.mode == Mode::Home {
+            let homing = self.mode == Mode::Home;
+            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }
         if self.mode == Mode::Sleep || self.mode == Mode::Critical {
@@ -661,7 +695,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if self.signals.door {
                 self.open_door();
             }
-            self.task = Task::Startup(0);
+            self.task = Task::Startup(0, None);
         }
     }
 
@@ -698,13 +732,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// A laser with constant power (M3) stays on between feed motions.
+    fn burns_at_rest(&self) -> bool {
+        matches!(
+            self.interpreter.modal().motion,
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
+        )
+    }
+
     fn changed_pins(&mut self) -> Option<SlowOutputs> {
         let (power, _) = self.spindle_output();
         let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
         let pins = SlowOutputs {
             spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
             // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
-            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.interpreter.modal().is_feed_motion()) {
+            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
                 0
             } else {
                 power
@@ -763,7 +805,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_));
+        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
         let mask = self.settings.whole(Key::StatusReport);
         let (_, speed) = self.spindle_output();
