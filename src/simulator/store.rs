@@ -4,7 +4,7 @@
 //! rename, so a cut at any instant leaves the old contents or the new ones.
 
 use anyhow::{Context, Result, bail};
-use oxmill_controller::messages::Record;
+use oxmill_controller::messages::{Record, Store as Change};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 
 const HEADER: &str = "oxmill store 1";
 
-/// Records by key.
+/// Records by key, in the order of the keys.
 #[derive(Clone, Debug, Default)]
 pub struct Store {
-    records: BTreeMap<u8, Vec<u8>>,
+    records: BTreeMap<u16, Vec<u8>>,
     file: Option<PathBuf>,
 }
 
@@ -44,13 +44,14 @@ impl Store {
         })
     }
 
-    /// Keeps a record; an empty one is deleted. `Ok` means that it is safe.
-    pub fn write(&mut self, record: &Record) -> Result<()> {
+    /// Carries out a change. `Ok` means that it is safe.
+    pub fn apply(&mut self, change: &Change) -> Result<()> {
         let mut changed = self.records.clone();
-        if record.value.is_empty() {
-            changed.remove(&record.key);
-        } else {
-            changed.insert(record.key, record.value.to_vec());
+        match change {
+            Change::Put(record) => {
+                changed.insert(record.key, record.value.to_vec());
+            }
+            Change::Remove { from, until } => changed.retain(|key, _| !(*from..*until).contains(key)),
         }
         if let Some(path) = &self.file {
             replace(path, &print(&changed)).with_context(|| format!("cannot write the store {}", path.display()))?;
@@ -60,7 +61,7 @@ impl Store {
     }
 }
 
-fn print(records: &BTreeMap<u8, Vec<u8>>) -> String {
+fn print(records: &BTreeMap<u16, Vec<u8>>) -> String {
     let mut text = format!("{HEADER}\n");
     for (key, value) in records {
         let hex = value.iter().fold(String::new(), |mut hex, byte| {
@@ -72,7 +73,7 @@ fn print(records: &BTreeMap<u8, Vec<u8>>) -> String {
     text
 }
 
-fn parse(text: &str) -> Result<BTreeMap<u8, Vec<u8>>> {
+fn parse(text: &str) -> Result<BTreeMap<u16, Vec<u8>>> {
     let mut records = BTreeMap::new();
     if text.is_empty() {
         return Ok(records);
@@ -91,7 +92,7 @@ fn parse(text: &str) -> Result<BTreeMap<u8, Vec<u8>>> {
 
 fn bytes(hex: &str) -> Option<Vec<u8>> {
     let limit = Record { key: 0, value: heapless::Vec::new() }.value.capacity();
-    if !hex.is_ascii() || hex.len() % 2 != 0 || hex.is_empty() || hex.len() / 2 > limit {
+    if !hex.is_ascii() || hex.len() % 2 != 0 || hex.len() / 2 > limit {
         return None;
     }
     (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(hex.get(i..i + 2)?, 16).ok()).collect()
@@ -111,7 +112,7 @@ fn replace(path: &Path, text: &str) -> std::io::Result<()> {
 mod tests {
     use super::*;
 
-    fn record(key: u8, value: &[u8]) -> Record {
+    fn record(key: u16, value: &[u8]) -> Record {
         Record { key, value: heapless::Vec::from_slice(value).unwrap() }
     }
 
@@ -120,13 +121,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("flash.txt");
         let mut store = Store::open(&path).unwrap();
-        store.write(&record(7, b"old")).unwrap();
-        store.write(&record(1, &[0, 255])).unwrap();
-        store.write(&record(7, b"new")).unwrap();
-        store.write(&record(3, b"x")).unwrap();
-        store.write(&record(3, b"")).unwrap();
+        for change in [
+            Change::Put(record(7, b"old")),
+            Change::Put(record(300, &[0, 255])),
+            Change::Put(record(7, b"new")),
+            Change::Put(record(3, b"x")),
+            Change::Put(record(4, b"x")),
+            Change::Put(record(5, b"")),
+            Change::Remove { from: 3, until: 5 },
+        ] {
+            store.apply(&change).unwrap();
+        }
         let again: Vec<Record> = Store::open(&path).unwrap().records().collect();
-        assert_eq!(again, [record(1, &[0, 255]), record(7, b"new")]);
+        assert_eq!(again, [record(5, b""), record(7, b"new"), record(300, &[0, 255])]);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing else is left behind");
     }
 
@@ -134,7 +141,7 @@ mod tests {
     fn damage_is_refused_and_not_overwritten() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("flash.txt");
-        for text in ["G1 X1\n", "oxmill store 1\n7 abc\n", "oxmill store 1\n300 00\n", "oxmill store 1\n7 zz\n"] {
+        for text in ["G1 X1\n", "oxmill store 1\n7 abc\n", "oxmill store 1\n70000 00\n", "oxmill store 1\n7 zz\n"] {
             fs::write(&path, text).unwrap();
             assert!(Store::open(&path).is_err(), "{text}");
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
