@@ -1,6 +1,7 @@
 //! The virtual clock: time in step-clock ticks since power-up, and the controller's microseconds made from it.
 
 use oxmill_controller::units::Instant;
+use std::time::Duration;
 
 const MICROSECONDS: u64 = 1_000_000;
 
@@ -39,9 +40,9 @@ impl Clock {
         us / MICROSECONDS * self.hz + (us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS)
     }
 
-    /// Ticks of a span in seconds, rounded up. Spans beyond the clock's range saturate.
-    pub fn ticks_in(&self, seconds: f64) -> u64 {
-        (seconds.max(0.0) * self.hz as f64).ceil() as u64
+    /// Ticks of a span, rounded up. Spans beyond the clock's range saturate.
+    pub fn ticks_in(&self, span: Duration) -> u64 {
+        u64::try_from((span.as_nanos() * u128::from(self.hz)).div_ceil(1_000_000_000)).unwrap_or(u64::MAX)
     }
 
     /// A number of ticks in seconds.

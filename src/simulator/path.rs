@@ -170,7 +170,7 @@ impl Drawing {
             for (index, point) in self.points.iter().enumerate() {
                 let needed = match (kept.last(), self.points.get(index + 1)) {
                     (Some(before), Some(after)) => {
-                        after.rapid != point.rapid
+                        (after.rapid != point.rapid && tolerance < 1e3)
                             || (after.speed - point.speed).abs() > speeds.max(self.top_speed * tolerance)
                             || off_line(before.at, point.at, after.at) > tolerance
                     }
