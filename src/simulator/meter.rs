@@ -142,7 +142,6 @@ impl Meter {
         let time = fixed / f64::from(1_u32 << INTERVAL_FRACTION_BITS) / self.hz;
         if segment.flags & Segment::FLAG_WAIT != 0 {
             self.waited += time;
-            self.before = None;
             return;
         }
         if self.block.units <= 0.0 {
@@ -150,9 +149,11 @@ impl Meter {
         }
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
         let length = units / self.block.units * self.block.length;
+        // Waits belong to the step that they put off.
         let waited = std::mem::take(&mut self.waited);
-        let speed = if time + waited > 0.0 { length / (time + waited) } else { 0.0 };
-        let rapid = segment.flags & FLAG_RAPID != 0;
+        let time = time + waited;
+        let speed = if time > 0.0 { length / time } else { 0.0 };
+        let rapid = segment.flags & Segment::FLAG_RAPID != 0;
         self.units_done += units;
         let m = &mut self.measured;
         m.distance += length;
@@ -175,7 +176,7 @@ impl Meter {
             let done = (self.units_done / self.block.units).min(1.0);
             drawing.add(Sample {
                 seconds: seconds - waited,
-                time: time + waited,
+                time,
                 speed,
                 rapid,
                 from: self.block.start,
@@ -199,9 +200,6 @@ impl Meter {
         self.before = None;
     }
 }
-
-/// Mark of a segment whose move is a rapid.
-const FLAG_RAPID: u8 = 8;
 
 #[cfg(test)]
 mod tests {

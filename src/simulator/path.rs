@@ -9,7 +9,7 @@ const COLUMNS: usize = 8_192;
 /// Width of a column at first, in seconds: below a segment's.
 const FIRST_WIDTH: f64 = 0.000_25;
 /// Two speeds that differ by less than this part of the greatest one look the same.
-const SAME_SPEED: f64 = 0.02;
+const SAME_SPEED: f32 = 0.02;
 
 /// A piece of evenly accelerated motion along a straight move.
 #[derive(Clone, Copy, Debug)]
@@ -101,9 +101,8 @@ impl Drawing {
     pub fn add(&mut self, sample: Sample) {
         let point = Point { at: sample.to.map(|v| v as f32), speed: sample.speed as f32, rapid: sample.rapid };
         self.top_speed = self.top_speed.max(point.speed);
-        let same = |last: &Point| {
-            last.rapid == point.rapid && (last.speed - point.speed).abs() <= self.top_speed * SAME_SPEED
-        };
+        let near = self.top_speed * SAME_SPEED;
+        let same = |last: &Point| last.rapid == point.rapid && (last.speed - point.speed).abs() <= near;
         match self.points.last_mut() {
             Some(last) if self.extend && !sample.new_block && same(last) => last.at = point.at,
             _ => self.points.push(point),

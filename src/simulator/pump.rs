@@ -78,7 +78,6 @@ pub struct Simulator {
     begun: u32,
     /// Count of stops that the step task waits to hear of, while its gate is shut.
     shut: Option<u8>,
-    watch: Option<bool>,
     power: u16,
     outputs: Option<SlowOutputs>,
     wiring: Option<Wiring>,
@@ -130,7 +129,6 @@ impl Simulator {
             directions: 0,
             begun: 0,
             shut: None,
-            watch: None,
             power: 0,
             outputs: None,
             wiring: None,
@@ -361,6 +359,11 @@ impl Simulator {
         self.turn();
     }
 
+    /// Takes the job away.
+    pub fn unload_job(&mut self) -> Option<JobText> {
+        self.job.take()
+    }
+
     /// The job, if one was loaded.
     pub fn job(&self) -> Option<&JobText> {
         self.job.as_ref()
@@ -378,10 +381,11 @@ impl Simulator {
         loop {
             self.receive();
             let now = self.clock.instant();
+            let rx_free = self.free_line_bytes();
             self.controller.observe(Observed {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: self.step_due.is_none() && self.segments.is_empty() && self.stepper.is_idle(),
-                rx_free: self.free_line_bytes(),
+                rx_free,
             });
             let mut busy = self.deliver_events();
             while self.controller.wants_line()
@@ -526,10 +530,6 @@ impl Simulator {
             && let Some(message) = self.segments.pop_front()
         {
             match message {
-                ToStep::Watch { probe } => {
-                    self.watch = probe;
-                    self.look_at_probe();
-                }
                 ToStep::Resume { stops } if self.shut == Some(stops) => self.shut = None,
                 _ if self.shut.is_some() => {}
                 _ => self.meter.loaded(&message),
@@ -565,7 +565,7 @@ impl Simulator {
             self.meter.begin(self.clock.seconds(due), self.machine.position());
             self.segment_power(tick.power);
         }
-        let probed = self.watch.is_some() && self.look_at_probe();
+        let probed = self.stepper.is_watching() && self.look_at_probe();
         if tick.underrun {
             let event = self.stepper.underrun_event();
             self.stopped(event);
@@ -592,12 +592,9 @@ impl Simulator {
     }
 
     fn look_at_probe(&mut self) -> bool {
-        if self.watch == Some(self.signals.probe) {
-            self.watch = None;
-            self.step_events.push_back(StepEvent::Probed { position: self.stepper.position() });
-            return true;
-        }
-        false
+        let event = self.stepper.probe(self.signals.probe);
+        self.step_events.extend(event);
+        event.is_some()
     }
 
     /// Stops the step task at once.
@@ -612,7 +609,6 @@ impl Simulator {
         }
         self.step_events.push_back(event);
         self.step_due = None;
-        self.watch = None;
         self.meter.stopped(self.clock.seconds(self.clock.now()));
     }
 }
