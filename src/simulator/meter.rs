@@ -11,6 +11,10 @@ use std::collections::VecDeque;
 
 /// Shortest segment that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
 const SHORTEST: f64 = 0.0002;
+/// Fewest steps of its dominant axis from which a move's length in steps is taken for its length: its ends are whole
+/// steps, so that below 3 % of it may be rounding. Shorter moves are measured several together, and their acceleration
+/// is not measured.
+const LONG: f64 = 32.0;
 
 /// What a job did, in mm and s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -19,7 +23,7 @@ pub struct Measured {
     pub distance: f64,
     /// Length of its rapids.
     pub rapid_distance: f64,
-    /// Greatest path speed, mean over a segment.
+    /// Greatest path speed, mean over a segment (or over some short moves).
     pub speed: f64,
     /// Greatest change of path speed between neighbouring segments of a straight move, mm/s².
     pub acceleration: f64,
@@ -35,7 +39,16 @@ struct Block {
     delta: [f64; AXES],
     unit: [f64; AXES],
     units: f64,
+    steps: f64,
     length: f64,
+}
+
+/// Short moves that are measured together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Window {
+    length: f64,
+    time: f64,
+    steps: f64,
 }
 
 /// Follows the step task segment by segment.
@@ -50,6 +63,9 @@ pub struct Meter {
     waited: f64,
     /// Mean speed and length in time of the segment before, of the same block.
     before: Option<(f64, f64)>,
+    window: Window,
+    /// Mean speed of the last window.
+    window_speed: Option<f64>,
     measured: Measured,
     drawing: Option<Drawing>,
 }
@@ -66,6 +82,8 @@ impl Meter {
             units_done: 0.0,
             waited: 0.0,
             before: None,
+            window: Window::default(),
+            window_speed: None,
             measured: Measured::default(),
             drawing: None,
         }
@@ -126,6 +144,11 @@ impl Meter {
     pub fn at_rest(&mut self, seconds: f64) {
         self.before = None;
         self.waited = 0.0;
+        if self.window.time > 0.0 {
+            let speed = self.close_window();
+            self.peak_speed(speed);
+        }
+        self.window_speed = None;
         if let Some(drawing) = &mut self.drawing {
             drawing.rest(seconds);
         }
@@ -152,26 +175,29 @@ impl Meter {
         // Waits belong to the step that they put off.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
-        let speed = if time > 0.0 { length / time } else { 0.0 };
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
         self.units_done += units;
-        let m = &mut self.measured;
-        m.distance += length;
-        m.rapid_distance += if rapid { length } else { 0.0 };
-        m.speed = m.speed.max(speed);
-        for axis in 0..AXES {
-            m.axis_speed[axis] = m.axis_speed[axis].max(speed * self.block.unit[axis]);
-        }
-        if let Some((before, time_before)) = self.before
-            && time.min(time_before) >= SHORTEST
-        {
-            let acceleration = (speed - before).abs() * 2.0 / (time + time_before);
-            m.acceleration = m.acceleration.max(acceleration);
-            for axis in 0..AXES {
-                m.axis_acceleration[axis] = m.axis_acceleration[axis].max(acceleration * self.block.unit[axis]);
+        self.measured.distance += length;
+        self.measured.rapid_distance += if rapid { length } else { 0.0 };
+        let speed = if self.block.steps >= LONG {
+            self.window = Window::default();
+            self.window_speed = None;
+            let speed = if time > 0.0 { length / time } else { 0.0 };
+            self.peak_speed(speed);
+            self.peak_acceleration(speed, time);
+            speed
+        } else {
+            self.window.length += length;
+            self.window.time += time;
+            self.window.steps += units / f64::from(UNITS_PER_STEP);
+            if self.window.steps >= LONG {
+                let speed = self.close_window();
+                self.peak_speed(speed);
+                speed
+            } else {
+                self.window_speed.unwrap_or(self.window.length / self.window.time)
             }
-        }
-        self.before = Some((speed, time));
+        };
         if let Some(drawing) = &mut self.drawing {
             let done = (self.units_done / self.block.units).min(1.0);
             drawing.add(Sample {
@@ -186,6 +212,33 @@ impl Meter {
         }
     }
 
+    fn close_window(&mut self) -> f64 {
+        let window = std::mem::take(&mut self.window);
+        let speed = window.length / window.time;
+        self.window_speed = Some(speed);
+        speed
+    }
+
+    fn peak_speed(&mut self, speed: f64) {
+        self.measured.speed = self.measured.speed.max(speed);
+        for (peak, unit) in self.measured.axis_speed.iter_mut().zip(self.block.unit) {
+            *peak = peak.max(speed * unit);
+        }
+    }
+
+    fn peak_acceleration(&mut self, speed: f64, time: f64) {
+        if let Some((before, time_before)) = self.before
+            && time.min(time_before) >= SHORTEST
+        {
+            let acceleration = (speed - before).abs() * 2.0 / (time + time_before);
+            self.measured.acceleration = self.measured.acceleration.max(acceleration);
+            for (peak, unit) in self.measured.axis_acceleration.iter_mut().zip(self.block.unit) {
+                *peak = peak.max(acceleration * unit);
+            }
+        }
+        self.before = Some((speed, time));
+    }
+
     fn new_block(&mut self, steps: [u32; AXES], directions: u8, position: [i32; AXES]) {
         let start = self.millimetres(position);
         let delta: [f64; AXES] = std::array::from_fn(|axis| {
@@ -195,7 +248,8 @@ impl Meter {
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d.abs() / length } else { 0.0 });
         let dominant = steps.iter().copied().max().unwrap_or(0);
-        self.block = Block { start, delta, unit, units: f64::from(dominant) * f64::from(UNITS_PER_STEP), length };
+        let steps = f64::from(dominant);
+        self.block = Block { start, delta, unit, units: steps * f64::from(UNITS_PER_STEP), steps, length };
         self.units_done = 0.0;
         self.before = None;
     }
@@ -239,6 +293,7 @@ mod tests {
         meter.loaded(&segment(500_000, 1, Segment::FLAG_LAST));
         meter.begin(0.0, [0; AXES]);
         meter.begin(0.5, [0; AXES]);
+        meter.at_rest(1.0);
         assert!((meter.measured().speed - 1.0).abs() < 1e-9);
     }
 }

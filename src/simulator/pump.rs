@@ -430,13 +430,14 @@ impl Simulator {
         busy
     }
 
-    /// Pulls outputs; `true` as soon as one was given that asks for a new round.
+    /// Pulls outputs until there are none or one asks for a new round. Gives whether there were any.
     fn deliver_outputs(&mut self) -> bool {
         let now = self.clock.instant();
+        let mut any = false;
         loop {
             let room = Room { step: self.segments.len() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING };
             match self.controller.output(now, room) {
-                None => return false,
+                None => return any,
                 Some(Output::Step(message)) => {
                     self.segments.push_back(message);
                     self.load();
@@ -470,6 +471,7 @@ impl Simulator {
                 }
                 Some(Output::Worked) => {}
             }
+            any = true;
         }
     }
 
