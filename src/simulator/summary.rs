@@ -141,7 +141,11 @@ impl fmt::Display for Summary {
         row(
             f,
             "peaks",
-            format!("{:.1} mm/min, {:.1} mm/s2 along the path", self.peak_speed_mm_s * 60.0, self.peak_acceleration_mm_s2),
+            format!(
+                "{:.1} mm/min, {:.1} mm/s2 along the path",
+                self.peak_speed_mm_s * 60.0,
+                self.peak_acceleration_mm_s2
+            ),
         )?;
         row(
             f,

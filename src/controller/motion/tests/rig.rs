@@ -245,7 +245,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// What control does with the event of a stop.
     pub fn handle_stop(&mut self, event: StepEvent<N>) {
-        let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else { return };
+        let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else {
+            return;
+        };
         self.motion.stopped(&position);
         self.queue.push_back(ToStep::Resume { stops });
     }
