@@ -181,7 +181,8 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
             continue;
         }
         if !simulator.advance_once(u64::MAX) {
-            let waits = if outcome.alarm.is_some() { "" } else { "the controller waits for something that will not come" };
+            let waits =
+                if outcome.alarm.is_some() { "" } else { "the controller waits for something that will not come" };
             outcome.notes.extend((!waits.is_empty()).then(|| waits.to_owned()));
             break;
         }
