@@ -191,10 +191,10 @@ pub fn clock_time(seconds: f64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    pub fn example() -> Summary {
+    pub(crate) fn example() -> Summary {
         Summary {
             job: "a.nc".into(),
             board: "desk".into(),
