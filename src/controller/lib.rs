@@ -28,7 +28,10 @@ pub mod error;
 pub mod messages;
 pub mod units;
 
-pub mod number;
+pub mod number {
+    //! Interim.
+    pub use crate::gcode::{Digits, read};
+}
 pub mod settings;
 
 pub mod gcode;

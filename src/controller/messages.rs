@@ -327,4 +327,3 @@ pub enum Output {
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }
-

@@ -4,14 +4,14 @@ use super::execute::{Answer, Task};
 use super::{Controller, STORED_TEXT};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
-use crate::gcode::{Context, Dialect, StoredOffset};
+use crate::gcode::{Context, CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, LINES_DEPTH, LineByte, Record, SpindleDirection, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{Key, Settings};
-use crate::units::{Coordinate, per_minute};
+use crate::units::Coordinate;
 
 /// Keys of stored records: a setting has its own number (0 to 999).
 const KEY_OFFSETS: u16 = 1000;
@@ -46,9 +46,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                 }
                 if place.iter().all(|c| c.in_range())
-                    && let Some(offset) = StoredOffset::from_index(record.key - KEY_OFFSETS)
+                    && let Some(offset) = StoredOffset::all().nth(usize::from(record.key - KEY_OFFSETS))
                 {
-                    self.interpreter.offsets_mut().restore(offset, place);
+                    self.interpreter.offsets_mut().set_stored(offset, place);
                 }
             }
             KEY_STARTUP..KEY_BUILD_INFO => {
@@ -346,7 +346,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         for value in place.iter() {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
         }
-        self.save(KEY_OFFSETS + offset.index(), &bytes);
+        if let Some(index) = StoredOffset::all().position(|o| o == offset) {
+            self.save(KEY_OFFSETS + index as u16, &bytes);
+        }
     }
 
     // Answers
@@ -385,43 +387,45 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn list_parameter(&mut self, line: usize) -> bool {
         let inches = self.settings.is_on(Key::ReportInches);
-        let extended = self.dialect() != Dialect::Grbl;
-        let offsets = self.interpreter.offsets();
-        if let Some((name, place)) = offsets.listed(line, extended) {
-            self.say(|out| report::parameter(out, name, &place, inches));
+        let systems = if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let offsets = *self.interpreter.offsets();
+        if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
+            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));
             return true;
         }
-        match line - offsets.listed_count(extended) {
-            0 => {
-                let length = offsets.tool_length();
-                self.say(|out| report::tool_length(out, length, inches));
-                true
-            }
-            1 => {
+        match line - systems {
+            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), inches)),
+            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), inches)),
+            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, inches)),
+            3 => self.say(|out| report::tool_length(out, offsets.tool_length, inches)),
+            4 => {
                 let (place, success) = (self.probed, self.probe_succeeded);
                 self.say(|out| report::probe(out, &place, success, inches));
-                true
             }
-            _ => false,
+            _ => return false,
         }
+        true
     }
 
     fn report_parser_state(&mut self) {
         let modal = self.interpreter.modal();
         let state = ParserState {
-            groups: modal.group_codes(),
-            flow: None,
-            spindle: self.spindle_of_program(),
-            coolant: modal.coolant(),
-            tool: modal.tool(),
-            feed: per_minute(modal.feed()),
-            speed: modal.speed(),
+            words: [
+                modal.motion.word(),
+                modal.coordinate_system.word(),
+                modal.plane.word(),
+                modal.units.word(),
+                modal.distance.word(),
+                modal.feed_mode.word(),
+            ],
+            spindle: modal.spindle,
+            coolant: modal.coolant,
+            parking_override: modal.parking_override,
+            tool: u32::from(modal.tool),
+            feed: modal.feed.to_f32(),
+            speed: modal.speed,
         };
         let inches = self.settings.is_on(Key::ReportInches);
         self.say(|out| report::parser_state(out, &state, inches));
-    }
-
-    fn spindle_of_program(&self) -> SpindleDirection {
-        self.interpreter.modal().spindle()
     }
 }

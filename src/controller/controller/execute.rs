@@ -142,7 +142,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let checking = self.mode == Mode::Check;
         let speed_needs_rest = checked.speed_changed
             && self.spindle != SpindleDirection::Off
-            && !(self.settings.is_on(Key::Laser) && checked.motion.is_some());
+            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None);
         let drain = !checking
             && (checked.spindle.is_some()
                 || checked.coolant.is_some()
@@ -313,11 +313,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Some(Stage::Paused)
             }
             Flow::End => {
-                let before = self.interpreter.work_offset();
-                self.interpreter.end_program();
-                if self.interpreter.work_offset() != before || !checking {
-                    self.rare_fields.offset_changed();
-                }
+                self.rare_fields.offset_changed();
                 if !checking {
                     self.spindle = SpindleDirection::Off;
                     self.coolant = Coolant::default();
@@ -373,14 +369,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let geometry = ArcGeometry {
             start: arc.start,
             target: arc.target,
-            axes: arc.axes,
-            centre: arc.centre,
+            first: arc.axes.first,
+            second: arc.axes.second,
+            centre: [arc.i, arc.j],
             clockwise: arc.clockwise,
             turns: arc.turns,
         };
         let chords = Arc::new(&geometry, self.settings.value(Key::ArcTolerance));
         let feed = match arc.feed {
-            Feed::PerSecond(feed) => feed,
+            Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => chords.length() / seconds,
             Feed::Rapid => f32::MAX,
         };
@@ -389,7 +386,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Why a motion may not be begun, if so.
     pub(super) fn refuse_motion(&mut self, checked: &Checked<N>, jog: bool) -> Option<Error> {
-        if !checked.motion.is_some() {
+        if checked.motion == gcode::Motion::None {
             return None;
         }
         if let Some(error) = self.motion_locked() {
@@ -444,7 +441,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 fn speed(feed: Feed) -> Speed {
     match feed {
         Feed::Rapid => Speed::Rapid,
-        Feed::PerSecond(speed) => Speed::Feed(speed),
+        Feed::PerMinute(speed) => Speed::Feed(speed),
         Feed::InverseTime(seconds) => Speed::Duration(seconds),
     }
 }

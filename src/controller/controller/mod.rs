@@ -15,7 +15,7 @@ mod execute;
 
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Interpreter};
+use crate::gcode::{Dialect, Interpreter, MotionMode};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{Door, Mode};
@@ -732,13 +732,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// A laser with constant power (M3) stays on between feed motions.
+    fn burns_at_rest(&self) -> bool {
+        matches!(
+            self.interpreter.modal().motion,
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
+        )
+    }
+
     fn changed_pins(&mut self) -> Option<SlowOutputs> {
         let (power, _) = self.spindle_output();
         let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
         let pins = SlowOutputs {
             spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
             // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
-            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.interpreter.modal().is_feed_motion()) {
+            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
                 0
             } else {
                 power
