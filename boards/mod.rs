@@ -21,6 +21,7 @@
 //! | `idle()` | sleeps until the next interrupt |
 //! | `halt(why)` | the end after a panic or a fault; outputs are already safe |
 
+#[allow(dead_code, reason = "the rows of the other boards")]
 #[path = "profiles.rs"]
 pub mod profiles;
 

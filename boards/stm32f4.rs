@@ -5,8 +5,9 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Input, Output},
+    gpio::{ErasedPin, Input, Output, PinExt},
     nb, pac,
+    prelude::*,
     rcc::{BusTimerClock, Enable, Rcc, Reset},
     serial::{Instance, Rx, RxListen, Tx, TxListen},
 };

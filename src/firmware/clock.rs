@@ -11,6 +11,8 @@ use oxmill_controller::units::{Duration, Instant};
 /// Longest time between two questions: far below the wrap of the fastest board clock (25 MHz: 171 s).
 const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
+const NOW: Duration = Duration::from_ticks(0);
+
 static ALARM_AT: AtomicU32 = AtomicU32::new(0);
 static ALARM_SET: AtomicBool = AtomicBool::new(false);
 
@@ -37,7 +39,7 @@ impl Clock {
     /// Sets the alarm; without a moment it still goes off before the counter wraps.
     pub fn set_alarm(&mut self, at: Option<Instant>) {
         let now = self.now();
-        let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or_default().min(LONGEST_SLEEP));
+        let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or(NOW).min(LONGEST_SLEEP));
         let ticks = (sleep.ticks() * u64::from(boards::CLOCK_TICKS_PER_US)) as u32;
         ALARM_SET.store(false, Ordering::Relaxed);
         ALARM_AT.store(self.seen.wrapping_add(ticks), Ordering::Relaxed);

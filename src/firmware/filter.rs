@@ -1,7 +1,5 @@
-//! Keeps the noise of switches and long wires away from the controller.
-
-/// Equal samples in a row that change a level.
-pub const SAMPLES: u32 = 8;
+//! Keeps the noise of switches and long wires away from the controller: a level changes after eight samples in a row
+//! that contradict it.
 
 /// Up to 16 inputs, each with a counter of the samples that contradict its level. The counters stand upright: bit n of
 /// `count[k]` is bit k of the counter of input n, so all are counted at once in a dozen instructions.

@@ -50,6 +50,7 @@ macro_rules! firmware {
             use crate::serial::Serial;
             use crate::startup::{self, Channels};
             use crate::step_timer::Step;
+            use core::mem::MaybeUninit;
             use oxmill_controller::messages::*;
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
@@ -77,7 +78,7 @@ macro_rules! firmware {
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
-                controller: Option<BoardController> = None,
+                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let local = cx.local;

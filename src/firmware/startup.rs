@@ -7,6 +7,7 @@ use crate::inputs::{Inputs, SAMPLE_HZ};
 use crate::outputs::Outputs;
 use crate::serial::Serial;
 use crate::step_timer::Step;
+use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
@@ -43,7 +44,7 @@ pub fn start(
     device: boards::pac::Peripherals,
     mut sampling: SYST,
     channels: Channels,
-    controller: &'static mut Option<BoardController>,
+    controller: &'static mut MaybeUninit<BoardController>,
 ) -> Tasks {
     let parts = boards::setup(device);
     let (realtime_in, realtime) = channels.realtime.split();
@@ -57,7 +58,7 @@ pub fn start(
     let wake: Wake = channels.wake.writer();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
-    let controller = controller.insert(BoardController::new(boards::PROFILE));
+    let controller = controller.write(BoardController::new(boards::PROFILE));
     let tasks = Tasks {
         step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
