@@ -8,7 +8,7 @@
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
-use crate::crossing::{self, BYTES_LOST, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST};
+use crate::crossing::{self, BYTES_LOST, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
 use crate::outputs::Outputs;
 use crate::{pend_serial, pend_step};
 use core::sync::atomic::Ordering;
@@ -132,7 +132,7 @@ impl Control {
                 Output::Step(message) => {
                     // There is room, and nobody else sends.
                     let _ = self.ends.segments.try_send(message);
-                    if STEP_AT_REST.load(Ordering::Relaxed) {
+                    if STEP_WANTS.load(Ordering::Relaxed) {
                         pend_step();
                     }
                     return true;

@@ -10,6 +10,9 @@ pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
 pub static SEGMENTS_BEGUN: AtomicU32 = AtomicU32::new(0);
 /// `step`: nothing moves and nothing is loaded.
 pub static STEP_AT_REST: AtomicBool = AtomicBool::new(true);
+/// `step`: there is room for a message ahead of its time; whoever queues one then pends the step vector, for the next tick
+/// may be too late.
+pub static STEP_WANTS: AtomicBool = AtomicBool::new(true);
 /// `serial`: bytes put into the line queue since power-up (wrapping).
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
 /// `serial` raises it, `control` lowers it: received bytes have been lost.

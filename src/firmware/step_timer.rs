@@ -13,7 +13,7 @@
 //! the stepper.
 
 use crate::boards::{AXES, PROFILE, StepPins, StepTimer};
-use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, Wake};
+use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::Stepper;
 use oxmill_controller::messages::{EVENTS_DEPTH, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
@@ -103,6 +103,7 @@ impl Step {
         }
         SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         STEP_AT_REST.store(!self.running, Ordering::Relaxed);
+        STEP_WANTS.store(self.stepper.wants(), Ordering::Relaxed);
         if self.unsent.is_some() {
             self.send();
         }
