@@ -4,31 +4,34 @@
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and gone on with
 //! in a later call, so `?`, `!` and a reset are never late. Time is an argument.
 //!
-//! * this file: what comes in and what goes out, realtime commands, stops and resets
+//! * this file: what comes in and what goes out, realtime commands
 //! * [`execute`]: a checked line of G-code is carried out, step by step
+//! * [`stops`]: stops, alarms and resets
+//! * [`outputs`]: pins, answers, reports
 //! * [`cycles`]: homing and probing
 //! * [`converse`]: lines are dispatched and `$` commands answered
 
 mod converse;
 mod cycles;
 mod execute;
+mod outputs;
+mod stops;
 
 use crate::axes::PerAxis;
-use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Interpreter, MotionMode};
+use crate::error::Alarm;
+use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
-use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Chunk, Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
-    SpindleDirection, StepEvent, Store, ToStep, Wiring,
+    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
+    SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
-use crate::protocol::line::{self, Line};
+use crate::protocol::line::Line;
 use crate::protocol::report::{self, RareFields};
-use crate::protocol::text::{PIECE, Text};
+use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
-use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_minute, per_second};
+use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
 use execute::Task;
 
@@ -36,6 +39,8 @@ use execute::Task;
 const STORED_TEXT: usize = 80;
 /// Bytes of answers that wait for the serial task.
 const REPLY_BYTES: usize = 1024;
+/// Free bytes of answers that a listing, a status report or a line asks for before it begins.
+const REPLY_RESERVE: usize = 2 * PIECE;
 /// How often the controller wants to be called while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
 /// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
@@ -68,9 +73,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     line: Line,
     /// A byte that came before the realtime command which opened its epoch.
     held: Option<LineByte>,
-    /// Resets and jog cancels taken.
+    /// Resets, stops and jog cancels taken.
     epoch: u8,
-    /// Bytes of older epochs are dropped: the epoch of the last reset.
+    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
     reset_epoch: u8,
     /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
     jog_epoch: u8,
@@ -79,6 +84,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 
     mode: Mode,
     alarm: Option<Alarm>,
+    /// The machine is where the counters say: it falls with a stop at speed and with drivers that are off, and comes back
+    /// with homing. Without homing nobody knows better, so it is then a warning and no lock.
+    trusted: bool,
     /// Motion has been started and not come to its end.
     running: bool,
     input_ended: bool,
@@ -162,6 +170,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_epoch: 0,
             mode: Mode::Normal,
             alarm: None,
+            trusted: true,
             running: false,
             input_ended: false,
             task: Task::None,
@@ -198,6 +207,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
+            self.trusted = false;
         }
         self.initialise();
     }
@@ -316,14 +326,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.auto_start();
         if room.step
-            && let Some(message) = self.to_step()
+            && let Some(message) = self.step_message()
         {
             return Some(Output::Step(message));
         }
         None
     }
 
-    fn to_step(&mut self) -> Option<ToStep> {
+    fn step_message(&mut self) -> Option<ToStep> {
         if self.stop.awaited.is_some() {
             return None;
         }
@@ -352,11 +362,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.start_idle_delay();
         }
         match self.mode {
-            Mode::Jog { cancelling } if self.motion.is_at_rest() && (cancelling || self.motion.is_idle()) => {
-                if self.task.is_none() || cancelling {
-                    self.end_jog();
-                }
+            Mode::Jog { cancelling }
+                if self.motion.is_at_rest() && (cancelling || (self.motion.is_idle() && self.task.is_none())) =>
+            {
+                self.end_jog();
             }
+            Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
                 self.door_coolant = self.coolant;
                 self.coolant = Coolant::default();
@@ -378,6 +389,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drivers_off_at = None;
             self.drivers_on = false;
         }
+    }
+
+    /// With homing on, what goes to a place of the machine waits for a position that is true.
+    fn must_home_first(&self) -> bool {
+        !self.trusted && self.settings.is_on(Key::Homing) && self.settings.is_on(Key::TrustNeeded)
     }
 
     fn start_idle_delay(&mut self) {
@@ -422,6 +438,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }
+            Realtime::Stop => {
+                self.epoch = self.epoch.wrapping_add(1);
+                self.reset_epoch = self.epoch;
+                self.jog_epoch = self.epoch;
+                self.line.clear();
+                self.stop_softly(false);
+                self.release_held();
+            }
             Realtime::Status => self.status_due = true,
             Realtime::CycleStart => self.cycle_start(),
             Realtime::FeedHold => self.feed_hold(),
@@ -436,8 +460,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
-                    self.spindle_stopped = !self.spindle_stopped;
-                    self.rare_fields.overrides_changed();
+                    if self.spindle_stopped {
+                        self.restore_spindle();
+                    } else {
+                        self.spindle_stopped = true;
+                        self.rare_fields.overrides_changed();
+                    }
                 }
             }
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
@@ -488,15 +516,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A hold or a door is over: motion, a dwell or the lines that waited go on.
     fn leave_hold(&mut self) {
-        if self.spindle_stopped {
-            self.spindle_stopped = false;
-            self.rare_fields.overrides_changed();
-        }
+        self.restore_spindle();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         self.motion.resume();
         if !self.motion.is_idle() {
             self.start_motion();
+        }
+    }
+
+    /// A spindle that was stopped in a hold turns again.
+    fn restore_spindle(&mut self) {
+        if self.spindle_stopped {
+            self.spindle_stopped = false;
+            self.rare_fields.overrides_changed();
+            if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off {
+                self.say(|out| report::message(out, "Restoring spindle"));
+            }
         }
     }
 
@@ -508,10 +544,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Hold;
                 if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
                     self.spindle_stopped = true;
+                    self.rare_fields.overrides_changed();
                 }
             }
             Mode::Jog { .. } => self.cancel_jog(),
             _ => {}
+        }
+    }
+
+    /// Brakes to a stop and forgets the job; the position stays true.
+    pub(super) fn stop_softly(&mut self, locked: bool) {
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Door(_));
+        if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
+            self.motion.hold();
+            self.mode = Mode::Stopping { locked };
+        }
+    }
+
+    fn end_soft_stop(&mut self, locked: bool) {
+        self.motion.discard();
+        self.running = false;
+        self.probing = None;
+        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.interpreter.set_position(self.motion.machine_position());
+        self.start_idle_delay();
+        if self.task.abandon() {
+            self.say(report::ok);
+        }
+        self.mode = if locked { Mode::Alarm } else { Mode::Normal };
+        if locked {
+            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
         }
     }
 
@@ -530,6 +592,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
                 self.motion.hold();
                 self.task.suspend(self.now);
+            }
+            Mode::Door(_) => {
+                self.say(|out| report::message(out, "Check Door"));
+                return;
             }
             Mode::Home => {
                 self.stop.order = true;
@@ -564,278 +630,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if signals.start && !before.start {
             self.cycle_start();
         }
-    }
-
-    // Stops
-
-    fn begin_stop(&mut self, reason: StopReason) {
-        self.stop.expected = self.stop.expected.wrapping_add(1);
-        // A reset wins over an alarm that is still being carried out: the alarm is told of all the same by `moving`.
-        if self.stop.awaited != Some(StopReason::Reset) {
-            self.stop.awaited = Some(reason);
-        }
-        self.finish_stop();
-    }
-
-    fn step_event(&mut self, event: &StepEvent<N>) {
-        match *event {
-            StepEvent::Stopped { stops, moving, position } => {
-                self.stop.seen = stops;
-                self.stop.moving |= moving;
-                self.motion.stopped(&position);
-            }
-            StepEvent::Probed { position } => {
-                self.probe_contact(&position);
-                return;
-            }
-            StepEvent::Underrun { stops, position } => {
-                self.stop.seen = stops;
-                self.stop.expected = self.stop.expected.wrapping_add(1);
-                self.stop.moving = true;
-                self.motion.stopped(&position);
-                if self.stop.awaited.is_none() {
-                    self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
-                }
-            }
-        }
-        self.finish_stop();
-    }
-
-    /// Goes on after a stop, once every stop that was asked for has happened.
-    fn finish_stop(&mut self) {
-        let Some(reason) = self.stop.awaited else { return };
-        if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
-            return;
-        }
-        let moving = self.stop.moving;
-        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
-        self.running = false;
-        self.probing = None;
-        self.probe_watch = None;
-        if reason == StopReason::Switch {
-            // Homing goes on from here.
-            self.motion.discard();
-            return;
-        }
-        self.spindle = SpindleDirection::Off;
-        self.coolant = Coolant::default();
-        match reason {
-            StopReason::Switch => {}
-            StopReason::Reset => self.finish_reset(moving),
-            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
-            StopReason::Alarm(alarm) => {
-                self.motion.discard();
-                self.interpreter.set_position(self.motion.machine_position());
-                self.raise(alarm);
-                if alarm == Alarm::Underrun {
-                    if self.task.abandon() {
-                        self.say(|out| report::error(out, Error::Locked.code()));
-                    }
-                    self.mode = Mode::Alarm;
-                } else {
-                    self.say(|out| report::message(out, "Reset to continue"));
-                    self.mode = Mode::Critical;
-                }
-            }
-        }
-    }
-
-    fn finish_reset(&mut self, moving: bool) {
-        self.motion.discard();
-        self.line.clear();
-        if moving || self.mode == Mode::Home {
-            let homing = self.mode == Mode::Home;
-            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
-            self.mode = Mode::Alarm;
-        }
-        if self.mode == Mode::Sleep || self.mode == Mode::Critical {
-            self.mode = Mode::Alarm;
-        }
-        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
-        if self.task.answers_host() {
-            self.say(report::ok);
-        }
-        self.task = Task::None;
-        self.interpreter.reset();
-        if !self.mode.is_alarm() {
-            self.mode = Mode::Normal;
-        }
-        self.initialise();
-    }
-
-    fn raise(&mut self, alarm: Alarm) {
-        self.alarm = Some(alarm);
-        self.say(|out| report::alarm(out, alarm.code()));
-        if alarm == Alarm::Underrun {
-            self.say(|out| report::message(out, "Motion data ran out"));
-        }
-    }
-
-    /// What every power-up and reset ends with.
-    fn initialise(&mut self) {
-        self.spindle = SpindleDirection::Off;
-        self.spindle_speed = 0.0;
-        self.spindle_stopped = false;
-        self.coolant = Coolant::default();
-        self.overrides = Overrides::default();
-        self.motion.set_overrides(1.0, 1.0);
-        self.reconfigure();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.probed = PerAxis::default();
-        self.probe_succeeded = false;
-        self.rare_fields = RareFields::default();
-        self.status_due = false;
-        self.say(report::welcome);
-        if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
-            self.mode = Mode::Alarm;
-            self.say(|out| report::message(out, "Check Limits"));
-        }
-        if self.mode == Mode::Alarm {
-            self.say(|out| report::message(out, "'$H'|'$X' to unlock"));
-        } else {
-            self.alarm = None;
-            if self.signals.door {
-                self.open_door();
-            }
-            self.task = Task::Startup(0, None);
-        }
-    }
-
-    // Outputs
-
-    fn dialect(&self) -> Dialect {
-        match self.settings.whole(Key::Dialect) {
-            0 => Dialect::Grbl,
-            2 => Dialect::Seed,
-            _ => Dialect::Oxmill,
-        }
-    }
-
-    fn line_rules(&self) -> line::Rules {
-        match self.dialect() {
-            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false },
-            _ => line::Rules { length: line::LENGTH, merge_crlf: true },
-        }
-    }
-
-    fn spindle_range(&self) -> SpindleRange {
-        SpindleRange {
-            maximum: self.settings.value(Key::SpindleMaximum),
-            minimum: self.settings.value(Key::SpindleMinimum),
-        }
-    }
-
-    /// Power and speed of the spindle as it turns now.
-    fn spindle_output(&self) -> (u16, f32) {
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
-            (0, 0.0)
-        } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle)
-        }
-    }
-
-    /// A laser with constant power (M3) stays on between feed motions.
-    fn burns_at_rest(&self) -> bool {
-        matches!(
-            self.interpreter.modal().motion,
-            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
-        )
-    }
-
-    fn changed_pins(&mut self) -> Option<SlowOutputs> {
-        let (power, _) = self.spindle_output();
-        let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
-        let pins = SlowOutputs {
-            spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
-            // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
-            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
-                0
-            } else {
-                power
-            },
-            power_from_segments: laser,
-            coolant: self.coolant,
-            drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
-        };
-        (self.pins_sent != Some(pins)).then(|| {
-            self.pins_sent = Some(pins);
-            pins
-        })
-    }
-
-    fn changed_wiring(&mut self) -> Option<Wiring> {
-        let s = &self.settings;
-        let wiring = Wiring {
-            pulse_us: s.whole(Key::StepPulse) as u8,
-            direction_setup_us: s.whole(Key::DirectionSetup) as u8,
-            step_invert: s.whole(Key::StepInvert) as u8,
-            direction_invert: s.whole(Key::DirectionInvert) as u8,
-            enable_invert: s.is_on(Key::EnableInvert),
-            limit_invert: s.is_on(Key::LimitInvert),
-            probe_invert: s.is_on(Key::ProbeInvert),
-        };
-        (self.wiring_sent != Some(wiring)).then(|| {
-            self.wiring_sent = Some(wiring);
-            wiring
-        })
-    }
-
-    fn has_reply_room(&self) -> bool {
-        self.replies.capacity() - self.replies.len() >= 2 * PIECE
-    }
-
-    /// Makes a piece of answer. There is always room: whoever can wait asks `has_reply_room` first, and what cannot (an
-    /// alarm, a message) is short.
-    fn say(&mut self, make: impl FnOnce(&mut Text)) {
-        let mut text = Text::new();
-        make(&mut text);
-        for byte in text {
-            if self.replies.push_back(byte).is_err() {
-                return;
-            }
-        }
-    }
-
-    fn reply_chunk(&mut self) -> Option<Chunk> {
-        let mut chunk = Chunk { len: 0, bytes: [0; 15] };
-        for slot in &mut chunk.bytes {
-            let Some(byte) = self.replies.pop_front() else { break };
-            *slot = byte;
-            chunk.len += 1;
-        }
-        (chunk.len > 0).then_some(chunk)
-    }
-
-    fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
-        let (show_offset, show_overrides) = self.rare_fields.next(busy);
-        let mask = self.settings.whole(Key::StatusReport);
-        let (_, speed) = self.spindle_output();
-        let grbl = self.dialect() == Dialect::Grbl;
-        let line = self.motion.line_number();
-        let status = report::Status {
-            state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
-            machine: self.motion.machine_position(),
-            offset: self.interpreter.work_offset(),
-            show_machine: mask & 1 != 0,
-            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
-            line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.motion.speed()),
-            speed,
-            pins: self.signals,
-            show_offset,
-            overrides: show_overrides.then(|| {
-                let spindle = if self.spindle_stopped { SpindleDirection::Off } else { self.spindle };
-                ([self.overrides.feed, self.overrides.rapid, self.overrides.spindle], spindle, self.coolant)
-            }),
-        };
-        let inches = self.settings.is_on(Key::ReportInches);
-        self.say(|out| report::status(out, &status, inches));
-    }
-
-    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
-    fn reconfigure(&mut self) {
-        self.motion.configure(motion_settings(&self.settings, &self.profile));
     }
 }
 

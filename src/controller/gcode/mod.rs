@@ -12,10 +12,10 @@
 
 mod arc;
 mod check;
+mod code;
 mod interpreter;
 mod jog;
 mod modal;
-mod number;
 mod offsets;
 mod parse;
 mod word;
@@ -25,7 +25,6 @@ pub use interpreter::Interpreter;
 pub use modal::{
     ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, Plane, PlaneAxes, ProbeMode, Units,
 };
-pub use number::{Digits, read};
 pub use offsets::{Offsets, StoredOffset};
 
 /// Whose meaning a program's words have.
@@ -40,15 +39,4 @@ pub enum Dialect {
     /// As Oxmill, but G80 beside a motion word only cancels, axis words after G80 go on with the last G0 or G1, and an
     /// arc whose end point lies off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
-}
-
-/// How the machine is set up while a line is checked.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Context {
-    /// Whose meaning the words have.
-    pub dialect: Dialect,
-    /// Laser mode. No word means something else in it; what differs is how the action is carried out.
-    pub laser: bool,
-    /// Check mode. A program is checked as it would be run, so this makes no difference here either.
-    pub check_mode: bool,
 }

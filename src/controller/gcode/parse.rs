@@ -2,7 +2,8 @@
 
 use super::Dialect;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
-use super::number::{Code, Digits};
+use super::code::Code;
+use crate::number::Digits;
 use super::word::{Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Error;
@@ -107,7 +108,7 @@ impl<const N: usize> Parsed<N> {
     }
 
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
-        let claim = GWord::claim(code);
+        let claim = GWord::claim(code, dialect);
         if claim != Claim::Nobody {
             if self.claim != Claim::Nobody {
                 return Err(Error::TwoAxisCommands);
