@@ -48,12 +48,7 @@ use oxmill_controller::Profile;
 
 /// What the controller must know of a board. No board has a settings store yet.
 const fn profile(board: &profiles::Board) -> Profile {
-    Profile {
-        name: board.name,
-        step_clock_hz: board.step_clock_hz,
-        safe_step_hz: board.safe_step_hz,
-        has_store: false,
-    }
+    Profile { name: board.name, step_clock_hz: board.step_clock_hz, safe_step_hz: board.safe_step_hz, has_store: false }
 }
 
 /// Levels of the slow outputs as they appear on the pins.

@@ -145,6 +145,8 @@ pub struct StepPins {
     direction: Lines,
     pwm: pac::TIM3,
     pwm_period: u32,
+    /// Of the touch probe; the pin itself belongs to the inputs.
+    probe: Place,
     /// Owned so that nobody else can get at the pins.
     _pins: [ErasedPin<Output>; 6],
 }
@@ -155,7 +157,13 @@ const PWM_HZ: u32 = 5_000;
 
 impl StepPins {
     /// Sets up TIM3 and the tables. The PWM pin must already be in its alternate function.
-    pub fn new(step: [ErasedPin<Output>; 3], direction: [ErasedPin<Output>; 3], pwm: pac::TIM3, rcc: &mut Rcc) -> Self {
+    pub fn new(
+        step: [ErasedPin<Output>; 3],
+        direction: [ErasedPin<Output>; 3],
+        probe: &InputPins,
+        pwm: pac::TIM3,
+        rcc: &mut Rcc,
+    ) -> Self {
         pac::TIM3::enable(rcc);
         pac::TIM3::reset(rcc);
         let pwm_period = pac::TIM3::timer_clock(&rcc.clocks).raw() / PWM_HZ;
@@ -170,7 +178,7 @@ impl StepPins {
         let [x, y, z] = step;
         let [u, v, w] = direction;
         let mut pins =
-            StepPins { raise, lower, direction: dir, pwm, pwm_period, _pins: [x, y, z, u, v, w] };
+            StepPins { raise, lower, direction: dir, pwm, pwm_period, probe: probe.probe(), _pins: [x, y, z, u, v, w] };
         pins.set_polarity(0, 0);
         pins
     }
@@ -209,8 +217,14 @@ impl StepPins {
     pub fn set_power(&mut self, power: u16) {
         // 65535 becomes 65536/65536: fully on.
         let share = u32::from(power) + u32::from(power >> 15);
-        let compare = share * self.pwm_period >> 16;
+        let compare = (share * self.pwm_period) >> 16;
         self.pwm.ccr2().write(|w| raw!(w, compare));
+    }
+
+    /// Whether the probe's pin is low, unfiltered.
+    #[inline(always)]
+    pub fn probe_low(&self) -> bool {
+        read_idr(self.probe.port) >> self.probe.pin & 1 == 0
     }
 
     /// Time passes in which nothing is written.
@@ -372,6 +386,11 @@ impl InputPins {
             place.1 = bit;
         }
         InputPins { places, _pins: pins }
+    }
+
+    fn probe(&self) -> Place {
+        let [_, _, _, (probe, _), ..] = self.places;
+        probe
     }
 
     /// Which pins are low, as `input_bits`.

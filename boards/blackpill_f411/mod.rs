@@ -87,6 +87,16 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         b.pb8.into_push_pull_output_in_state(PinState::Low).erase(),
         b.pb9.into_push_pull_output_in_state(PinState::Low).erase(),
     ]);
+    let inputs = InputPins::new([
+        b.pb12.into_pull_up_input().erase(),
+        b.pb13.into_pull_up_input().erase(),
+        b.pb14.into_pull_up_input().erase(),
+        b.pb15.into_pull_up_input().erase(),
+        b.pb7.into_pull_up_input().erase(),
+        b.pb5.into_pull_up_input().erase(),
+        b.pb6.into_pull_up_input().erase(),
+        b.pb4.into_pull_up_input().erase(),
+    ]);
     let _pwm = a.pa7.into_alternate::<2>();
     let step_pins = StepPins::new(
         [
@@ -99,19 +109,10 @@ pub fn setup(device: pac::Peripherals) -> Parts {
             a.pa5.into_push_pull_output().erase(),
             a.pa6.into_push_pull_output().erase(),
         ],
+        &inputs,
         device.TIM3,
         &mut rcc,
     );
-    let inputs = InputPins::new([
-        b.pb12.into_pull_up_input().erase(),
-        b.pb13.into_pull_up_input().erase(),
-        b.pb14.into_pull_up_input().erase(),
-        b.pb15.into_pull_up_input().erase(),
-        b.pb7.into_pull_up_input().erase(),
-        b.pb5.into_pull_up_input().erase(),
-        b.pb6.into_pull_up_input().erase(),
-        b.pb4.into_pull_up_input().erase(),
-    ]);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART1, (a.pa9, a.pa10), link, &mut rcc) else {
         // 115200 divides 96 MHz to within 0.1 %.

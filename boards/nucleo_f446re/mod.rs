@@ -91,6 +91,16 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         b.pb0.into_push_pull_output_in_state(PinState::Low).erase(),
         c.pc1.into_push_pull_output_in_state(PinState::Low).erase(),
     ]);
+    let inputs = InputPins::new([
+        c.pc7.into_pull_up_input().erase(),
+        b.pb6.into_pull_up_input().erase(),
+        a.pa6.into_pull_up_input().erase(),
+        c.pc0.into_pull_up_input().erase(),
+        c.pc3.into_pull_up_input().erase(),
+        a.pa1.into_pull_up_input().erase(),
+        a.pa4.into_pull_up_input().erase(),
+        a.pa0.into_pull_up_input().erase(),
+    ]);
     let _pwm = a.pa7.into_alternate::<2>();
     let step_pins = StepPins::new(
         [
@@ -103,19 +113,10 @@ pub fn setup(device: pac::Peripherals) -> Parts {
             b.pb10.into_push_pull_output().erase(),
             a.pa8.into_push_pull_output().erase(),
         ],
+        &inputs,
         device.TIM3,
         &mut rcc,
     );
-    let inputs = InputPins::new([
-        c.pc7.into_pull_up_input().erase(),
-        b.pb6.into_pull_up_input().erase(),
-        a.pa6.into_pull_up_input().erase(),
-        c.pc0.into_pull_up_input().erase(),
-        c.pc3.into_pull_up_input().erase(),
-        a.pa1.into_pull_up_input().erase(),
-        a.pa4.into_pull_up_input().erase(),
-        a.pa0.into_pull_up_input().erase(),
-    ]);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
         // 115200 divides 45 MHz to within 0.2 %.

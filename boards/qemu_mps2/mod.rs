@@ -58,9 +58,9 @@ pub struct Parts {
 /// Starts timers and UARTs.
 pub fn setup(mut device: pac::Peripherals) -> Parts {
     device.UART0.set_divider(16);
-    device.UART0.set_control(
-        Uart0::TX_ENABLE | Uart0::RX_ENABLE | Uart0::TX_INTERRUPT_ENABLE | Uart0::RX_INTERRUPT_ENABLE,
-    );
+    device
+        .UART0
+        .set_control(Uart0::TX_ENABLE | Uart0::RX_ENABLE | Uart0::TX_INTERRUPT_ENABLE | Uart0::RX_INTERRUPT_ENABLE);
     device.UART1.set_divider(16);
     device.UART1.set_control(Uart1::TX_ENABLE | Uart1::RX_ENABLE);
     device.TIMER1.set_reload(u32::MAX);
@@ -183,12 +183,8 @@ struct Record {
     net: [i32; AXES],
 }
 
-static RECORD: Mutex<RefCell<Record>> = Mutex::new(RefCell::new(Record {
-    digest: Digest::new(),
-    busy: 0,
-    directions: 0,
-    net: [0; AXES],
-}));
+static RECORD: Mutex<RefCell<Record>> =
+    Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, directions: 0, net: [0; AXES] }));
 
 /// Step and direction outputs that end in the [`Digest`].
 pub struct StepPins;
@@ -220,6 +216,11 @@ impl StepPins {
 
     /// Power of spindle or laser: not recorded.
     pub fn set_power(&mut self, _power: u16) {}
+
+    /// There is no probe.
+    pub fn probe_low(&self) -> bool {
+        false
+    }
 
     /// The step task is busy for this long until the next tick.
     pub fn pass(&mut self, ticks: u32) {

@@ -49,6 +49,8 @@ pub struct Step {
     power_shown: u16,
     pulse_ticks: u32,
     setup_ticks: u32,
+    /// The probe is active while its pin is high.
+    probe_invert: bool,
     stops_done: u8,
 }
 
@@ -79,6 +81,7 @@ impl Step {
             power_shown: 0,
             pulse_ticks: 10 * TICKS_PER_US,
             setup_ticks: LOW_TICKS,
+            probe_invert: false,
             stops_done: 0,
         };
         step.pins.direct(0);
@@ -120,6 +123,11 @@ impl Step {
         self.directions = tick.directions;
         if tick.power != self.power_shown && Power::wanted().from_segments {
             self.show_power(tick.power);
+        }
+        if self.stepper.is_watching()
+            && let Some(event) = self.stepper.probe(self.pins.probe_low() != self.probe_invert)
+        {
+            self.unsent = Some(event);
         }
         if tick.underrun {
             self.unsent = Some(self.stepper.underrun_event());
@@ -186,6 +194,7 @@ impl Step {
         while let Ok(wiring) = self.wiring.try_recv() {
             self.pins.set_polarity(wiring.step_invert, wiring.direction_invert);
             self.pins.direct(self.directions);
+            self.probe_invert = wiring.probe_invert;
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
         }

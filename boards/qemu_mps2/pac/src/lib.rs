@@ -41,7 +41,7 @@ pub enum Interrupt {
     UART4_RX = 20,
     UART4_TX = 21,
 }
-#[allow(non_camel_case_types, reason = "the name that cortex-m-rt and RTIC look for")]
+/// The name that cortex-m-rt looks for.
 pub use Interrupt as interrupt;
 
 // SAFETY: unsafe because a wrong number would reach a foreign vector; safe because the numbers are those of the table
