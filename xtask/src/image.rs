@@ -60,7 +60,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
         Some(_) => return fail("has too little code, or it is not where the plan wants it"),
         None => return fail("has no code"),
     }
-    let in_flash = |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
+    let in_flash =
+        |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
     if sections.iter().filter(in_flash).any(|s| s.stored < chip.code && s.stored + s.size > chip.settings) {
         return fail("reaches into the settings sectors");
     }

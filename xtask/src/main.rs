@@ -98,5 +98,15 @@ fn flash(board: &str) -> Result<(), Failure> {
     if !exists("cargo-embed") {
         return Err("cargo-embed is missing: `cargo install --locked probe-rs-tools`".into());
     }
-    run(cargo().args(["embed", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", board, board]))
+    run(cargo().args([
+        "embed",
+        "--release",
+        "--package",
+        "oxmill-firmware",
+        "--target",
+        TARGET,
+        "--features",
+        board,
+        board,
+    ]))
 }

@@ -59,7 +59,9 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
     loop {
         match TcpStream::connect(("127.0.0.1", port)) {
             Ok(stream) => return Ok(stream),
-            Err(error) if begin.elapsed() > Duration::from_secs(10) => return Err(format!("QEMU does not listen: {error}")),
+            Err(error) if begin.elapsed() > Duration::from_secs(10) => {
+                return Err(format!("QEMU does not listen: {error}"));
+            }
             Err(_) => thread::sleep(Duration::from_millis(20)),
         }
     }
@@ -100,7 +102,9 @@ pub fn preloaded(elf: &Path, job: &Path, length: usize, limit: Duration) -> Resu
                 }
                 return Err(format!("the firmware ended with {status}: {why}"));
             }
-            Ok(None) if begin.elapsed() > limit => return Err(format!("{} did not end within {limit:?}", job.display())),
+            Ok(None) if begin.elapsed() > limit => {
+                return Err(format!("{} did not end within {limit:?}", job.display()));
+            }
             Ok(None) => thread::sleep(Duration::from_millis(5)),
             Err(error) => return Err(error.to_string()),
         }

@@ -56,9 +56,8 @@ fn main() -> ! {
     let mut stopwatch = Stopwatch { timer: device.TIMER1, overhead: 0 };
     stopwatch.overhead = stopwatch.count(|| {});
 
-    let (mut send, mut receive) = cortex_m::singleton!(: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new())
-        .expect("main runs once")
-        .split();
+    let (mut send, mut receive) =
+        cortex_m::singleton!(: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new()).expect("main runs once").split();
     semihosting::println!("instructions of a tick with receive, release build");
     for (name, steps) in [("three axes", [1000, 1000, 1000]), ("one axis", [1000, 0, 0]), ("mixed", [1000, 333, 77])] {
         let mut stepper: Stepper<3> = Stepper::new();

@@ -6,10 +6,10 @@
 
 #[cfg(feature = "board")]
 use cortex_m as _;
-#[cfg(feature = "qemu_mps2")]
-use defmt_semihosting as _;
 #[cfg(not(feature = "qemu_mps2"))]
 use defmt_rtt as _;
+#[cfg(feature = "qemu_mps2")]
+use defmt_semihosting as _;
 #[cfg(feature = "qemu_mps2")]
 use mps2_pac as _;
 #[cfg(not(feature = "qemu_mps2"))]

@@ -49,9 +49,11 @@ mod suite {
     /// (x, y) that is |x dy - y dx| <= max(dx, dy), half a step for either axis.
     #[test]
     fn a_line_stays_within_half_a_step_of_itself() {
-        for (program, dx, dy) in
-            [("G91G1X1Y0.5F600\n", 250_i64, 125_i64), ("G91G1X0.7Y-1.3F900\n", 175, -325), ("G91G1X-0.02Y3F900\n", -5, 750)]
-        {
+        for (program, dx, dy) in [
+            ("G91G1X1Y0.5F600\n", 250_i64, 125_i64),
+            ("G91G1X0.7Y-1.3F900\n", 175, -325),
+            ("G91G1X-0.02Y3F900\n", -5, 750),
+        ] {
             let mut rig = Rig::new();
             let mut worst = 0;
             rig.run(program, |[x, y, z]| {
@@ -81,7 +83,10 @@ mod suite {
     fn increments_do_not_drift() {
         let mut rig = Rig::new();
         for _ in 0..100 {
-            rig.run("G91G1X0.001F600\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\n", |_| {});
+            rig.run(
+                "G91G1X0.001F600\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\nX0.001\n",
+                |_| {},
+            );
         }
         defmt::assert_eq!(rig.net, [250, 0, 0]);
     }

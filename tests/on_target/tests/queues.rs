@@ -43,14 +43,16 @@ mod suite {
     fn nothing_queued_survives_a_stop() {
         let mut channel: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new();
         let (mut send, mut receive) = channel.split();
-        let segment = Segment { interval: 100 << 12, ramp: 0, ticks: 5, power: 9, level: 0, flags: Segment::FLAG_NEW_BLOCK };
+        let segment =
+            Segment { interval: 100 << 12, ramp: 0, ticks: 5, power: 9, level: 0, flags: Segment::FLAG_NEW_BLOCK };
         for _ in 0..8 {
             let block = ToStep::Block { steps: [10, 5, 0], directions: 0 };
             defmt::assert!(send.try_send(block).is_ok());
             defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
         }
         let mut stepper: Stepper<3> = Stepper::new();
-        let load = |stepper: &mut Stepper<3>, receive: &mut rtic_sync::channel::Receiver<'_, ToStep, SEGMENTS_DEPTH>| {
+        let load = |stepper: &mut Stepper<3>,
+                    receive: &mut rtic_sync::channel::Receiver<'_, ToStep, SEGMENTS_DEPTH>| {
             while stepper.wants()
                 && let Ok(message) = receive.try_recv()
             {
