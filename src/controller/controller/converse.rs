@@ -6,7 +6,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, LINES_DEPTH, LineByte, Record, SpindleDirection, Store};
+use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -237,13 +237,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
-                self.spindle = SpindleDirection::Off;
-                self.coolant = Coolant::default();
-                self.drivers_on = false;
-                self.drivers_off_at = None;
-                // Axes can be moved by hand now.
-                self.trusted = false;
-                self.mode = Mode::Sleep;
+                self.fall_asleep();
             }
             System::Set(number, value) => {
                 self.settings.set(number, value)?;

@@ -128,12 +128,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let line = self.motion.line_number();
         let status = report::Status {
             state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
-            machine: self.motion.machine_position(),
+            machine: self.machine_position(),
             offset: self.interpreter.work_offset(),
             show_machine: mask & 1 != 0,
             buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
             line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.motion.speed()),
+            feed: per_minute(self.motion.speed().max(self.detour.speed())),
             speed,
             pins: self.signals,
             show_offset,
