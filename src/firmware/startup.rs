@@ -58,7 +58,7 @@ pub fn start(
     let wake: Wake = channels.wake.writer();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
-    let controller = controller.write(BoardController::new(boards::PROFILE));
+    let controller = build(controller);
     let tasks = Tasks {
         step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
@@ -71,4 +71,11 @@ pub fn start(
     sampling.enable_counter();
     sampling.enable_interrupt();
     tasks
+}
+
+/// Builds the controller in its place. On the way there it lies on the stack; not inlined, so that this part of the stack
+/// is free again afterwards instead of belonging to `main` for ever.
+#[inline(never)]
+fn build(place: &'static mut MaybeUninit<BoardController>) -> &'static mut BoardController {
+    place.write(BoardController::new(boards::PROFILE))
 }
