@@ -84,6 +84,12 @@ pub enum ToStep {
     },
     /// A piece of the current block.
     Segment(Segment),
+    /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer
+    /// active (`Some(false)`), and report it with [`StepEvent::Probed`]. `None` ends the watch.
+    Watch {
+        /// The awaited state of the probe.
+        probe: Option<bool>,
+    },
     /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
     /// `control` knew of; the gate stays shut when there has been another one since.
     Resume {
@@ -135,6 +141,11 @@ pub enum StepEvent<const N: usize> {
         /// Whether the machine was stepping when the stop came.
         moving: bool,
         /// Step counter of each axis: net steps since power-up (wrapping).
+        position: PerAxis<i32, N>,
+    },
+    /// The probe has reached the awaited state; motion goes on.
+    Probed {
+        /// Step counter of each axis at the tick that saw it.
         position: PerAxis<i32, N>,
     },
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
@@ -275,13 +286,27 @@ pub struct Wiring {
     pub probe_invert: bool,
 }
 
-/// A record for the settings store: a key and up to 100 bytes.
+/// A record of the settings store: a key and up to 100 bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// What is stored; the meaning belongs to `settings`.
+    /// What is stored; the meaning belongs to the controller.
     pub key: u16,
-    /// The value; empty deletes.
+    /// The value.
     pub value: heapless::Vec<u8, 100>,
+}
+
+/// A change of the settings store.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Store {
+    /// Write a record, replacing the one with its key.
+    Put(Record),
+    /// Remove all records with keys from `from` to `until - 1`.
+    Remove {
+        /// First key.
+        from: u16,
+        /// First key that stays.
+        until: u16,
+    },
 }
 
 /// What the controller wants done.
@@ -298,8 +323,7 @@ pub enum Output {
     /// Stop the step task at once, as a reset does: mark and pend it. Answered by [`StepEvent::Stopped`].
     Stop,
     /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
-    Store(Record),
+    Store(Store),
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }
-

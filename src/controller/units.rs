@@ -133,6 +133,9 @@ impl StepsPerMm {
     /// Least value that is taken.
     pub const MIN: f32 = 0.001;
 
+    /// One step a millimetre.
+    pub const ONE: StepsPerMm = StepsPerMm { mantissa: 1, shift: 0 };
+
     /// The exact fraction of a setting; `None` outside [`StepsPerMm::MIN`]..=[`StepsPerMm::MAX`].
     pub fn new(value: f32) -> Option<StepsPerMm> {
         if !(Self::MIN..=Self::MAX).contains(&value) {

@@ -25,6 +25,8 @@ pub enum Mode {
     },
     /// Feed hold: braking or at rest; only `~` goes on.
     Hold,
+    /// The homing cycle runs.
+    Home,
     /// Safety door: see [`Door`].
     Door(Door),
     /// Locked until `$X`, `$H` or a reset.
@@ -70,6 +72,7 @@ impl Mode {
             Mode::Jog { .. } => "Jog",
             Mode::Hold if at_rest => "Hold:0",
             Mode::Hold => "Hold:1",
+            Mode::Home => "Home",
             Mode::Door(Door::Braking) => "Door:2",
             Mode::Door(Door::Parked) if door_open => "Door:1",
             Mode::Door(Door::Parked) => "Door:0",

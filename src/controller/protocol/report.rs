@@ -109,10 +109,10 @@ fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, inch
     }
 }
 
-/// `[G54:x,y,z]`; `name` is in tenths: 540 is G54, 591 is G59.1.
-pub fn parameter<const N: usize>(out: &mut Text, name: u16, place: &PerAxis<Coordinate, N>, inches: bool) {
+/// `[G54:x,y,z]`
+pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coordinate, N>, inches: bool) {
     put(out, b"[");
-    code(out, b'G', name);
+    put(out, name.as_bytes());
     put(out, b":");
     position(out, place, inches);
     put(out, b"]\r\n");
@@ -132,17 +132,17 @@ pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, suc
     put(out, if success { b":1]\r\n" } else { b":0]\r\n" });
 }
 
-/// What `$G` prints. Codes are in tenths: 382 is G38.2.
+/// What `$G` prints.
 #[derive(Clone, Copy, Debug)]
 pub struct ParserState {
-    /// Motion, coordinate system, plane, units, distance mode, feed mode.
-    pub groups: [u16; 6],
-    /// M0, M1, M2 or M30 while it holds.
-    pub flow: Option<u16>,
+    /// The words of motion, coordinate system, plane, units, distance mode and feed mode.
+    pub words: [&'static str; 6],
     /// Spindle.
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
+    /// Whether M56 holds.
+    pub parking_override: bool,
     /// T.
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
@@ -151,27 +151,14 @@ pub struct ParserState {
     pub speed: f32,
 }
 
-fn code(out: &mut Text, letter: u8, tenths: u16) {
-    put(out, &[letter]);
-    whole(out, u64::from(tenths / 10));
-    if tenths % 10 != 0 {
-        put(out, b".");
-        whole(out, u64::from(tenths % 10));
-    }
-}
-
 /// `[GC:...]`
 pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b"[GC:");
-    for (i, group) in state.groups.iter().enumerate() {
+    for (i, word) in state.words.iter().enumerate() {
         if i > 0 {
             put(out, b" ");
         }
-        code(out, b'G', *group);
-    }
-    if let Some(flow) = state.flow {
-        put(out, b" ");
-        code(out, b'M', flow);
+        put(out, word.as_bytes());
     }
     put(
         out,
@@ -189,6 +176,9 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     }
     if !state.coolant.mist && !state.coolant.flood {
         put(out, b" M9");
+    }
+    if state.parking_override {
+        put(out, b" M56");
     }
     put(out, b" T");
     whole(out, u64::from(state.tool));

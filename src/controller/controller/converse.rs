@@ -1,0 +1,431 @@
+//! Lines are dispatched and `$` commands answered.
+
+use super::execute::{Answer, Task};
+use super::{Controller, STORED_TEXT};
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::gcode::{Context, CoordinateSystem, Dialect, StoredOffset};
+use crate::machine::state::Mode;
+use crate::messages::{Coolant, LINES_DEPTH, LineByte, Record, SpindleDirection, Store};
+use crate::protocol::line::{self, Pushed};
+use crate::protocol::report::{self, ParserState};
+use crate::protocol::system::{self, Allowed, Restore, System};
+use crate::settings::{Key, Settings};
+use crate::units::Coordinate;
+
+/// Keys of stored records: a setting has its own number (0 to 999).
+const KEY_OFFSETS: u16 = 1000;
+const KEY_STARTUP: u16 = 1100;
+const KEY_BUILD_INFO: u16 = 1200;
+
+/// An answer of many lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Listing {
+    /// `$$`
+    Settings,
+    /// `$#`
+    Parameters,
+    /// `$N`
+    StartupLines,
+}
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Takes a stored record at power-up. Records that make no sense are ignored.
+    pub fn restore(&mut self, record: &Record) {
+        match record.key {
+            0..KEY_OFFSETS => {
+                if let Ok(bytes) = record.value.as_slice().try_into() {
+                    self.settings.restore(record.key, f32::from_le_bytes(bytes));
+                }
+            }
+            KEY_OFFSETS..KEY_STARTUP => {
+                let mut place = PerAxis::default();
+                for (axis, bytes) in Axis::of_machine::<N>().zip(record.value.chunks_exact(8)) {
+                    if let Ok(bytes) = bytes.try_into() {
+                        place.set(axis, Coordinate(i64::from_le_bytes(bytes)));
+                    }
+                }
+                if place.iter().all(|c| c.in_range())
+                    && let Some(offset) = StoredOffset::all().nth(usize::from(record.key - KEY_OFFSETS))
+                {
+                    self.interpreter.offsets_mut().set_stored(offset, place);
+                }
+            }
+            KEY_STARTUP..KEY_BUILD_INFO => {
+                if let Some(line) = self.startup_lines.get_mut(usize::from(record.key - KEY_STARTUP)) {
+                    *line = heapless::Vec::from_slice(&record.value).unwrap_or_default();
+                }
+            }
+            KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
+            _ => {}
+        }
+    }
+
+    // Bytes to lines
+
+    pub(super) fn release_held(&mut self) {
+        if let Some(byte) = self.held.take() {
+            self.line_byte(byte);
+        }
+    }
+
+    pub(super) fn line_byte(&mut self, byte: LineByte) {
+        if (byte.epoch.wrapping_sub(self.epoch) as i8) > 0 {
+            // The command that opened this epoch is still on its way through the other queue.
+            self.held = Some(byte);
+            return;
+        }
+        if (byte.epoch.wrapping_sub(self.reset_epoch) as i8) < 0 {
+            return;
+        }
+        if self.line.is_empty() {
+            self.line_epoch = byte.epoch;
+        }
+        match self.line.push(byte.byte, self.line_rules()) {
+            Pushed::More => {}
+            Pushed::TooLong => {
+                self.line.clear();
+                self.refuse(Error::LineTooLong);
+            }
+            Pushed::Complete => {
+                let text: heapless::Vec<u8, { line::LENGTH }> = heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
+                self.line.clear();
+                self.dispatch(&text);
+            }
+        }
+    }
+
+    fn refuse(&mut self, error: Error) {
+        self.say(|out| report::error(out, error.code()));
+    }
+
+    fn dispatch(&mut self, line: &[u8]) {
+        let result = match line.first() {
+            None => {
+                self.say(report::ok);
+                Ok(())
+            }
+            // A tape mark; Grbl's dialect has none.
+            Some(b'%') if self.dialect() != Dialect::Grbl => {
+                self.say(report::ok);
+                Ok(())
+            }
+            Some(b'$') => self.system(line),
+            Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
+            Some(_) => self.gcode(line, Answer::Host),
+        };
+        if let Err(error) = result {
+            self.refuse(error);
+        }
+    }
+
+    fn context(&self) -> Context {
+        Context {
+            dialect: self.dialect(),
+            laser: self.settings.is_on(Key::Laser),
+            check_mode: self.mode == Mode::Check,
+        }
+    }
+
+    fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
+        let checked = self.interpreter.check(line, self.context())?;
+        if let Some(error) = self.refuse_motion(&checked, false) {
+            return Err(error);
+        }
+        if self.leaves_travel(&checked) {
+            self.motion.hold();
+            self.task = Task::SoftLimit;
+        } else {
+            self.begin(checked, answer, false);
+        }
+        Ok(())
+    }
+
+    fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
+        let stale = (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0;
+        let checked = self.interpreter.check_jog(line, self.context())?;
+        if stale || self.mode == (Mode::Jog { cancelling: true }) {
+            // Sent before the cancel: it shall not move any more.
+            self.say(report::ok);
+            return Ok(());
+        }
+        if let Some(error) = self.refuse_motion(&checked, true) {
+            return Err(error);
+        }
+        self.begin(checked, Answer::Host, true);
+        Ok(())
+    }
+
+    // Startup lines
+
+    pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
+        let Some(line) = self.startup_lines.get(index).cloned() else {
+            if let Some(answer) = then {
+                self.finish(answer);
+            }
+            return;
+        };
+        if !line.is_empty() {
+            self.say(|out| report::startup_echo(out, &line));
+            match self.gcode(&line, Answer::Startup(index, then.is_some())) {
+                Ok(()) => return,
+                Err(error) => self.refuse(error),
+            }
+        }
+        self.task = Task::Startup(index + 1, then);
+    }
+
+    pub(super) fn store_startup_line(&mut self, index: usize, line: heapless::Vec<u8, STORED_TEXT>) {
+        self.save(KEY_STARTUP + index as u16, &line);
+        if let Some(slot) = self.startup_lines.get_mut(index) {
+            *slot = line;
+        }
+        self.task = Task::Storing(Answer::Host);
+    }
+
+    // `$` commands
+
+    fn system(&mut self, line: &[u8]) -> Result<(), Error> {
+        let resting = matches!(self.mode, Mode::Normal) && !self.running;
+        let idle = resting && self.motion.is_idle();
+        match system::allowed(line) {
+            Allowed::AtRest if !(idle || self.mode == Mode::Alarm) => return Err(Error::NotIdle),
+            Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
+            _ => {}
+        }
+        match system::read(line)? {
+            System::Help => {
+                self.say(report::help);
+                self.say(report::ok);
+            }
+            System::Settings if self.mode == Mode::Normal && !idle => return Err(Error::NotIdle),
+            System::Settings => self.task = Task::Listing(Listing::Settings, 0),
+            System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
+            System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
+            System::ParserState => {
+                self.report_parser_state();
+                self.say(report::ok);
+            }
+            System::BuildInfo => {
+                let info = self.build_info.clone();
+                self.say(|out| report::build_info(out, &info, BLOCKS, LINES_DEPTH));
+                self.say(report::ok);
+            }
+            System::SetBuildInfo(text) => {
+                let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+                self.save(KEY_BUILD_INFO, &text);
+                self.build_info = text;
+                self.task = Task::Storing(Answer::Host);
+            }
+            System::SetStartupLine(..) if self.mode != Mode::Normal => return Err(Error::NotIdle),
+            System::SetStartupLine(index, text) => {
+                let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+                if text.is_empty() {
+                    self.store_startup_line(index, stored);
+                } else {
+                    self.gcode(text, Answer::Validation(index, stored))?;
+                }
+            }
+            System::CheckMode => self.toggle_check_mode()?,
+            System::Unlock => self.unlock()?,
+            System::Home(_) if !self.settings.is_on(Key::Homing) => return Err(Error::HomingDisabled),
+            System::Home(Some(_)) if self.dialect() == Dialect::Grbl => return Err(Error::InvalidStatement),
+            System::Home(axis) => self.begin_homing(axis)?,
+            System::Jog(text) => return self.jog(text),
+            System::Restore(what) => self.restore_defaults(what),
+            System::Sleep => {
+                self.say(report::ok);
+                self.say(|out| report::message(out, "Sleeping"));
+                self.spindle = SpindleDirection::Off;
+                self.coolant = Coolant::default();
+                self.drivers_on = false;
+                self.drivers_off_at = None;
+                self.mode = Mode::Sleep;
+            }
+            System::Set(number, value) => {
+                self.settings.set(number, value)?;
+                self.changed(number);
+                self.task = Task::Storing(Answer::Host);
+            }
+        }
+        Ok(())
+    }
+
+    /// A setting has a new value: derived numbers follow, and it is stored.
+    fn changed(&mut self, number: u16) {
+        self.reconfigure();
+        if number == 13 || number == 10 {
+            self.rare_fields.offset_changed();
+        }
+        self.save_setting(number);
+        if number == 22 {
+            // Switching homing off switches soft limits off.
+            self.save_setting(20);
+        }
+    }
+
+    fn toggle_check_mode(&mut self) -> Result<(), Error> {
+        match self.mode {
+            Mode::Check => {
+                self.say(|out| report::message(out, "Disabled"));
+                self.say(report::ok);
+                self.interpreter.reset();
+                self.mode = Mode::Normal;
+                self.initialise();
+            }
+            Mode::Normal if self.motion.is_idle() => {
+                self.mode = Mode::Check;
+                self.say(|out| report::message(out, "Enabled"));
+                self.say(report::ok);
+            }
+            _ => return Err(Error::NotIdle),
+        }
+        Ok(())
+    }
+
+    fn unlock(&mut self) -> Result<(), Error> {
+        if self.mode == Mode::Alarm {
+            if self.signals.door {
+                return Err(Error::DoorOpen);
+            }
+            self.mode = Mode::Normal;
+            self.alarm = None;
+            self.say(|out| report::message(out, "Caution: Unlocked"));
+        }
+        self.say(report::ok);
+        Ok(())
+    }
+
+    fn restore_defaults(&mut self, what: Restore) {
+        if matches!(what, Restore::Settings | Restore::All) {
+            self.settings = Settings::default();
+            self.forget(0..KEY_OFFSETS);
+        }
+        if matches!(what, Restore::Coordinates | Restore::All) {
+            self.interpreter.offsets_mut().clear_stored();
+            self.forget(KEY_OFFSETS..KEY_STARTUP);
+        }
+        if what == Restore::All {
+            self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
+            self.build_info.clear();
+            self.forget(KEY_STARTUP..KEY_BUILD_INFO + 1);
+        }
+        self.say(|out| report::message(out, "Restoring defaults"));
+        self.interpreter.reset();
+        self.task = Task::Storing(Answer::Restart);
+    }
+
+    // The store
+
+    /// At most three of these come from one command, and the next is read when they are answered: there is room.
+    fn hand_to_store(&mut self, store: Store) {
+        if self.profile.has_store && self.stores.push_back(store).is_ok() {
+            self.unstored += 1;
+        }
+    }
+
+    fn save(&mut self, key: u16, value: &[u8]) {
+        if let Ok(value) = heapless::Vec::from_slice(value) {
+            self.hand_to_store(Store::Put(Record { key, value }));
+        }
+    }
+
+    fn forget(&mut self, keys: core::ops::Range<u16>) {
+        self.hand_to_store(Store::Remove { from: keys.start, until: keys.end });
+    }
+
+    fn save_setting(&mut self, number: u16) {
+        if let Some(value) = self.settings.by_number(number) {
+            self.save(number, &value.to_le_bytes());
+        }
+    }
+
+    pub(super) fn store_offset(&mut self, offset: StoredOffset) {
+        let place = self.interpreter.offsets().stored(offset);
+        let mut bytes: heapless::Vec<u8, 48> = heapless::Vec::new();
+        for value in place.iter() {
+            let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
+        }
+        if let Some(index) = StoredOffset::all().position(|o| o == offset) {
+            self.save(KEY_OFFSETS + index as u16, &bytes);
+        }
+    }
+
+    // Answers
+
+    pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
+        if !self.has_reply_room() {
+            return false;
+        }
+        let more = match listing {
+            Listing::Settings => self.list_setting(line),
+            Listing::Parameters => self.list_parameter(line),
+            Listing::StartupLines => match self.startup_lines.get(line).cloned() {
+                Some(text) => {
+                    self.say(|out| report::startup_line(out, line, &text));
+                    true
+                }
+                None => false,
+            },
+        };
+        if more {
+            self.task = Task::Listing(listing, line + 1);
+        } else {
+            self.task = Task::None;
+            self.say(report::ok);
+        }
+        true
+    }
+
+    fn list_setting(&mut self, line: usize) -> bool {
+        let Some((entry, number, value)) = self.settings.row(line) else { return false };
+        if entry.grbl || self.dialect() != Dialect::Grbl {
+            self.say(|out| report::setting(out, &entry, number, value));
+        }
+        true
+    }
+
+    fn list_parameter(&mut self, line: usize) -> bool {
+        let inches = self.settings.is_on(Key::ReportInches);
+        let systems = if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let offsets = *self.interpreter.offsets();
+        if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
+            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));
+            return true;
+        }
+        match line - systems {
+            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), inches)),
+            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), inches)),
+            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, inches)),
+            3 => self.say(|out| report::tool_length(out, offsets.tool_length, inches)),
+            4 => {
+                let (place, success) = (self.probed, self.probe_succeeded);
+                self.say(|out| report::probe(out, &place, success, inches));
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    fn report_parser_state(&mut self) {
+        let modal = self.interpreter.modal();
+        let state = ParserState {
+            words: [
+                modal.motion.word(),
+                modal.coordinate_system.word(),
+                modal.plane.word(),
+                modal.units.word(),
+                modal.distance.word(),
+                modal.feed_mode.word(),
+            ],
+            spindle: modal.spindle,
+            coolant: modal.coolant,
+            parking_override: modal.parking_override,
+            tool: u32::from(modal.tool),
+            feed: modal.feed.to_f32(),
+            speed: modal.speed,
+        };
+        let inches = self.settings.is_on(Key::ReportInches);
+        self.say(|out| report::parser_state(out, &state, inches));
+    }
+}

@@ -1,0 +1,447 @@
+//! A checked line of G-code is carried out, step by step: wait for the end of motion where the line needs it, outputs,
+//! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
+
+use super::converse::Listing;
+use super::cycles::{HomingWait, Probing};
+use super::{Controller, STORED_TEXT};
+use crate::axes::PerAxis;
+use crate::error::{Alarm, Error};
+use crate::gcode::{self, ArcMove, Checked, Feed, Flow};
+use crate::machine::homing::Homing;
+use crate::machine::realtime_override::Overrides;
+use crate::machine::state::Mode;
+use crate::messages::{Coolant, SpindleDirection};
+use crate::motion::{Arc, ArcGeometry, Move, Speed};
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key};
+use crate::units::{Coordinate, Duration, Instant};
+
+/// What the controller is in the middle of. While there is one, no further line is taken.
+#[derive(Debug)]
+#[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
+pub(super) enum Task<const N: usize> {
+    /// Nothing: the next line may come.
+    None,
+    /// The startup line of this number is next; when all have been run, someone may get an answer.
+    Startup(usize, Option<Answer>),
+    /// An answer of many lines; the number is the next of them.
+    Listing(Listing, usize),
+    /// A record is being stored; then the answer is given.
+    Storing(Answer),
+    /// Motion has to end before the soft-limit alarm.
+    SoftLimit,
+    /// The homing cycle.
+    Homing(Homing<N>, HomingWait),
+    /// A line of G-code.
+    Job(Job<N>),
+}
+
+/// Who is waiting for `ok`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Answer {
+    /// The host.
+    Host,
+    /// A startup line that is being run; `.1` says whether the host waits for the last of them.
+    Startup(usize, bool),
+    /// The host, for a startup line that is stored once it has been run without error.
+    Validation(usize, heapless::Vec<u8, STORED_TEXT>),
+    /// The host, and then the controller starts anew (`$RST`).
+    Restart,
+}
+
+/// A line under way.
+#[derive(Debug)]
+pub(super) struct Job<const N: usize> {
+    answer: Answer,
+    checked: Checked<N>,
+    stage: Stage<N>,
+    jog: bool,
+}
+
+#[derive(Debug)]
+enum Stage<const N: usize> {
+    /// Motion that was queued before has to end first.
+    Drain,
+    /// New modal state, spindle, coolant.
+    Apply,
+    /// A changed coordinate system is being stored.
+    Storing,
+    /// G4 until a moment.
+    Dwell(Instant),
+    /// G4 with this much left when the hold ends.
+    DwellSuspended(Duration),
+    /// G28, G30: the intermediate point.
+    Via,
+    /// The motion itself.
+    Target,
+    /// The probe moves.
+    Probing,
+    /// Chords of an arc that are still to come.
+    Chords(Arc<N>, f32),
+    /// Motion has to end before the program pauses or ends.
+    Flow,
+    /// Paused: ends with `~`.
+    Paused,
+    /// To be answered.
+    Done,
+}
+
+impl<const N: usize> Task<N> {
+    pub(super) fn is_none(&self) -> bool {
+        matches!(self, Task::None)
+    }
+
+    /// Whether a reset owes the host an `ok` for it.
+    pub(super) fn answers_host(&self) -> bool {
+        match self {
+            Task::Job(Job { answer, .. }) | Task::Storing(answer) => !matches!(answer, Answer::Startup(_, false)),
+            Task::Listing(..) | Task::SoftLimit | Task::Homing(..) => true,
+            Task::Startup(_, answer) => answer.is_some(),
+            Task::None => false,
+        }
+    }
+
+    pub(super) fn wakeup(&self) -> Option<Instant> {
+        match self {
+            Task::Job(Job { stage: Stage::Dwell(until), .. }) | Task::Homing(_, HomingWait::Until(until)) => Some(*until),
+            _ => None,
+        }
+    }
+
+    /// A hold stops the clock of a dwell.
+    pub(super) fn suspend(&mut self, now: Instant) {
+        if let Task::Job(job) = self
+            && let Stage::Dwell(until) = job.stage
+        {
+            let left = until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0));
+            job.stage = Stage::DwellSuspended(left);
+        }
+    }
+
+    pub(super) fn resume(&mut self, now: Instant) {
+        if let Task::Job(job) = self
+            && let Stage::DwellSuspended(left) = job.stage
+        {
+            job.stage = Stage::Dwell(now + left);
+        }
+    }
+
+    /// A jog that waits for room is not carried out any more; its answer is still given.
+    pub(super) fn forget_jog(&mut self) {
+        if let Task::Job(job) = self
+            && job.jog
+        {
+            job.stage = Stage::Done;
+        }
+    }
+}
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// A checked line begins. Jogs have been allowed by the caller.
+    pub(super) fn begin(&mut self, checked: Checked<N>, answer: Answer, jog: bool) {
+        let checking = self.mode == Mode::Check;
+        let speed_needs_rest = checked.speed_changed
+            && self.spindle != SpindleDirection::Off
+            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None);
+        let drain = !checking
+            && (checked.spindle.is_some()
+                || checked.coolant.is_some()
+                || checked.dwell.is_some()
+                || checked.work_offset_changed
+                || checked.store.is_some()
+                || matches!(checked.motion, gcode::Motion::Probe { .. })
+                || speed_needs_rest);
+        let stage = if drain { Stage::Drain } else { Stage::Apply };
+        self.task = Task::Job(Job { answer, checked, stage, jog });
+    }
+
+    /// Does one bounded piece of the task. Whether something was done.
+    pub(super) fn go_on(&mut self) -> bool {
+        if self.stop.awaited.is_some() {
+            return false;
+        }
+        if let Task::Listing(listing, line) = self.task {
+            return self.go_on_listing(listing, line);
+        }
+        if self.mode.is_suspended() {
+            return false;
+        }
+        match core::mem::replace(&mut self.task, Task::None) {
+            Task::Startup(index, then) => {
+                self.run_startup_line(index, then);
+                true
+            }
+            Task::Homing(homing, wait) => self.go_on_homing(homing, wait),
+            Task::SoftLimit if self.motion.is_at_rest() => {
+                self.motion.discard();
+                self.interpreter.set_position(self.motion.machine_position());
+                self.task = Task::SoftLimit;
+                self.running = false;
+                self.raise(Alarm::SoftLimit);
+                self.say(|out| report::message(out, "Reset to continue"));
+                self.mode = Mode::Critical;
+                true
+            }
+            Task::Storing(answer) if self.unstored == 0 => {
+                if core::mem::take(&mut self.store_failed) {
+                    self.say(|out| report::message(out, "The setting holds but could not be stored"));
+                }
+                self.finish(answer);
+                true
+            }
+            Task::Job(job) => self.go_on_job(job),
+            other => {
+                self.task = other;
+                false
+            }
+        }
+    }
+
+    fn go_on_job(&mut self, mut job: Job<N>) -> bool {
+        let checking = self.mode == Mode::Check;
+        let next = match job.stage {
+            Stage::Drain if self.motion.is_idle() => Some(Stage::Apply),
+            Stage::Drain => {
+                self.start_queued();
+                None
+            }
+            Stage::Apply => {
+                self.apply(&job.checked, checking);
+                Some(Stage::Storing)
+            }
+            Stage::Storing if self.unstored > 0 => None,
+            Stage::Storing => Some(match job.checked.dwell {
+                Some(time) if !checking => Stage::Dwell(self.now + time),
+                _ => Stage::Via,
+            }),
+            Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
+            Stage::Via => match job.checked.motion {
+                gcode::Motion::Line { via: Some(via), .. } if !checking => {
+                    self.queue(&via, Speed::Rapid, &job).then_some(Stage::Target)
+                }
+                _ => Some(Stage::Target),
+            },
+            Stage::Target if checking => Some(Stage::Flow),
+            Stage::Target => match job.checked.motion {
+                gcode::Motion::Line { ref target, feed, .. } => {
+                    self.queue(target, speed(feed), &job).then_some(Stage::Flow)
+                }
+                gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
+                gcode::Motion::Probe { ref target, feed, away, .. } => {
+                    if self.begin_probe(target, speed(feed), away) {
+                        self.probing = Some(Probing::Seeking);
+                        Some(Stage::Probing)
+                    } else {
+                        Some(Stage::Done)
+                    }
+                }
+                gcode::Motion::None => Some(Stage::Flow),
+            },
+            Stage::Chords(ref mut arc, feed) => {
+                if self.motion.free_blocks() == 0 {
+                    self.start_queued();
+                    None
+                } else {
+                    match arc.next_chord() {
+                        Some(target) => {
+                            let speed = Speed::Feed(feed);
+                            // There is room for a block, so the move is taken.
+                            let mv = self.move_of(&target, speed, &job.checked, job.jog);
+                            self.motion.line(&mv);
+                            self.task = Task::Job(job);
+                            return true;
+                        }
+                        None => Some(Stage::Flow),
+                    }
+                }
+            }
+            Stage::Probing => {
+                let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                self.end_probe(must_touch).then_some(Stage::Flow)
+            }
+            Stage::Flow => self.flow(&job, checking),
+            Stage::Paused => Some(Stage::Done),
+            Stage::DwellSuspended(_) => None,
+            Stage::Done => {
+                self.finish(job.answer);
+                return true;
+            }
+        };
+        let progressed = next.is_some();
+        if let Some(stage) = next {
+            job.stage = stage;
+        }
+        self.task = Task::Job(job);
+        progressed
+    }
+
+    /// Takes the line's modal state over and sets what does not move.
+    fn apply(&mut self, checked: &Checked<N>, checking: bool) {
+        let before = self.interpreter.work_offset();
+        self.interpreter.commit(checked);
+        if self.interpreter.work_offset() != before {
+            self.rare_fields.offset_changed();
+        }
+        if let Some(offset) = checked.store {
+            self.store_offset(offset);
+        }
+        if checking {
+            return;
+        }
+        self.spindle_speed = checked.speed;
+        if let Some(spindle) = checked.spindle {
+            self.spindle = spindle;
+            self.rare_fields.overrides_changed();
+        }
+        if let Some(coolant) = checked.coolant {
+            self.coolant = coolant;
+            self.rare_fields.overrides_changed();
+        }
+    }
+
+    /// Program pause and end: both wait for the end of motion.
+    fn flow(&mut self, job: &Job<N>, checking: bool) -> Option<Stage<N>> {
+        match job.checked.flow {
+            Flow::None | Flow::OptionalPause => Some(Stage::Done),
+            Flow::Pause if checking => Some(Stage::Done),
+            Flow::Pause | Flow::End if !self.motion.is_idle() => {
+                self.start_queued();
+                None
+            }
+            Flow::Pause => {
+                self.mode = Mode::Hold;
+                Some(Stage::Paused)
+            }
+            Flow::End => {
+                self.rare_fields.offset_changed();
+                if !checking {
+                    self.spindle = SpindleDirection::Off;
+                    self.coolant = Coolant::default();
+                    self.overrides = Overrides::default();
+                    self.motion.set_overrides(1.0, 1.0);
+                    self.rare_fields.overrides_changed();
+                }
+                self.say(|out| report::message(out, "Pgm End"));
+                Some(Stage::Done)
+            }
+        }
+    }
+
+    /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
+    fn start_queued(&mut self) {
+        if !self.running && !self.motion.is_idle() {
+            self.start_motion();
+        }
+    }
+
+    fn queue(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, job: &Job<N>) -> bool {
+        let mv = self.move_of(target, speed, &job.checked, job.jog);
+        let taken = self.motion.line(&mv);
+        if !taken {
+            self.start_queued();
+        } else if job.jog {
+            self.mode = Mode::Jog { cancelling: false };
+            self.start_motion();
+        }
+        taken
+    }
+
+    fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, checked: &Checked<N>, jog: bool) -> Move<N> {
+        let laser = self.settings.is_on(Key::Laser);
+        // A laser burns in feed motions only.
+        let dark = laser && speed == Speed::Rapid;
+        let power = if self.spindle == SpindleDirection::Off || dark {
+            0
+        } else {
+            self.spindle_range().output(checked.speed, self.overrides.spindle).0
+        };
+        Move {
+            target: *target,
+            speed,
+            power,
+            scale_power: laser && self.spindle == SpindleDirection::CounterClockwise,
+            line_number: checked.line_number,
+            no_feed_override: jog,
+        }
+    }
+
+    fn begin_arc(&mut self, arc: &ArcMove<N>) -> Stage<N> {
+        let geometry = ArcGeometry {
+            start: arc.start,
+            target: arc.target,
+            first: arc.axes.first,
+            second: arc.axes.second,
+            centre: [arc.i, arc.j],
+            clockwise: arc.clockwise,
+            turns: arc.turns,
+        };
+        let chords = Arc::new(&geometry, self.settings.value(Key::ArcTolerance));
+        let feed = match arc.feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => chords.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords(chords, feed)
+    }
+
+    /// Why a motion may not be begun, if so.
+    pub(super) fn refuse_motion(&mut self, checked: &Checked<N>, jog: bool) -> Option<Error> {
+        if checked.motion == gcode::Motion::None {
+            return None;
+        }
+        if let Some(error) = self.motion_locked() {
+            return Some(error);
+        }
+        (jog && self.leaves_travel(checked)).then_some(Error::JogOutsideTravel)
+    }
+
+    /// Whether the settings allow no motion at all; then the host has been told which.
+    pub(super) fn motion_locked(&mut self) -> Option<Error> {
+        let setting = self.settings.unrunnable(self.profile.safe_step_hz)?;
+        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+        Some(Error::Locked)
+    }
+
+    /// Whether a motion ends (or turns) outside of the travel, with soft limits on.
+    pub(super) fn leaves_travel(&self, checked: &Checked<N>) -> bool {
+        let travel = self.settings.axes(AxisKey::Travel);
+        let outside = |place: &PerAxis<Coordinate, N>| {
+            place
+                .zip(&travel, |p, t| p > Coordinate::ZERO || p < -Coordinate::from_mm_f32(t))
+                .iter()
+                .any(|outside| *outside)
+        };
+        self.settings.is_on(Key::SoftLimits)
+            && match &checked.motion {
+                gcode::Motion::None => false,
+                gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+                gcode::Motion::Arc(arc) => outside(&arc.target),
+                gcode::Motion::Probe { target, .. } => outside(target),
+            }
+    }
+
+    /// Answers a line that has been carried out.
+    pub(super) fn finish(&mut self, answer: Answer) {
+        self.task = Task::None;
+        match answer {
+            Answer::Host => self.say(report::ok),
+            Answer::Startup(index, host_waits) => {
+                self.say(report::ok);
+                self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
+            }
+            Answer::Validation(index, line) => self.store_startup_line(index, line),
+            Answer::Restart => {
+                self.say(report::ok);
+                self.initialise();
+            }
+        }
+    }
+}
+
+fn speed(feed: Feed) -> Speed {
+    match feed {
+        Feed::Rapid => Speed::Rapid,
+        Feed::PerMinute(speed) => Speed::Feed(speed),
+        Feed::InverseTime(seconds) => Speed::Duration(seconds),
+    }
+}

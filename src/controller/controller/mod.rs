@@ -1,0 +1,851 @@
+//! The dispatcher: events in, outputs out. The only room that knows all the others.
+//!
+//! It promises that every call returns after a bounded piece of work: at most one line, one chord or one segment. What
+//! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and gone on with
+//! in a later call, so `?`, `!` and a reset are never late. Time is an argument.
+//!
+//! * this file: what comes in and what goes out, realtime commands, stops and resets
+//! * [`execute`]: a checked line of G-code is carried out, step by step
+//! * [`cycles`]: homing and probing
+//! * [`converse`]: lines are dispatched and `$` commands answered
+
+mod converse;
+mod cycles;
+mod execute;
+
+use crate::axes::PerAxis;
+use crate::error::{Alarm, Error};
+use crate::gcode::{Dialect, Interpreter, MotionMode};
+use crate::machine::realtime_override::Overrides;
+use crate::machine::spindle::SpindleRange;
+use crate::machine::state::{Door, Mode};
+use crate::messages::{
+    Chunk, Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
+    SpindleDirection, StepEvent, Store, ToStep, Wiring,
+};
+use crate::motion::{Motion, MotionSettings};
+use crate::protocol::line::{self, Line};
+use crate::protocol::report::{self, RareFields};
+use crate::protocol::text::{PIECE, Text};
+use crate::settings::{AxisKey, Key, Settings};
+use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_minute, per_second};
+use cycles::Probing;
+use execute::Task;
+
+/// Longest startup line and build info that is stored.
+const STORED_TEXT: usize = 80;
+/// Bytes of answers that wait for the serial task.
+const REPLY_BYTES: usize = 1024;
+/// How often the controller wants to be called while something moves, to refill the step queue.
+const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
+/// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
+const SPINDLE_RESTORE: Duration = Duration::from_ticks(4_000_000);
+/// From coolant on until motion goes on (Grbl's 1.0 s).
+const COOLANT_RESTORE: Duration = Duration::from_ticks(1_000_000);
+
+/// What the controller must know of the machine it runs on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Profile {
+    /// Name of the board.
+    pub name: &'static str,
+    /// Ticks of the step timer in a second.
+    pub step_clock_hz: u32,
+    /// Greatest step rate that the step task can follow, steps/s of one axis.
+    pub safe_step_hz: u32,
+    /// Whether settings outlive the power: if not, nothing is handed to a store.
+    pub has_store: bool,
+}
+
+/// Decides everything. `N` axes, look-ahead of `BLOCKS` moves.
+pub struct Controller<const N: usize, const BLOCKS: usize> {
+    profile: Profile,
+    settings: Settings<N>,
+    startup_lines: [heapless::Vec<u8, STORED_TEXT>; 2],
+    build_info: heapless::Vec<u8, STORED_TEXT>,
+    interpreter: Interpreter<N>,
+    motion: Motion<N, BLOCKS>,
+
+    line: Line,
+    /// A byte that came before the realtime command which opened its epoch.
+    held: Option<LineByte>,
+    /// Resets and jog cancels taken.
+    epoch: u8,
+    /// Bytes of older epochs are dropped: the epoch of the last reset.
+    reset_epoch: u8,
+    /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
+    jog_epoch: u8,
+    /// Epoch of the first byte of the current line.
+    line_epoch: u8,
+
+    mode: Mode,
+    alarm: Option<Alarm>,
+    /// Motion has been started and not come to its end.
+    running: bool,
+    input_ended: bool,
+    task: Task<N>,
+    overrides: Overrides,
+    spindle: SpindleDirection,
+    spindle_speed: f32,
+    /// 0x9E in a hold, or a door: the spindle stands although the program has it on.
+    spindle_stopped: bool,
+    coolant: Coolant,
+    /// Coolant that comes back when the door is closed.
+    door_coolant: Coolant,
+    probed: PerAxis<Coordinate, N>,
+    probe_succeeded: bool,
+    probing: Option<Probing>,
+    /// `ToStep::Watch` that has to be given out.
+    probe_watch: Option<ToStep>,
+    signals: Signals,
+    /// When the drivers go off after the last motion (`$1`).
+    drivers_off_at: Option<Instant>,
+    drivers_on: bool,
+
+    observed: Observed,
+    stop: StopState,
+    rare_fields: RareFields,
+    /// `?` has been asked and not yet answered.
+    status_due: bool,
+    replies: heapless::Deque<u8, REPLY_BYTES>,
+    pins_sent: Option<SlowOutputs>,
+    wiring_sent: Option<Wiring>,
+    stores: heapless::Deque<Store, 4>,
+    /// Stores that have not been answered yet.
+    unstored: u8,
+    store_failed: bool,
+    now: Instant,
+}
+
+/// Stops asked for and stops that have happened.
+#[derive(Clone, Copy, Debug, Default)]
+struct StopState {
+    /// A stop is awaited, and why.
+    awaited: Option<StopReason>,
+    /// Stops that must have happened before it is over (wrapping).
+    expected: u8,
+    /// Stops that have happened (wrapping).
+    seen: u8,
+    /// The machine was stepping at one of them.
+    moving: bool,
+    /// `Output::Stop` has to be given out.
+    order: bool,
+    /// `ToStep::Resume` has to be given out.
+    resume: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StopReason {
+    Reset,
+    Alarm(Alarm),
+    /// A homing switch.
+    Switch,
+}
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// A controller with default settings. Stored records follow with [`Controller::restore`], then
+    /// [`Controller::start`].
+    pub fn new(profile: Profile) -> Self {
+        let settings = Settings::default();
+        let motion = Motion::new(motion_settings(&settings, &profile));
+        Self {
+            profile,
+            settings,
+            startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
+            build_info: heapless::Vec::new(),
+            interpreter: Interpreter::new(),
+            motion,
+            line: Line::new(),
+            held: None,
+            epoch: 0,
+            reset_epoch: 0,
+            jog_epoch: 0,
+            line_epoch: 0,
+            mode: Mode::Normal,
+            alarm: None,
+            running: false,
+            input_ended: false,
+            task: Task::None,
+            overrides: Overrides::default(),
+            spindle: SpindleDirection::Off,
+            spindle_speed: 0.0,
+            spindle_stopped: false,
+            coolant: Coolant::default(),
+            door_coolant: Coolant::default(),
+            probed: PerAxis::default(),
+            probe_succeeded: false,
+            probing: None,
+            probe_watch: None,
+            signals: Signals::default(),
+            drivers_off_at: None,
+            drivers_on: false,
+            observed: Observed { step_idle: true, rx_free: LINES_DEPTH as u16, ..Observed::default() },
+            stop: StopState::default(),
+            rare_fields: RareFields::default(),
+            status_due: false,
+            replies: heapless::Deque::new(),
+            pins_sent: None,
+            wiring_sent: None,
+            stores: heapless::Deque::new(),
+            unstored: 0,
+            store_failed: false,
+            now: Instant::from_ticks(0),
+        }
+    }
+
+    /// Power-up is complete: greets the host and runs the startup lines.
+    pub fn start(&mut self, now: Instant) {
+        self.now = now;
+        self.reconfigure();
+        if self.settings.is_on(Key::Homing) {
+            self.mode = Mode::Alarm;
+        }
+        self.initialise();
+    }
+
+    /// What the pump sees of the step task and the line queue. To be called before events and outputs.
+    pub fn observe(&mut self, observed: Observed) {
+        self.observed = observed;
+        self.motion.observe(&observed);
+    }
+
+    /// Something happened at `now`.
+    pub fn event(&mut self, now: Instant, event: Event<N>) {
+        self.now = now;
+        match event {
+            Event::Realtime(command) => self.realtime(command),
+            Event::Line(byte) => self.line_byte(byte),
+            Event::Overrun => {
+                self.line.damage();
+                self.say(|out| report::message(out, "Received bytes lost"));
+            }
+            Event::Step(event) => self.step_event(&event),
+            Event::Signals(signals) => self.signals_changed(signals),
+            Event::Stored => self.unstored = self.unstored.saturating_sub(1),
+            Event::StoreFailed => {
+                self.unstored = self.unstored.saturating_sub(1);
+                self.store_failed = true;
+            }
+            Event::Connected => self.say(report::welcome),
+        }
+    }
+
+    /// Whether a line byte may be given.
+    pub fn wants_line(&self) -> bool {
+        self.task.is_none()
+            && self.held.is_none()
+            && self.stop.awaited.is_none()
+            && !self.mode.is_suspended()
+            && self.has_reply_room()
+    }
+
+    /// When the controller wants to be called although nothing happens.
+    pub fn next_wakeup(&self) -> Option<Instant> {
+        let moving = (self.running || !self.motion.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
+        let door = match self.mode {
+            Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
+            _ => None,
+        };
+        [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+    }
+
+    /// Whether nothing is queued, moving, waited for or unanswered.
+    pub fn is_idle(&self) -> bool {
+        self.task.is_none()
+            && self.stop.awaited.is_none()
+            && !self.stop.order
+            && !self.stop.resume
+            && self.motion.is_idle()
+            && self.replies.is_empty()
+            && self.unstored == 0
+            && !self.status_due
+    }
+
+    /// No more bytes will come: what is queued is started.
+    pub fn input_ended(&mut self) {
+        self.input_ended = true;
+    }
+
+    /// Where the machine is.
+    pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
+        self.motion.machine_position()
+    }
+
+    /// Where the machine is in the active coordinate system.
+    pub fn work_position(&self) -> PerAxis<Coordinate, N> {
+        self.machine_position().zip(&self.interpreter.work_offset(), |m, o| m - o)
+    }
+
+    /// The alarm that holds, if any.
+    pub fn alarm(&self) -> Option<Alarm> {
+        self.alarm
+    }
+
+    /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
+    pub fn is_paused(&self) -> bool {
+        self.mode == Mode::Hold && self.motion.is_at_rest()
+    }
+
+    /// The next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
+    pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
+        self.now = now;
+        self.settle();
+        if self.stop.order {
+            self.stop.order = false;
+            return Some(Output::Stop);
+        }
+        if let Some(pins) = self.changed_pins() {
+            return Some(Output::Pins(pins));
+        }
+        if let Some(wiring) = self.changed_wiring() {
+            return Some(Output::Wiring(wiring));
+        }
+        if let Some(store) = self.stores.pop_front() {
+            return Some(Output::Store(store));
+        }
+        if self.status_due && self.has_reply_room() {
+            self.status_due = false;
+            self.report_status();
+        }
+        if room.reply
+            && let Some(chunk) = self.reply_chunk()
+        {
+            return Some(Output::Reply(chunk));
+        }
+        if self.go_on() {
+            return Some(Output::Worked);
+        }
+        self.auto_start();
+        if room.step
+            && let Some(message) = self.to_step()
+        {
+            return Some(Output::Step(message));
+        }
+        None
+    }
+
+    fn to_step(&mut self) -> Option<ToStep> {
+        if self.stop.awaited.is_some() {
+            return None;
+        }
+        if self.stop.resume {
+            self.stop.resume = false;
+            return Some(ToStep::Resume { stops: self.stop.seen });
+        }
+        if self.mode.is_alarm() || self.mode == Mode::Sleep {
+            return None;
+        }
+        if let Some(watch) = self.probe_watch.take() {
+            return Some(watch);
+        }
+        let message = self.motion.next(&self.observed);
+        if message.is_some() {
+            self.drivers_on = true;
+            self.drivers_off_at = None;
+        }
+        message
+    }
+
+    /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
+    fn settle(&mut self) {
+        if self.running && self.motion.is_idle() {
+            self.running = false;
+            self.start_idle_delay();
+        }
+        match self.mode {
+            Mode::Jog { cancelling } if self.motion.is_at_rest() && (cancelling || self.motion.is_idle()) => {
+                if self.task.is_none() || cancelling {
+                    self.end_jog();
+                }
+            }
+            Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
+                self.door_coolant = self.coolant;
+                self.coolant = Coolant::default();
+                self.spindle_stopped = true;
+                self.rare_fields.overrides_changed();
+                self.mode = Mode::Door(Door::Parked);
+            }
+            Mode::Door(Door::SpindleRestoring(until)) if self.now >= until => {
+                self.coolant = self.door_coolant;
+                self.rare_fields.overrides_changed();
+                self.mode = Mode::Door(Door::CoolantRestoring(self.now + COOLANT_RESTORE));
+            }
+            Mode::Door(Door::CoolantRestoring(until)) if self.now >= until => {
+                self.leave_hold();
+            }
+            _ => {}
+        }
+        if self.drivers_off_at.is_some_and(|at| self.now >= at) {
+            self.drivers_off_at = None;
+            self.drivers_on = false;
+        }
+    }
+
+    fn start_idle_delay(&mut self) {
+        // $1=255 keeps the drivers on for ever.
+        if let delay @ 0..=254 = self.settings.whole(Key::IdleDelay) {
+            self.drivers_off_at = Some(self.now + Duration::millis(u64::from(delay)));
+        }
+    }
+
+    fn end_jog(&mut self) {
+        self.motion.discard();
+        self.task.forget_jog();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.mode = Mode::Normal;
+        self.running = false;
+        self.start_idle_delay();
+    }
+
+    /// Starts queued motion when there is no reason to wait for more of it.
+    fn auto_start(&mut self) {
+        let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
+        if self.mode == Mode::Normal && !self.running && !self.motion.is_idle() && self.task.is_none() && no_more {
+            self.start_motion();
+        }
+    }
+
+    fn start_motion(&mut self) {
+        if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home) {
+            self.running = true;
+            self.motion.start();
+        }
+    }
+
+    // Realtime commands
+
+    fn realtime(&mut self, command: Realtime) {
+        match command {
+            Realtime::Reset => {
+                self.epoch = self.epoch.wrapping_add(1);
+                self.reset_epoch = self.epoch;
+                self.jog_epoch = self.epoch;
+                self.begin_stop(StopReason::Reset);
+                self.release_held();
+            }
+            Realtime::Status => self.status_due = true,
+            Realtime::CycleStart => self.cycle_start(),
+            Realtime::FeedHold => self.feed_hold(),
+            Realtime::SafetyDoor => self.open_door(),
+            Realtime::JogCancel => {
+                self.epoch = self.epoch.wrapping_add(1);
+                if matches!(self.mode, Mode::Jog { .. }) {
+                    self.jog_epoch = self.epoch;
+                    self.cancel_jog();
+                }
+                self.release_held();
+            }
+            Realtime::SpindleStop => {
+                if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
+                    self.spindle_stopped = !self.spindle_stopped;
+                    self.rare_fields.overrides_changed();
+                }
+            }
+            Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
+            Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
+            Realtime::MistToggle => {}
+            _ => self.set_overrides(self.overrides.after(command)),
+        }
+    }
+
+    fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
+        if matches!(self.mode, Mode::Normal | Mode::Hold) {
+            change(&mut self.coolant);
+            self.interpreter.set_coolant(self.coolant);
+            self.rare_fields.overrides_changed();
+        }
+    }
+
+    fn set_overrides(&mut self, overrides: Overrides) {
+        if overrides != self.overrides {
+            self.overrides = overrides;
+            self.motion.set_overrides(f32::from(overrides.feed) / 100.0, f32::from(overrides.rapid) / 100.0);
+            self.rare_fields.overrides_changed();
+        }
+    }
+
+    fn cycle_start(&mut self) {
+        match self.mode {
+            Mode::Normal => self.start_motion(),
+            Mode::Hold if self.motion.is_at_rest() => self.leave_hold(),
+            Mode::Door(Door::Parked) if !self.signals.door => {
+                self.spindle_stopped = false;
+                self.rare_fields.overrides_changed();
+                // Nothing to wait for when the program has neither spindle nor coolant on.
+                if self.spindle == SpindleDirection::Off && self.door_coolant == Coolant::default() {
+                    self.leave_hold();
+                } else {
+                    let delay = if self.spindle == SpindleDirection::Off || self.settings.is_on(Key::Laser) {
+                        Duration::millis(0)
+                    } else {
+                        SPINDLE_RESTORE
+                    };
+                    self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// A hold or a door is over: motion, a dwell or the lines that waited go on.
+    fn leave_hold(&mut self) {
+        if self.spindle_stopped {
+            self.spindle_stopped = false;
+            self.rare_fields.overrides_changed();
+        }
+        self.mode = Mode::Normal;
+        self.task.resume(self.now);
+        self.motion.resume();
+        if !self.motion.is_idle() {
+            self.start_motion();
+        }
+    }
+
+    fn feed_hold(&mut self) {
+        match self.mode {
+            Mode::Normal => {
+                self.motion.hold();
+                self.task.suspend(self.now);
+                self.mode = Mode::Hold;
+                if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
+                    self.spindle_stopped = true;
+                }
+            }
+            Mode::Jog { .. } => self.cancel_jog(),
+            _ => {}
+        }
+    }
+
+    fn cancel_jog(&mut self) {
+        self.motion.hold();
+        self.task.forget_jog();
+        self.mode = Mode::Jog { cancelling: true };
+    }
+
+    fn open_door(&mut self) {
+        match self.mode {
+            Mode::Jog { .. } => {
+                self.motion.hold();
+                self.task.forget_jog();
+            }
+            Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
+                self.motion.hold();
+                self.task.suspend(self.now);
+            }
+            Mode::Home => {
+                self.stop.order = true;
+                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
+                return;
+            }
+            _ => return,
+        }
+        self.say(|out| report::message(out, "Check Door"));
+        self.mode = Mode::Door(Door::Braking);
+    }
+
+    fn signals_changed(&mut self, signals: Signals) {
+        let before = core::mem::replace(&mut self.signals, signals);
+        if signals.reset && !before.reset {
+            // The button stands for 0x18, but no splitter has counted it.
+            self.stop.order = true;
+            self.begin_stop(StopReason::Reset);
+        }
+        if self.mode == Mode::Home {
+            self.home_switch();
+        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+            self.stop.order = true;
+            self.begin_stop(StopReason::Alarm(Alarm::HardLimit));
+        }
+        if signals.door && !before.door {
+            self.open_door();
+        }
+        if signals.hold && !before.hold {
+            self.feed_hold();
+        }
+        if signals.start && !before.start {
+            self.cycle_start();
+        }
+    }
+
+    // Stops
+
+    fn begin_stop(&mut self, reason: StopReason) {
+        self.stop.expected = self.stop.expected.wrapping_add(1);
+        // A reset wins over an alarm that is still being carried out: the alarm is told of all the same by `moving`.
+        if self.stop.awaited != Some(StopReason::Reset) {
+            self.stop.awaited = Some(reason);
+        }
+        self.finish_stop();
+    }
+
+    fn step_event(&mut self, event: &StepEvent<N>) {
+        match *event {
+            StepEvent::Stopped { stops, moving, position } => {
+                self.stop.seen = stops;
+                self.stop.moving |= moving;
+                self.motion.stopped(&position);
+            }
+            StepEvent::Probed { position } => {
+                self.probe_contact(&position);
+                return;
+            }
+            StepEvent::Underrun { stops, position } => {
+                self.stop.seen = stops;
+                self.stop.expected = self.stop.expected.wrapping_add(1);
+                self.stop.moving = true;
+                self.motion.stopped(&position);
+                if self.stop.awaited.is_none() {
+                    self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
+                }
+            }
+        }
+        self.finish_stop();
+    }
+
+    /// Goes on after a stop, once every stop that was asked for has happened.
+    fn finish_stop(&mut self) {
+        let Some(reason) = self.stop.awaited else { return };
+        if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
+            return;
+        }
+        let moving = self.stop.moving;
+        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
+        self.running = false;
+        self.probing = None;
+        self.probe_watch = None;
+        if reason == StopReason::Switch {
+            // Homing goes on from here.
+            self.motion.discard();
+            return;
+        }
+        self.spindle = SpindleDirection::Off;
+        self.coolant = Coolant::default();
+        match reason {
+            StopReason::Switch => {}
+            StopReason::Reset => self.finish_reset(moving),
+            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
+            StopReason::Alarm(alarm) => {
+                self.motion.discard();
+                self.interpreter.set_position(self.motion.machine_position());
+                self.raise(alarm);
+                if alarm == Alarm::Underrun {
+                    self.task.fail(Error::Locked);
+                    self.mode = Mode::Alarm;
+                } else {
+                    self.say(|out| report::message(out, "Reset to continue"));
+                    self.mode = Mode::Critical;
+                }
+            }
+        }
+    }
+
+    fn finish_reset(&mut self, moving: bool) {
+        self.motion.discard();
+        self.line.clear();
+        if moving || self.mode == Mode::Home {
+            let homing = self.mode == Mode::Home;
+            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
+            self.mode = Mode::Alarm;
+        }
+        if self.mode == Mode::Sleep || self.mode == Mode::Critical {
+            self.mode = Mode::Alarm;
+        }
+        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
+        if self.task.answers_host() {
+            self.say(report::ok);
+        }
+        self.task = Task::None;
+        self.interpreter.reset();
+        if !self.mode.is_alarm() {
+            self.mode = Mode::Normal;
+        }
+        self.initialise();
+    }
+
+    fn raise(&mut self, alarm: Alarm) {
+        self.alarm = Some(alarm);
+        self.say(|out| report::alarm(out, alarm.code()));
+        if alarm == Alarm::Underrun {
+            self.say(|out| report::message(out, "Motion data ran out"));
+        }
+    }
+
+    /// What every power-up and reset ends with.
+    fn initialise(&mut self) {
+        self.spindle = SpindleDirection::Off;
+        self.spindle_speed = 0.0;
+        self.spindle_stopped = false;
+        self.coolant = Coolant::default();
+        self.overrides = Overrides::default();
+        self.motion.set_overrides(1.0, 1.0);
+        self.reconfigure();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.probed = PerAxis::default();
+        self.probe_succeeded = false;
+        self.rare_fields = RareFields::default();
+        self.status_due = false;
+        self.say(report::welcome);
+        if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
+            self.mode = Mode::Alarm;
+            self.say(|out| report::message(out, "Check Limits"));
+        }
+        if self.mode == Mode::Alarm {
+            self.say(|out| report::message(out, "'$H'|'$X' to unlock"));
+        } else {
+            self.alarm = None;
+            if self.signals.door {
+                self.open_door();
+            }
+            self.task = Task::Startup(0, None);
+        }
+    }
+
+    // Outputs
+
+    fn dialect(&self) -> Dialect {
+        match self.settings.whole(Key::Dialect) {
+            0 => Dialect::Grbl,
+            2 => Dialect::Seed,
+            _ => Dialect::Oxmill,
+        }
+    }
+
+    fn line_rules(&self) -> line::Rules {
+        match self.dialect() {
+            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false },
+            _ => line::Rules { length: line::LENGTH, merge_crlf: true },
+        }
+    }
+
+    fn spindle_range(&self) -> SpindleRange {
+        SpindleRange {
+            maximum: self.settings.value(Key::SpindleMaximum),
+            minimum: self.settings.value(Key::SpindleMinimum),
+        }
+    }
+
+    /// Power and speed of the spindle as it turns now.
+    fn spindle_output(&self) -> (u16, f32) {
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
+            (0, 0.0)
+        } else {
+            self.spindle_range().output(self.spindle_speed, self.overrides.spindle)
+        }
+    }
+
+    /// A laser with constant power (M3) stays on between feed motions.
+    fn burns_at_rest(&self) -> bool {
+        matches!(
+            self.interpreter.modal().motion,
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
+        )
+    }
+
+    fn changed_pins(&mut self) -> Option<SlowOutputs> {
+        let (power, _) = self.spindle_output();
+        let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
+        let pins = SlowOutputs {
+            spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
+            // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
+            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
+                0
+            } else {
+                power
+            },
+            power_from_segments: laser,
+            coolant: self.coolant,
+            drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
+        };
+        (self.pins_sent != Some(pins)).then(|| {
+            self.pins_sent = Some(pins);
+            pins
+        })
+    }
+
+    fn changed_wiring(&mut self) -> Option<Wiring> {
+        let s = &self.settings;
+        let wiring = Wiring {
+            pulse_us: s.whole(Key::StepPulse) as u8,
+            direction_setup_us: s.whole(Key::DirectionSetup) as u8,
+            step_invert: s.whole(Key::StepInvert) as u8,
+            direction_invert: s.whole(Key::DirectionInvert) as u8,
+            enable_invert: s.is_on(Key::EnableInvert),
+            limit_invert: s.is_on(Key::LimitInvert),
+            probe_invert: s.is_on(Key::ProbeInvert),
+        };
+        (self.wiring_sent != Some(wiring)).then(|| {
+            self.wiring_sent = Some(wiring);
+            wiring
+        })
+    }
+
+    fn has_reply_room(&self) -> bool {
+        self.replies.capacity() - self.replies.len() >= 2 * PIECE
+    }
+
+    /// Makes a piece of answer. There is always room: whoever can wait asks `has_reply_room` first, and what cannot (an
+    /// alarm, a message) is short.
+    fn say(&mut self, make: impl FnOnce(&mut Text)) {
+        let mut text = Text::new();
+        make(&mut text);
+        for byte in text {
+            if self.replies.push_back(byte).is_err() {
+                return;
+            }
+        }
+    }
+
+    fn reply_chunk(&mut self) -> Option<Chunk> {
+        let mut chunk = Chunk { len: 0, bytes: [0; 15] };
+        for slot in &mut chunk.bytes {
+            let Some(byte) = self.replies.pop_front() else { break };
+            *slot = byte;
+            chunk.len += 1;
+        }
+        (chunk.len > 0).then_some(chunk)
+    }
+
+    fn report_status(&mut self) {
+        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
+        let (show_offset, show_overrides) = self.rare_fields.next(busy);
+        let mask = self.settings.whole(Key::StatusReport);
+        let (_, speed) = self.spindle_output();
+        let grbl = self.dialect() == Dialect::Grbl;
+        let line = self.motion.line_number();
+        let status = report::Status {
+            state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
+            machine: self.motion.machine_position(),
+            offset: self.interpreter.work_offset(),
+            show_machine: mask & 1 != 0,
+            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
+            line: (line > 0 && !grbl).then_some(line),
+            feed: per_minute(self.motion.speed()),
+            speed,
+            pins: self.signals,
+            show_offset,
+            overrides: show_overrides.then(|| {
+                let spindle = if self.spindle_stopped { SpindleDirection::Off } else { self.spindle };
+                ([self.overrides.feed, self.overrides.rapid, self.overrides.spindle], spindle, self.coolant)
+            }),
+        };
+        let inches = self.settings.is_on(Key::ReportInches);
+        self.say(|out| report::status(out, &status, inches));
+    }
+
+    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
+    fn reconfigure(&mut self) {
+        self.motion.configure(motion_settings(&self.settings, &self.profile));
+    }
+}
+
+/// The settings as motion wants them. A resolution that cannot be used stands as 1: motion is locked until
+/// it is mended (`Settings::unrunnable`).
+fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) -> MotionSettings<N> {
+    MotionSettings {
+        steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
+        max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
+        acceleration: settings.axes(AxisKey::Acceleration),
+        junction_deviation: settings.value(Key::JunctionDeviation),
+        arc_tolerance: settings.value(Key::ArcTolerance),
+        step_clock_hz: profile.step_clock_hz,
+    }
+}

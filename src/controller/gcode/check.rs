@@ -1,0 +1,670 @@
+//! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
+//! Grbl looks; the first fault wins.
+
+use super::Dialect;
+use super::arc::{self, Vector};
+use super::interpreter::Interpreter;
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PlaneAxes, Units};
+use super::offsets::{StoredOffset, TOOL_AXIS};
+use super::parse::Parsed;
+use super::word::{Claim, Letters, MWord, NonModal, ToolLength};
+use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::error::Error;
+use crate::messages::{Coolant, SpindleDirection};
+use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration, per_second};
+
+/// Greatest line number.
+const LINE_NUMBER_MAX: i32 = 10_000_000;
+/// Most turns that P may give an arc.
+const TURNS_MAX: i32 = 1_000_000;
+
+/// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
+/// `Interpreter::commit` takes over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checked<const N: usize> {
+    /// N; 0 if there is none.
+    pub line_number: u32,
+    /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
+    pub spindle: Option<SpindleDirection>,
+    /// Whether S differs from what was in force.
+    pub speed_changed: bool,
+    /// S in revolutions per minute, in force from here on.
+    pub speed: f32,
+    /// The coolant's new state, if it changes before the motion.
+    pub coolant: Option<Coolant>,
+    /// How long to wait before the motion.
+    pub dwell: Option<Duration>,
+    /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
+    pub work_offset_changed: bool,
+    /// The stored place that gets a new value at the commit.
+    pub store: Option<StoredOffset>,
+    /// The motion.
+    pub motion: Motion<N>,
+    /// What follows the motion.
+    pub flow: Flow,
+    pub(super) modal: Modal,
+    pub(super) g92: PerAxis<Coordinate, N>,
+    pub(super) tool_length: Coordinate,
+    pub(super) stored: Option<PerAxis<Coordinate, N>>,
+    pub(super) position: PerAxis<Coordinate, N>,
+}
+
+impl<const N: usize> Checked<N> {
+    /// The modal state afterwards.
+    pub fn modal(&self) -> &Modal {
+        &self.modal
+    }
+
+    /// The machine position afterwards.
+    pub fn position(&self) -> &PerAxis<Coordinate, N> {
+        &self.position
+    }
+
+    /// What leaves everything as it is.
+    pub(super) fn of_state(state: &Interpreter<N>) -> Self {
+        Self {
+            line_number: 0,
+            spindle: None,
+            speed_changed: false,
+            speed: state.modal.speed,
+            coolant: None,
+            dwell: None,
+            work_offset_changed: false,
+            store: None,
+            motion: Motion::None,
+            flow: Flow::None,
+            modal: state.modal,
+            g92: state.offsets.g92,
+            tool_length: state.offsets.tool_length,
+            stored: None,
+            position: state.position,
+        }
+    }
+}
+
+/// The motion of a line, in machine coordinates. Every target is within [`Coordinate::LIMIT`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion<const N: usize> {
+    /// Nothing moves.
+    None,
+    /// A straight move.
+    Line {
+        /// Where G28 and G30 pass through, with a rapid.
+        via: Option<PerAxis<Coordinate, N>>,
+        /// Where it ends.
+        target: PerAxis<Coordinate, N>,
+        /// How fast.
+        feed: Feed,
+    },
+    /// An arc or helix.
+    Arc(ArcMove<N>),
+    /// A straight move until the probe changes.
+    Probe {
+        /// Where it ends if the probe does not change.
+        target: PerAxis<Coordinate, N>,
+        /// How fast.
+        feed: Feed,
+        /// Waits for the loss of contact instead of contact.
+        away: bool,
+        /// No change is an alarm.
+        alarm: bool,
+    },
+}
+
+/// An arc from `start` to `target` round a centre. The axes outside its plane move evenly meanwhile. Start and target
+/// are as far from the centre within the tolerance of the check (0.005 mm or, below 0.5 mm, 0.1 % of the radius).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArcMove<const N: usize> {
+    /// Where it begins.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends. If it is the start (within the plane), the arc is a full circle.
+    pub target: PerAxis<Coordinate, N>,
+    /// The plane.
+    pub axes: PlaneAxes,
+    /// The centre along the first axis of the plane, from the start.
+    pub i: Coordinate,
+    /// The centre along the second axis of the plane, from the start.
+    pub j: Coordinate,
+    /// G2 instead of G3.
+    pub clockwise: bool,
+    /// Full turns before the arc.
+    pub turns: u32,
+    /// How fast.
+    pub feed: Feed,
+}
+
+/// Speed of a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Feed {
+    /// As fast as the machine allows.
+    Rapid,
+    /// G94: along the path, in mm/s.
+    PerMinute(f32),
+    /// G93: seconds for the whole motion.
+    InverseTime(f32),
+}
+
+/// What follows a line's motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Flow {
+    /// The next line.
+    #[default]
+    None,
+    /// M0.
+    Pause,
+    /// M1.
+    OptionalPause,
+    /// M2, M30: spindle and coolant stop, overrides go back to 100 %.
+    End,
+}
+
+/// What a line is checked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    Program,
+    Jog,
+}
+
+/// Checks the words of a line.
+pub(super) fn check<const N: usize>(
+    state: &Interpreter<N>,
+    line: &Parsed<N>,
+    dialect: Dialect,
+    purpose: Purpose,
+) -> Result<Checked<N>, Error> {
+    let mut check = Check::begin(state, line, dialect, purpose);
+    check.line_number()?;
+    check.feed()?;
+    check.speed_and_tool();
+    check.spindle_and_coolant();
+    check.parking_override();
+    check.dwell()?;
+    check.tool_length()?;
+    check.non_modal()?;
+    check.motion()?;
+    check.unused_words()?;
+    Ok(check.finish())
+}
+
+/// A line half checked.
+struct Check<'a, const N: usize> {
+    state: &'a Interpreter<N>,
+    line: &'a Parsed<N>,
+    dialect: Dialect,
+    purpose: Purpose,
+    /// Who uses the axis words, the implied motion included.
+    claim: Claim,
+    /// Value words that no step has asked for yet.
+    unused: Letters,
+    /// The result so far; its modal state is the one that the line's own words have set.
+    checked: Checked<N>,
+}
+
+impl<'a, const N: usize> Check<'a, N> {
+    /// The line's modal words over the modal state; axis words that no command asks for belong to the motion mode.
+    fn begin(state: &'a Interpreter<N>, line: &'a Parsed<N>, dialect: Dialect, purpose: Purpose) -> Self {
+        let mut checked = Checked::of_state(state);
+        let modal = &mut checked.modal;
+        if purpose == Purpose::Jog {
+            modal.motion = MotionMode::Linear;
+            modal.feed_mode = FeedMode::PerMinute;
+        }
+        if let Some(motion) = line.motion {
+            modal.motion = motion;
+        } else if dialect == Dialect::Seed
+            && modal.motion == MotionMode::Cancelled
+            && line.claim == Claim::Nobody
+            && !line.axes.is_empty()
+        {
+            modal.motion = modal.straight;
+        }
+        if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
+            modal.straight = modal.motion;
+        }
+        modal.plane = line.plane.unwrap_or(modal.plane);
+        modal.distance = line.distance.unwrap_or(modal.distance);
+        modal.arc_distance = line.arc_distance.unwrap_or(modal.arc_distance);
+        modal.feed_mode = line.feed_mode.unwrap_or(modal.feed_mode);
+        modal.units = line.units.unwrap_or(modal.units);
+        modal.coordinate_system = line.coordinate_system.unwrap_or(modal.coordinate_system);
+        let claim = match line.claim {
+            Claim::Nobody if !line.axes.is_empty() => Claim::Motion,
+            claim => claim,
+        };
+        Self { state, line, dialect, purpose, claim, unused: line.values, checked }
+    }
+
+    fn line_number(&mut self) -> Result<(), Error> {
+        let number = self.line.n.truncate();
+        if number > LINE_NUMBER_MAX {
+            return Err(Error::InvalidLineNumber);
+        }
+        self.checked.line_number = number.unsigned_abs();
+        Ok(())
+    }
+
+    /// F holds on in G94 only: with G93 each motion needs its own, and a change of the mode leaves none.
+    fn feed(&mut self) -> Result<(), Error> {
+        let given = self.line.values.has(b'F');
+        let modal = self.checked.modal;
+        self.checked.modal.feed = match (modal.feed_mode, given) {
+            (_, false) if self.purpose == Purpose::Jog => return Err(Error::UndefinedFeed),
+            (FeedMode::InverseTime, true) => self.line.f,
+            (FeedMode::InverseTime, false) => {
+                let needed = !matches!(modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
+                if needed && self.claim == Claim::Motion {
+                    return Err(Error::UndefinedFeed);
+                }
+                Decimal::ZERO
+            }
+            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.f).0),
+            (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
+            (FeedMode::PerMinute, false) => Decimal::ZERO,
+        };
+        Ok(())
+    }
+
+    fn speed_and_tool(&mut self) {
+        let (line, modal) = (self.line, &mut self.checked.modal);
+        if line.values.has(b'S') {
+            modal.speed = line.s.to_f32();
+        }
+        if line.values.has(b'T') {
+            modal.tool = u8::try_from(line.t.truncate()).unwrap_or(u8::MAX);
+        } else if self.dialect == Dialect::Grbl {
+            modal.tool = 0;
+        }
+        self.checked.speed = self.checked.modal.speed;
+        self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
+    }
+
+    fn spindle_and_coolant(&mut self) {
+        let (line, modal) = (self.line, &mut self.checked.modal);
+        modal.spindle = line.spindle.unwrap_or(modal.spindle);
+        match line.coolant {
+            Some(MWord::Mist) => modal.coolant.mist = true,
+            Some(MWord::Flood) => modal.coolant.flood = true,
+            Some(_) => modal.coolant = Coolant::default(),
+            None => {}
+        }
+        let (before, modal) = (&self.state.modal, &self.checked.modal);
+        self.checked.spindle = (modal.spindle != before.spindle).then_some(modal.spindle);
+        self.checked.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
+    }
+
+    /// M56 alone and with P other than 0 is on, with P0 off.
+    fn parking_override(&mut self) {
+        if self.line.parking_override {
+            self.checked.modal.parking_override = !self.line.values.has(b'P') || self.line.p != Decimal::ZERO;
+            self.unused.remove(Letters::of(b"P"));
+        }
+    }
+
+    fn dwell(&mut self) -> Result<(), Error> {
+        /// Units of a [`Decimal`] of seconds in a microsecond.
+        const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;
+        if self.line.non_modal != Some(NonModal::Dwell) {
+            return Ok(());
+        }
+        if !self.unused.has(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        self.unused.remove(Letters::of(b"P"));
+        let seconds = self.line.p.0.unsigned_abs();
+        self.checked.dwell = Some(Duration::micros((seconds + MICROSECOND / 2) / MICROSECOND));
+        Ok(())
+    }
+
+    fn tool_length(&mut self) -> Result<(), Error> {
+        match self.line.tool_length {
+            Some(ToolLength::Dynamic) => {
+                if self.line.axes != AxisMask::NONE.with(TOOL_AXIS) {
+                    return Err(Error::ToolLengthAxis);
+                }
+                self.checked.tool_length = self.axis_length(TOOL_AXIS);
+            }
+            Some(ToolLength::Cancel) => self.checked.tool_length = Coordinate::ZERO,
+            None => {}
+        }
+        Ok(())
+    }
+
+    fn non_modal(&mut self) -> Result<(), Error> {
+        match self.line.non_modal {
+            Some(NonModal::SetSystem) => self.set_system(),
+            Some(NonModal::SetOffset) => self.set_offset(),
+            Some(NonModal::Go(which)) => self.go(which),
+            Some(NonModal::StorePosition(which)) => {
+                self.checked.store = Some(which);
+                self.checked.stored = Some(self.state.position);
+                Ok(())
+            }
+            Some(NonModal::ClearOffset) => {
+                self.checked.g92 = PerAxis::all(Coordinate::ZERO);
+                Ok(())
+            }
+            Some(NonModal::MachineCoordinates) => match self.checked.modal.motion {
+                MotionMode::Rapid | MotionMode::Linear => Ok(()),
+                _ => Err(Error::G53NeedsMotion),
+            },
+            Some(NonModal::Dwell) | None => Ok(()),
+        }
+    }
+
+    /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets
+    /// the given coordinates. Distance mode plays no part.
+    fn set_system(&mut self) -> Result<(), Error> {
+        let line = self.line;
+        if line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        if !line.values.has(b'P') && !line.values.has(b'L') {
+            return Err(Error::ValueWordMissing);
+        }
+        let system = self.system_of(line.p.truncate())?;
+        let from_position = match line.l.truncate() {
+            2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
+            2 => false,
+            20 => true,
+            _ => return Err(Error::UnsupportedCommand),
+        };
+        self.unused.remove(Letters::of(b"LP"));
+        let which = StoredOffset::System(system);
+        let present = self.state.offsets.stored(which);
+        let volatile = self.state.offsets.volatile();
+        self.checked.store = Some(which);
+        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+            if from_position { self.position(axis) - along(&volatile, axis) - value } else { value }
+        }));
+        Ok(())
+    }
+
+    /// The system of G10's P: 0 is the active one.
+    fn system_of(&self, p: i32) -> Result<CoordinateSystem, Error> {
+        let count = if self.dialect == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        match usize::try_from(p) {
+            Ok(0) => Ok(self.checked.modal.coordinate_system),
+            Ok(p) => CoordinateSystem::ALL
+                .get(..count)
+                .and_then(|systems| systems.get(p - 1))
+                .copied()
+                .ok_or(Error::UnsupportedCoordinateSystem),
+            Err(_) => Err(Error::UnsupportedCoordinateSystem),
+        }
+    }
+
+    /// G92: the present position gets the given coordinates in whatever system is active.
+    fn set_offset(&mut self) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        let mut rest = self.state.offsets.system(self.checked.modal.coordinate_system);
+        rest.set(TOOL_AXIS, along(&rest, TOOL_AXIS) + self.state.offsets.tool_length);
+        self.checked.g92 = self
+            .with_axis_words(self.state.offsets.g92, |axis, value| self.position(axis) - along(&rest, axis) - value);
+        Ok(())
+    }
+
+    /// G28, G30: the named axes by way of the given point to the stored place; without axis words all, directly.
+    fn go(&mut self, which: StoredOffset) -> Result<(), Error> {
+        let stored = self.state.offsets.stored(which);
+        let (via, target) = if self.line.axes.is_empty() {
+            (None, stored)
+        } else {
+            let axes = self.line.axes;
+            let target =
+                PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
+            (Some(reachable(self.target())?), target)
+        };
+        self.checked.motion = Motion::Line { via, target: reachable(target)?, feed: Feed::Rapid };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    fn motion(&mut self) -> Result<(), Error> {
+        let mode = self.checked.modal.motion;
+        if mode == MotionMode::Cancelled {
+            // To Grbl axis words are an error here even if another command uses them.
+            let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
+            return if self.line.axes.is_empty() || used { Ok(()) } else { Err(Error::AxisWordsUnused) };
+        }
+        if self.claim != Claim::Motion {
+            return Ok(());
+        }
+        if mode != MotionMode::Rapid && self.checked.modal.feed == Decimal::ZERO {
+            return Err(Error::UndefinedFeed);
+        }
+        match mode {
+            MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
+            MotionMode::ArcClockwise => self.arc(true),
+            MotionMode::ArcCounterClockwise => self.arc(false),
+            MotionMode::Probe(_) => self.probe(mode),
+            MotionMode::Cancelled => Ok(()),
+        }
+    }
+
+    fn straight(&mut self, mode: MotionMode) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Ok(());
+        }
+        let target = reachable(self.target())?;
+        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
+        self.checked.motion = Motion::Line { via: None, target, feed };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    fn probe(&mut self, mode: MotionMode) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        let target = self.target();
+        if target == self.state.position {
+            return Err(Error::InvalidTarget);
+        }
+        let target = reachable(target)?;
+        if let MotionMode::Probe(mode) = mode {
+            let feed = self.feed_of_motion();
+            self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+            self.checked.position = target;
+        }
+        Ok(())
+    }
+
+    fn arc(&mut self, clockwise: bool) -> Result<(), Error> {
+        let axes = self.checked.modal.plane.axes();
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        if !self.line.axes.has(axes.first) && !self.line.axes.has(axes.second) {
+            return Err(Error::NoPlaneAxisForArc);
+        }
+        let start = self.state.position;
+        let mut target = self.target();
+        let mut chord = Vector::new(
+            along(&target, axes.first) - along(&start, axes.first),
+            along(&target, axes.second) - along(&start, axes.second),
+        );
+        let centre = if self.line.values.has(b'R') {
+            self.unused.remove(Letters::of(b"R"));
+            arc::centre_by_radius(chord, self.length(self.line.r), clockwise)?
+        } else {
+            let centre = self.centre(axes)?;
+            if !arc::radii_agree(chord, centre)? {
+                if self.dialect != Dialect::Seed {
+                    return Err(Error::InvalidTarget);
+                }
+                chord = arc::ray_crossing(chord, centre)?;
+                target.set(axes.first, along(&start, axes.first) + Coordinate(chord.first));
+                target.set(axes.second, along(&start, axes.second) + Coordinate(chord.second));
+            }
+            centre
+        };
+        let target = reachable(target)?;
+        let turns = self.turns()?;
+        let feed = self.feed_of_motion();
+        let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
+        // Without a radius there is nothing to go round; what is left is the way of the other axes.
+        self.checked.motion = if arc::is_point(centre) {
+            Motion::Line { via: None, target, feed }
+        } else {
+            Motion::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
+        };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    /// The centre of an arc in centre format, from its start.
+    fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
+        let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
+        let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
+        let absolute = self.dialect != Dialect::Grbl && self.checked.modal.arc_distance == ArcDistance::Absolute;
+        // As distances each is 0 unless given; of coordinates none can be guessed.
+        if !(has_first || has_second) || absolute && !(has_first && has_second) {
+            return Err(Error::NoPlaneOffsets);
+        }
+        self.unused.remove(Letters::of(b"IJK"));
+        let centre_along = |axis: Axis| {
+            let value = self.length(match axis {
+                Axis::X => self.line.i,
+                Axis::Y => self.line.j,
+                _ => self.line.k,
+            });
+            if absolute { value + self.work_offset(axis) - self.position(axis) } else { value }
+        };
+        Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
+    }
+
+    /// P of an arc: how many turns it takes, the last of them up to the target.
+    fn turns(&mut self) -> Result<u32, Error> {
+        if self.dialect == Dialect::Grbl || !self.unused.has(b'P') {
+            return Ok(0);
+        }
+        self.unused.remove(Letters::of(b"P"));
+        let turns = self.line.p.truncate();
+        if Decimal::from_int(turns) != self.line.p || !(1..=TURNS_MAX).contains(&turns) {
+            return Err(Error::IntegerRequired);
+        }
+        Ok(turns.unsigned_abs() - 1)
+    }
+
+    fn unused_words(&mut self) -> Result<(), Error> {
+        self.unused.remove(match self.purpose {
+            Purpose::Program => Letters::of(b"FNST"),
+            Purpose::Jog => Letters::of(b"FN"),
+        });
+        if self.claim != Claim::Nobody {
+            self.unused.remove(Letters::of(b"XYZABC"));
+        }
+        if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
+    }
+
+    fn finish(self) -> Checked<N> {
+        let mut checked = self.checked;
+        checked.flow = match self.line.flow {
+            Some(MWord::Pause) => Flow::Pause,
+            Some(MWord::OptionalPause) => Flow::OptionalPause,
+            Some(MWord::End) => Flow::End,
+            _ => Flow::None,
+        };
+        if checked.flow == Flow::End {
+            checked.modal.end_program();
+        }
+        let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
+        let system_changed = match (checked.store, checked.stored) {
+            (Some(StoredOffset::System(system)), Some(value)) if system == after => {
+                value != self.state.offsets.system(system)
+            }
+            _ => false,
+        };
+        checked.work_offset_changed = system_changed
+            || before != after
+            || checked.g92 != self.state.offsets.g92
+            || checked.tool_length != self.state.offsets.tool_length;
+        checked
+    }
+
+    /// Where the line's axis words lead to, in machine coordinates. Offsets are those before the line, the coordinate
+    /// system is the line's.
+    fn target(&self) -> PerAxis<Coordinate, N> {
+        let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
+        let incremental = self.checked.modal.distance == Distance::Incremental;
+        self.with_axis_words(self.state.position, |axis, value| {
+            if machine {
+                value
+            } else if incremental {
+                value + self.position(axis)
+            } else {
+                value + self.work_offset(axis)
+            }
+        })
+    }
+
+    /// `others`, with the axes that have a word replaced by what `place` makes of it.
+    fn with_axis_words(
+        &self,
+        others: PerAxis<Coordinate, N>,
+        place: impl Fn(Axis, Coordinate) -> Coordinate,
+    ) -> PerAxis<Coordinate, N> {
+        let mut result = others;
+        for axis in Axis::of_machine::<N>() {
+            if self.line.axes.has(axis) {
+                result.set(axis, place(axis, self.axis_length(axis)));
+            }
+        }
+        result
+    }
+
+    /// A length in the line's unit.
+    fn length(&self, value: Decimal) -> Coordinate {
+        match self.checked.modal.units {
+            Units::Mm => Coordinate::from_mm(value),
+            Units::Inch => Coordinate::from_inches(value),
+        }
+    }
+
+    /// The value of an axis word. Degrees stay degrees whatever the unit of lengths.
+    fn axis_length(&self, axis: Axis) -> Coordinate {
+        let value = self.line.axis.get(axis).unwrap_or(Decimal::ZERO);
+        match axis {
+            Axis::X | Axis::Y | Axis::Z => self.length(value),
+            Axis::A | Axis::B | Axis::C => Coordinate::from_mm(value),
+        }
+    }
+
+    fn position(&self, axis: Axis) -> Coordinate {
+        along(&self.state.position, axis)
+    }
+
+    fn work_offset(&self, axis: Axis) -> Coordinate {
+        let offsets = &self.state.offsets;
+        let sum = along(&offsets.system(self.checked.modal.coordinate_system), axis) + along(&offsets.g92, axis);
+        if axis == TOOL_AXIS { sum + offsets.tool_length } else { sum }
+    }
+
+    fn feed_of_motion(&self) -> Feed {
+        let feed = self.checked.modal.feed.to_f32();
+        match self.checked.modal.feed_mode {
+            FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
+            FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
+        }
+    }
+}
+
+/// The letter of an arc's centre along an axis.
+fn centre_letter(axis: Axis) -> u8 {
+    match axis {
+        Axis::X => b'I',
+        Axis::Y => b'J',
+        _ => b'K',
+    }
+}
+
+fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) -> Coordinate {
+    place.get(axis).unwrap_or(Coordinate::ZERO)
+}
+
+/// The place, if the controller may compute with it.
+fn reachable<const N: usize>(place: PerAxis<Coordinate, N>) -> Result<PerAxis<Coordinate, N>, Error> {
+    if place.iter().all(|coordinate| coordinate.in_range()) { Ok(place) } else { Err(Error::InvalidTarget) }
+}

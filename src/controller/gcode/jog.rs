@@ -1,0 +1,32 @@
+//! Jogs: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this line alone.
+
+use super::Context;
+use super::check::{self, Checked, Purpose};
+use super::interpreter::Interpreter;
+use super::parse::Parsed;
+use super::word::{Groups, NonModal};
+use crate::error::Error;
+
+/// Checks a jog. A jog is a G1 with G94 whatever the program has set. Words that a jog may not have are found after all
+/// that is wrong with them as words of a program.
+pub(super) fn check<const N: usize>(
+    state: &Interpreter<N>,
+    line: &[u8],
+    context: Context,
+) -> Result<Checked<N>, Error> {
+    let parsed = Parsed::read(line, context.dialect)?;
+    let checked = check::check(state, &parsed, context.dialect, Purpose::Jog)?;
+    if !parsed.groups.within(Groups::OF_JOGS) {
+        return Err(Error::InvalidJog);
+    }
+    match parsed.non_modal {
+        None | Some(NonModal::MachineCoordinates) => {}
+        Some(_) => return Err(Error::InvalidJog),
+    }
+    Ok(Checked {
+        line_number: checked.line_number,
+        motion: checked.motion,
+        position: checked.position,
+        ..Checked::of_state(state)
+    })
+}

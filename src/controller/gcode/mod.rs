@@ -1,0 +1,54 @@
+//! G-code: the text of one line becomes one [`Checked`] action, or an error and nothing at all.
+//!
+//! ```text
+//!  bytes ──parse──▶ Parsed ──check──▶ Checked ──commit──▶ modal state, offsets, program position
+//!         (words,            (meaning, in the             (only when the caller
+//!          groups)            order of Grbl)               carries the line out)
+//! ```
+//! Promises: a refused line changes nothing, and checking changes nothing either; every byte sequence gets an answer
+//! without panic or overflow; places are exact integers, so nothing drifts. Leaves to others: filtering and the line's
+//! length (`protocol`), carrying out what a line means (`controller`), the shape of arcs and speeds (`motion`), travel
+//! limits.
+
+mod arc;
+mod check;
+mod interpreter;
+mod jog;
+mod modal;
+mod number;
+mod offsets;
+mod parse;
+mod word;
+
+pub use check::{ArcMove, Checked, Feed, Flow, Motion};
+pub use interpreter::Interpreter;
+pub use modal::{
+    ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, Plane, PlaneAxes, ProbeMode, Units,
+};
+pub use number::{Digits, read};
+pub use offsets::{Offsets, StoredOffset};
+
+/// Whose meaning a program's words have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dialect {
+    /// As Grbl 1.1h, even where more is known: eight digits, six coordinate systems, T forgotten after its line, axis
+    /// words refused under a modal G80, and no M7, M56, G90.1 or turns of an arc.
+    Grbl,
+    /// Grbl's meaning of all that Grbl knows, and more words.
+    #[default]
+    Oxmill,
+    /// As Oxmill, but G80 beside a motion word only cancels, axis words after G80 go on with the last G0 or G1, and an
+    /// arc whose end point lies off its circle ends where the ray from the centre to that point crosses the circle.
+    Seed,
+}
+
+/// How the machine is set up while a line is checked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Context {
+    /// Whose meaning the words have.
+    pub dialect: Dialect,
+    /// Laser mode. No word means something else in it; what differs is how the action is carried out.
+    pub laser: bool,
+    /// Check mode. A program is checked as it would be run, so this makes no difference here either.
+    pub check_mode: bool,
+}

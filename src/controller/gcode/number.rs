@@ -1,0 +1,227 @@
+//! Numbers of a program: decimal text to exact [`Decimal`], and the numbers of G and M words to codes.
+
+use crate::units::{DECIMAL_ONE, DECIMAL_PLACES, Decimal};
+
+/// How many digits of a number count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Digits {
+    /// All digits before the point, [`DECIMAL_PLACES`] behind it; further ones are dropped.
+    Exact,
+    /// Grbl's rule: the first eight digits, leading zeros included. Further digits before the point count as zeros,
+    /// those behind it are dropped.
+    Eight,
+}
+
+/// Digits that [`Digits::Eight`] keeps.
+const EIGHT: u32 = 8;
+/// A mantissa below this takes one more digit without leaving `u64`.
+const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
+
+/// Reads a number (sign, digits, at most one point) from the start of `text`: its value and how many bytes it took;
+/// `None` without any digit. Values beyond ±9.2 × 10¹¹ become that.
+pub fn read(text: &[u8], digits: Digits) -> Option<(Decimal, usize)> {
+    let mut used = 0;
+    let mut negative = false;
+    match text.first() {
+        Some(b'-') => {
+            negative = true;
+            used = 1;
+        }
+        Some(b'+') => used = 1,
+        _ => {}
+    }
+    let limit = match digits {
+        Digits::Exact => u32::MAX,
+        Digits::Eight => EIGHT,
+    };
+    let mut mantissa: u64 = 0;
+    let mut count: u32 = 0;
+    // Digits of the mantissa behind the point; zeros that belong behind the mantissa because digits were left out.
+    let mut fraction: u32 = 0;
+    let mut zeros: u32 = 0;
+    let mut point = false;
+    for &byte in text.get(used..).unwrap_or(&[]) {
+        match byte {
+            b'0'..=b'9' => {
+                let fits = count < limit && mantissa < ROOM_FOR_A_DIGIT;
+                count = count.saturating_add(1);
+                if fits && fraction < DECIMAL_PLACES {
+                    mantissa = mantissa * 10 + u64::from(byte - b'0');
+                    fraction += u32::from(point);
+                } else if !point {
+                    zeros = zeros.saturating_add(1);
+                }
+            }
+            b'.' if !point => point = true,
+            _ => break,
+        }
+        used += 1;
+    }
+    if count == 0 {
+        return None;
+    }
+    Some((scaled(mantissa, fraction, zeros, negative), used))
+}
+
+/// `mantissa` × 10^(`zeros` - `fraction`), with its sign.
+fn scaled(mantissa: u64, fraction: u32, zeros: u32, negative: bool) -> Decimal {
+    let places = DECIMAL_PLACES.saturating_sub(fraction).saturating_add(zeros);
+    let magnitude = match 10_u64.checked_pow(places) {
+        _ if mantissa == 0 => 0,
+        Some(power) => mantissa.saturating_mul(power),
+        None => u64::MAX,
+    };
+    let magnitude = i64::try_from(magnitude).unwrap_or(i64::MAX);
+    Decimal(if negative { -magnitude } else { magnitude })
+}
+
+/// The number of a G or M word, in the two parts by which it is looked up: `G38.2` is 38 and 20.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Code {
+    /// The whole part, reduced to a byte.
+    pub whole: u8,
+    /// The fraction in hundredths, rounded; [`Code::NO_CODE`] if the whole part was not that of a byte.
+    pub hundredths: u16,
+}
+
+impl Code {
+    /// A fraction that no command has.
+    pub const NO_CODE: u16 = u16::MAX;
+    /// Units of a [`Decimal`] in a hundredth.
+    const HUNDREDTH: i64 = DECIMAL_ONE / 100;
+
+    /// The code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256` is a G0
+    /// with an impossible fraction and `G999` an unknown command; hosts see the two error numbers.
+    pub fn of(value: Decimal) -> Code {
+        let whole = value.0 / DECIMAL_ONE;
+        let rest = value.0 % DECIMAL_ONE;
+        let hundredths = (rest + if rest < 0 { -Self::HUNDREDTH / 2 } else { Self::HUNDREDTH / 2 }) / Self::HUNDREDTH;
+        let hundredths = match u16::try_from(hundredths) {
+            Ok(hundredths) if (0..256).contains(&whole) => hundredths,
+            _ => Self::NO_CODE,
+        };
+        Code { whole: (whole & 0xFF) as u8, hundredths }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn exact(text: &str) -> Option<(i64, usize)> {
+        read(text.as_bytes(), Digits::Exact).map(|(value, used)| (value.0, used))
+    }
+
+    fn eight(text: &str) -> Option<(i64, usize)> {
+        read(text.as_bytes(), Digits::Eight).map(|(value, used)| (value.0, used))
+    }
+
+    /// The document's table of conversions keeps eight digits.
+    #[test]
+    fn table_of_the_document() {
+        for (text, value) in [
+            ("12345678", 12_345_678 * DECIMAL_ONE),
+            ("12345678901", 12_345_678_000 * DECIMAL_ONE),
+            ("-12345678901", -12_345_678_000 * DECIMAL_ONE),
+            ("-12345678", -12_345_678 * DECIMAL_ONE),
+            ("123.45678", 1_234_567_800),
+            ("-123.45678", -1_234_567_800),
+            ("0.12345678", 1_234_567),
+            ("-0.12345678", -1_234_567),
+        ] {
+            assert_eq!(eight(text), Some((value, text.len())), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_same_table_exactly() {
+        for (text, value) in [
+            ("12345678", 12_345_678 * DECIMAL_ONE),
+            ("12345678901", 12_345_678_901 * DECIMAL_ONE),
+            ("-12345678901", -12_345_678_901 * DECIMAL_ONE),
+            ("-12345678", -12_345_678 * DECIMAL_ONE),
+            ("123.45678", 1_234_567_800),
+            ("-123.45678", -1_234_567_800),
+            ("0.12345678", 1_234_567),
+            ("-0.12345678", -1_234_567),
+        ] {
+            assert_eq!(exact(text), Some((value, text.len())), "{text}");
+        }
+    }
+
+    /// 123.456789 has nine digits: the document follows it through the loop to 12345678 and exponent -5.
+    #[test]
+    fn worked_example_of_the_document() {
+        assert_eq!(eight("123.456789"), Some((1_234_567_800, 10)));
+        assert_eq!(eight("123456789"), Some((1_234_567_800_000_000, 9)));
+        assert_eq!(exact("123.456789"), Some((1_234_567_890, 10)));
+    }
+
+    #[test]
+    fn shapes() {
+        assert_eq!(exact("5"), Some((50_000_000, 1)));
+        assert_eq!(exact("+.5X"), Some((5_000_000, 3)));
+        assert_eq!(exact("-.5"), Some((-5_000_000, 3)));
+        assert_eq!(exact("1."), Some((10_000_000, 2)));
+        assert_eq!(exact("1..2"), Some((10_000_000, 2)));
+        assert_eq!(exact("1.2.3"), Some((12_000_000, 3)));
+        assert_eq!(exact("1E3"), Some((10_000_000, 1)));
+        assert_eq!(exact("-0"), Some((0, 2)));
+        assert_eq!(exact(".0000001"), Some((1, 8)));
+        assert_eq!(exact(".00000019"), Some((1, 9)));
+        for none in ["", "-", "+", ".", "-.", "--5", "+-5", "X", "-X5"] {
+            assert_eq!(exact(none), None, "{none}");
+            assert_eq!(eight(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn far_values_saturate() {
+        let nines = "9".repeat(5000);
+        assert_eq!(exact(&nines), Some((i64::MAX, 5000)));
+        assert_eq!(eight(&nines), Some((i64::MAX, 5000)));
+        assert_eq!(exact(&format!("-{nines}")), Some((-i64::MAX, 5001)));
+        let zeros = "0".repeat(5000);
+        assert_eq!(exact(&format!("{zeros}1.5")), Some((15_000_000, 5003)));
+        // Eight leading zeros are all the digits that Grbl looks at.
+        assert_eq!(eight("00000000001"), Some((0, 11)));
+        assert_eq!(eight(".123456789"), Some((1_234_567, 10)));
+        assert_eq!(eight("-.123456789"), Some((-1_234_567, 11)));
+    }
+
+    #[test]
+    fn codes() {
+        let code = |text: &str| Code::of(Decimal(exact(text).unwrap().0));
+        assert_eq!(code("38.2"), Code { whole: 38, hundredths: 20 });
+        assert_eq!(code("92.10"), Code { whole: 92, hundredths: 10 });
+        assert_eq!(code("92.001"), Code { whole: 92, hundredths: 0 });
+        assert_eq!(code("1.999"), Code { whole: 1, hundredths: 100 });
+        assert_eq!(code("256"), Code { whole: 0, hundredths: Code::NO_CODE });
+        assert_eq!(code("999"), Code { whole: 231, hundredths: Code::NO_CODE });
+        assert_eq!(code("-1"), Code { whole: 255, hundredths: Code::NO_CODE });
+        assert_eq!(code("-0.5"), Code { whole: 0, hundredths: Code::NO_CODE });
+        assert_eq!(code("-0"), Code { whole: 0, hundredths: 0 });
+    }
+
+    proptest! {
+        #[test]
+        fn written_and_read_again(value in -i64::MAX..=i64::MAX) {
+            let magnitude = value.unsigned_abs();
+            let one = DECIMAL_ONE as u64;
+            let sign = if value < 0 { "-" } else { "" };
+            let text = format!("{sign}{}.{:07}", magnitude / one, magnitude % one);
+            prop_assert_eq!(exact(&text), Some((value, text.len())));
+        }
+
+        #[test]
+        fn eight_digits_are_a_prefix(value in 0..100_000_000_u64, places in 0..=7_usize) {
+            let digits = format!("{value:08}");
+            let (whole, fraction) = digits.split_at(8 - places);
+            let text = format!("{whole}.{fraction}");
+            prop_assert_eq!(eight(&text), exact(&text));
+            let longer = format!("{text}99");
+            prop_assert_eq!(eight(&longer).unwrap().0, exact(&text).unwrap().0);
+        }
+    }
+}

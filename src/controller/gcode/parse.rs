@@ -1,0 +1,195 @@
+//! First step: the text of a line to its words, sorted by what they are. Nothing here depends on the modal state.
+
+use super::Dialect;
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
+use super::number::{Code, Digits};
+use super::word::{Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
+use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::error::Error;
+use crate::messages::SpindleDirection;
+use crate::units::Decimal;
+
+/// Greatest tool number.
+const TOOL_MAX: Decimal = Decimal::from_int(255);
+/// Letters of values other than axes.
+const VALUES: Letters = Letters::of(b"FIJKLNPRST");
+/// Words whose value must not be negative.
+const NOT_NEGATIVE: Letters = Letters::of(b"FNPTS");
+
+/// The words of a line.
+#[derive(Clone, Debug)]
+pub(super) struct Parsed<const N: usize> {
+    /// Modal groups of which there is a word.
+    pub groups: Groups,
+    /// Who asks for the axis words.
+    pub claim: Claim,
+    pub non_modal: Option<NonModal>,
+    pub motion: Option<MotionMode>,
+    pub plane: Option<Plane>,
+    pub distance: Option<Distance>,
+    pub arc_distance: Option<ArcDistance>,
+    pub feed_mode: Option<FeedMode>,
+    pub units: Option<Units>,
+    pub tool_length: Option<ToolLength>,
+    pub coordinate_system: Option<CoordinateSystem>,
+    /// M0 to M2.
+    pub flow: Option<MWord>,
+    pub spindle: Option<SpindleDirection>,
+    /// M7 to M9.
+    pub coolant: Option<MWord>,
+    /// M56.
+    pub parking_override: bool,
+    /// Letters that carry a value.
+    pub values: Letters,
+    /// Axes that carry one.
+    pub axes: AxisMask,
+    pub axis: PerAxis<Decimal, N>,
+    pub i: Decimal,
+    pub j: Decimal,
+    pub k: Decimal,
+    pub f: Decimal,
+    pub l: Decimal,
+    pub n: Decimal,
+    pub p: Decimal,
+    pub r: Decimal,
+    pub s: Decimal,
+    pub t: Decimal,
+}
+
+impl<const N: usize> Parsed<N> {
+    fn empty() -> Self {
+        let zero = Decimal::ZERO;
+        Self {
+            groups: Groups::default(),
+            claim: Claim::Nobody,
+            non_modal: None,
+            motion: None,
+            plane: None,
+            distance: None,
+            arc_distance: None,
+            feed_mode: None,
+            units: None,
+            tool_length: None,
+            coordinate_system: None,
+            flow: None,
+            spindle: None,
+            coolant: None,
+            parking_override: false,
+            values: Letters::default(),
+            axes: AxisMask::NONE,
+            axis: PerAxis::all(zero),
+            i: zero,
+            j: zero,
+            k: zero,
+            f: zero,
+            l: zero,
+            n: zero,
+            p: zero,
+            r: zero,
+            s: zero,
+            t: zero,
+        }
+    }
+
+    /// Reads a line.
+    pub fn read(line: &[u8], dialect: Dialect) -> Result<Self, Error> {
+        let digits = if dialect == Dialect::Grbl { Digits::Eight } else { Digits::Exact };
+        let mut parsed = Self::empty();
+        for word in Words::of(line, digits) {
+            let Word { letter, value } = word?;
+            match letter {
+                b'G' => parsed.take_g(Code::of(value), dialect)?,
+                b'M' => parsed.take_m(Code::of(value), dialect)?,
+                _ => parsed.take_value(letter, value)?,
+            }
+        }
+        Ok(parsed)
+    }
+
+    fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
+        let claim = GWord::claim(code);
+        if claim != Claim::Nobody {
+            if self.claim != Claim::Nobody {
+                return Err(Error::TwoAxisCommands);
+            }
+            self.claim = claim;
+        }
+        let word = GWord::of(code, dialect)?;
+        if dialect == Dialect::Seed && self.cancels_only(word) {
+            return Ok(());
+        }
+        self.groups.join(word.group())?;
+        match word {
+            GWord::NonModal(command) => self.non_modal = Some(command),
+            GWord::Motion(motion) => self.motion = Some(motion),
+            GWord::Plane(plane) => self.plane = Some(plane),
+            GWord::Distance(distance) => self.distance = Some(distance),
+            GWord::ArcDistance(distance) => self.arc_distance = Some(distance),
+            GWord::FeedMode(mode) => self.feed_mode = Some(mode),
+            GWord::Units(units) => self.units = Some(units),
+            GWord::ToolLength(offset) => self.tool_length = Some(offset),
+            GWord::CoordinateSystem(system) => self.coordinate_system = Some(system),
+            GWord::NoCutterCompensation | GWord::ExactPath => {}
+        }
+        Ok(())
+    }
+
+    /// Where G80 and another motion word meet, the other one holds; in either order.
+    fn cancels_only(&mut self, word: GWord) -> bool {
+        match (word, self.motion) {
+            (GWord::Motion(MotionMode::Cancelled), Some(other)) => other != MotionMode::Cancelled,
+            (GWord::Motion(motion), Some(MotionMode::Cancelled)) => {
+                self.motion = Some(motion);
+                motion != MotionMode::Cancelled
+            }
+            _ => false,
+        }
+    }
+
+    fn take_m(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
+        let word = MWord::of(code, dialect)?;
+        self.groups.join(word.group())?;
+        match word {
+            MWord::Pause | MWord::OptionalPause | MWord::End => self.flow = Some(word),
+            MWord::Spindle(direction) => self.spindle = Some(direction),
+            MWord::Mist | MWord::Flood | MWord::NoCoolant => self.coolant = Some(word),
+            MWord::ParkingOverride => self.parking_override = true,
+        }
+        Ok(())
+    }
+
+    fn take_value(&mut self, letter: u8, value: Decimal) -> Result<(), Error> {
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
+        if axis.is_none() && !VALUES.has(letter) {
+            return Err(Error::UnsupportedCommand);
+        }
+        if letter == b'T' && value > TOOL_MAX {
+            return Err(Error::ToolNumberTooHigh);
+        }
+        if self.values.has(letter) {
+            return Err(Error::WordRepeated);
+        }
+        if NOT_NEGATIVE.has(letter) && value < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
+        self.values.add(letter);
+        if let Some(axis) = axis {
+            self.axis.set(axis, value);
+            self.axes = self.axes.with(axis);
+        }
+        match letter {
+            b'F' => self.f = value,
+            b'I' => self.i = value,
+            b'J' => self.j = value,
+            b'K' => self.k = value,
+            b'L' => self.l = value,
+            b'N' => self.n = value,
+            b'P' => self.p = value,
+            b'R' => self.r = value,
+            b'S' => self.s = value,
+            b'T' => self.t = value,
+            _ => {}
+        }
+        Ok(())
+    }
+}

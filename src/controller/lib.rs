@@ -1,0 +1,45 @@
+//! What the machine decides: protocol, G-code, planning and stepping of a CNC mill that speaks Grbl 1.1.
+//!
+//! No hardware, no clock, no queues and no waiting live here: bytes, levels and the time come in through
+//! [`Controller::event`], and what is to be done comes out of [`Controller::output`]. So the same code, bit for bit, runs
+//! in the firmware on a board and in the simulator on a desk.
+//!
+//! The journey of `G1 X10 F600`:
+//! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
+//! 2. `protocol::line` collects them, without blanks, as `G1X10F600`;
+//! 3. `gcode` reads words, checks them against each other and the modal state, and returns a checked line: feed, target;
+//! 4. `controller` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
+//! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
+//! 6. `controller` answers `ok`;
+//! 7. `motion::segment` cuts the block into pieces of about a millisecond, each with evenly changing tick intervals;
+//! 8. the pump carries them, about 16 ms ahead, to the step task;
+//! 9. `motion::stepper` decides at each tick which motors step and when the next tick comes;
+//! 10. the pump writes that to the step pins, or into a trace.
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)
+)]
+
+pub mod axes;
+pub mod digest;
+pub mod error;
+pub mod messages;
+pub mod units;
+
+pub mod number {
+    //! Interim.
+    pub use crate::gcode::{Digits, read};
+}
+pub mod settings;
+
+pub mod gcode;
+pub mod machine;
+pub mod motion;
+pub mod protocol;
+
+mod controller;
+pub use controller::{Controller, Profile};
+pub use motion::stepper::{Stepper, Tick};
+pub use protocol::realtime::{Received, Splitter};

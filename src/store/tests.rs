@@ -1,0 +1,194 @@
+use super::*;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+use std::vec::Vec;
+
+const SIZE: u32 = 512;
+
+/// Flash in RAM whose power can be cut: after `power` more operations each further one does half of its work and fails.
+#[derive(Clone, Debug)]
+struct Mock {
+    sectors: [Vec<u32>; 2],
+    power: Option<u32>,
+    operations: u32,
+    /// Bits that a word write which loses power still programs.
+    torn_bits: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct PowerCut;
+
+impl Mock {
+    fn new() -> Self {
+        let words = vec![ERASED; SIZE as usize / 4];
+        Self { sectors: [words.clone(), words], power: None, operations: 0, torn_bits: 0 }
+    }
+
+    fn spend(&mut self) -> bool {
+        self.operations += 1;
+        match &mut self.power {
+            None => true,
+            Some(0) => false,
+            Some(left) => {
+                *left -= 1;
+                true
+            }
+        }
+    }
+}
+
+impl Flash for Mock {
+    type Error = PowerCut;
+    fn sector_size(&self) -> u32 {
+        SIZE
+    }
+    fn read(&mut self, sector: Sector, address: u32) -> Result<u32, PowerCut> {
+        Ok(self.sectors[sector as usize][address as usize / 4])
+    }
+    fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), PowerCut> {
+        let powered = self.spend();
+        let torn = self.torn_bits;
+        let slot = &mut self.sectors[sector as usize][address as usize / 4];
+        assert_eq!(*slot, ERASED, "only erased words are programmed");
+        *slot = if powered { word } else { word | !torn };
+        if powered { Ok(()) } else { Err(PowerCut) }
+    }
+    fn erase(&mut self, sector: Sector) -> Result<(), PowerCut> {
+        let powered = self.spend();
+        let words = &mut self.sectors[sector as usize];
+        let upto = if powered { words.len() } else { words.len() / 2 };
+        words[..upto].fill(ERASED);
+        if powered { Ok(()) } else { Err(PowerCut) }
+    }
+}
+
+fn put(key: u16, bytes: &[u8]) -> Store {
+    Store::Put(Record { key, value: heapless::Vec::from_slice(bytes).unwrap() })
+}
+
+fn contents(log: &mut Log<Mock>) -> BTreeMap<u16, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    log.for_each(|r| assert!(all.insert(r.key, r.value.to_vec()).is_none(), "a key counts once")).unwrap();
+    all
+}
+
+fn apply(model: &mut BTreeMap<u16, Vec<u8>>, change: &Store) {
+    match change {
+        Store::Put(r) => {
+            model.insert(r.key, r.value.to_vec());
+        }
+        Store::Remove { from, until } => model.retain(|key, _| !(*from..*until).contains(key)),
+    }
+}
+
+/// A store as its owner does it: the spare sector is erased first if that is due.
+fn change(log: &mut Log<Mock>, change: &Store) -> Result<(), StoreError<PowerCut>> {
+    if log.needs_erase() {
+        log.erase_spare()?;
+    }
+    log.store(change)
+}
+
+#[test]
+fn records_come_back_after_a_restart() {
+    let mut log = Log::open(Mock::new()).unwrap();
+    change(&mut log, &put(100, &[1, 2, 3, 4])).unwrap();
+    change(&mut log, &put(7, b"G20 line")).unwrap();
+    change(&mut log, &put(100, &[5, 6, 7, 8])).unwrap();
+    change(&mut log, &Store::Remove { from: 7, until: 8 }).unwrap();
+    let mut log = Log::open(log.flash).unwrap();
+    assert_eq!(contents(&mut log), BTreeMap::from([(100, vec![5, 6, 7, 8])]));
+}
+
+#[test]
+fn foreign_contents_become_an_empty_log() {
+    let mut flash = Mock::new();
+    flash.sectors[0].fill(0x1234_5678);
+    flash.sectors[1].fill(0);
+    let mut log = Log::open(flash).unwrap();
+    assert!(contents(&mut log).is_empty());
+    assert!(log.needs_erase());
+}
+
+#[test]
+fn a_full_log_says_so_and_keeps_what_it_has() {
+    let mut log = Log::open(Mock::new()).unwrap();
+    let mut stored = BTreeMap::new();
+    for key in 0.. {
+        let record = put(key, &[key as u8; 40]);
+        match change(&mut log, &record) {
+            Ok(()) => apply(&mut stored, &record),
+            Err(error) => {
+                assert_eq!(error, StoreError::Full);
+                break;
+            }
+        }
+    }
+    assert!(stored.len() >= 9);
+    let mut log = Log::open(log.flash).unwrap();
+    assert_eq!(contents(&mut log), stored);
+}
+
+fn changes() -> impl Strategy<Value = Vec<Store>> {
+    let one = prop_oneof![
+        6 => (0_u16..6, proptest::collection::vec(any::<u8>(), 0..20)).prop_map(|(key, v)| put(key, &v)),
+        1 => (0_u16..6, 0_u16..6).prop_map(|(a, b)| Store::Remove { from: a.min(b), until: a.max(b) }),
+    ];
+    proptest::collection::vec(one, 1..60)
+}
+
+proptest! {
+    #[test]
+    fn the_log_is_a_map(changes in changes()) {
+        let mut log = Log::open(Mock::new()).unwrap();
+        let mut model = BTreeMap::new();
+        for c in &changes {
+            change(&mut log, c).unwrap();
+            apply(&mut model, c);
+            prop_assert_eq!(contents(&mut log), model.clone());
+        }
+        prop_assert_eq!(contents(&mut Log::open(log.flash).unwrap()), model);
+    }
+
+    /// The power goes after every single operation of the series, with any part of the last word written: what is found
+    /// afterwards is the state before or after the change under way, and the log goes on working.
+    #[test]
+    fn a_power_cut_loses_nothing(changes in changes(), torn_bits: u32) {
+        let whole = {
+            let mut log = Log::open(Mock::new()).unwrap();
+            for c in &changes {
+                change(&mut log, c).unwrap();
+            }
+            log.flash.operations
+        };
+        for power in 0..whole {
+            let mut flash = Mock::new();
+            flash.power = Some(power);
+            flash.torn_bits = torn_bits;
+            let (mut before, mut after) = (BTreeMap::new(), BTreeMap::new());
+            let mut flash = match Log::open(flash.clone()) {
+                Err(PowerCut) => {
+                    let mut kept = flash;
+                    let _ = kept.erase(Sector::A);
+                    kept
+                }
+                Ok(mut log) => {
+                    for c in &changes {
+                        apply(&mut after, c);
+                        if change(&mut log, c).is_err() {
+                            break;
+                        }
+                        before.clone_from(&after);
+                    }
+                    log.flash
+                }
+            };
+            flash.power = None;
+            let mut log = Log::open(flash).unwrap();
+            let found = contents(&mut log);
+            prop_assert!(found == before || found == after, "{found:?} is neither {before:?} nor {after:?}");
+            change(&mut log, &put(3, b"on")).unwrap();
+            prop_assert!(contents(&mut log).get(&3).is_some_and(|v| v == b"on"));
+        }
+    }
+}
