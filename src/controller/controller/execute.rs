@@ -126,6 +126,13 @@ impl<const N: usize> Task<N> {
         }
     }
 
+    /// What was under way cannot be carried out any more. Whether the host waits for an answer.
+    pub(super) fn abandon(&mut self) -> bool {
+        let answers = self.answers_host();
+        *self = Task::None;
+        answers
+    }
+
     /// A jog that waits for room is not carried out any more; its answer is still given.
     pub(super) fn forget_jog(&mut self) {
         if let Task::Job(job) = self
@@ -369,9 +376,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let geometry = ArcGeometry {
             start: arc.start,
             target: arc.target,
-            first: arc.axes.first,
-            second: arc.axes.second,
-            centre: [arc.i, arc.j],
+            axis_0: arc.axes.first,
+            axis_1: arc.axes.second,
+            offset_0: arc.i,
+            offset_1: arc.j,
             clockwise: arc.clockwise,
             turns: arc.turns,
         };

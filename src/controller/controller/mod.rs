@@ -628,7 +628,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
                 if alarm == Alarm::Underrun {
-                    self.task.fail(Error::Locked);
+                    if self.task.abandon() {
+                        self.say(|out| report::error(out, Error::Locked.code()));
+                    }
                     self.mode = Mode::Alarm;
                 } else {
                     self.say(|out| report::message(out, "Reset to continue"));

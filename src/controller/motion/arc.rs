@@ -1,0 +1,198 @@
+//! An arc as a chain of chords, computed one at a time. Radius and angle come from exact integers; the direction vector is
+//! turned in 2^-30 fixed point and kept at length 1, so the radius does not drift however many chords or turns there are.
+//! The last chord ends at the target exactly. Checking that the arc makes sense is left to the G-code rooms.
+
+use super::profile::square_root;
+use crate::axes::{Axis, PerAxis};
+use crate::units::Coordinate;
+
+/// Fraction bits of the direction vector.
+const UNIT_BITS: u32 = 30;
+const UNIT: i64 = 1 << UNIT_BITS;
+/// Angles within this of zero are full circles, as in Grbl.
+const FULL_CIRCLE: f32 = 5.0e-7;
+const TURN: f32 = core::f32::consts::TAU;
+/// Widest half angle of a chord (45 degrees), whatever the tolerance allows: tiny circles stay round.
+const WIDEST: f32 = core::f32::consts::FRAC_PI_4;
+/// Least tolerance, in mm: below it chords would be shorter than what machines can follow.
+const LEAST_TOLERANCE: f32 = 0.0001;
+/// Most chords of one arc: an f32 counts so far exactly.
+const MOST_CHORDS: f32 = 16_000_000.0;
+
+/// An arc in a plane, with the other axes moving evenly along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ArcGeometry<const N: usize> {
+    /// Where it begins, machine coordinates.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends.
+    pub target: PerAxis<Coordinate, N>,
+    /// First axis of the plane; counter-clockwise turns from it towards `axis_1`.
+    pub axis_0: Axis,
+    /// Second axis of the plane.
+    pub axis_1: Axis,
+    /// From the start to the centre along `axis_0`.
+    pub offset_0: Coordinate,
+    /// From the start to the centre along `axis_1`.
+    pub offset_1: Coordinate,
+    /// Direction of turn.
+    pub clockwise: bool,
+    /// Full turns to be added to the plain arc.
+    pub turns: u32,
+}
+
+/// The chords of an arc, in order.
+#[derive(Clone, Debug)]
+pub struct Arc<const N: usize> {
+    geometry: ArcGeometry<N>,
+    centre: [Coordinate; 2],
+    /// Direction from the centre to the last point.
+    unit: [i64; 2],
+    /// Sine of a chord's angle (signed) and 1 - its cosine.
+    sine: i64,
+    versine: i64,
+    start_radius: i64,
+    radius_change: f32,
+    length: f32,
+    chords: u32,
+    done: u32,
+}
+
+/// Length of an integer vector, exact before rounding down.
+fn integer_length(x: i64, y: i64) -> i64 {
+    let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
+    square.isqrt() as i64
+}
+
+/// `value` × `unit`, rounded to nearest.
+#[inline]
+fn scale(value: i64, unit: i64) -> i64 {
+    ((i128::from(value) * i128::from(unit) + i128::from(UNIT / 2)) >> UNIT_BITS) as i64
+}
+
+fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
+    if length == 0 {
+        return [UNIT, 0];
+    }
+    let part = |value: i64| ((i128::from(value) << UNIT_BITS) / i128::from(length)) as i64;
+    [part(x), part(y)]
+}
+
+impl<const N: usize> Arc<N> {
+    /// Prepares the chords, none of which leaves the arc by more than `tolerance` (mm).
+    pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
+        let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
+        let start = [of(&geometry.start, geometry.axis_0), of(&geometry.start, geometry.axis_1)];
+        let target = [of(&geometry.target, geometry.axis_0), of(&geometry.target, geometry.axis_1)];
+        let centre = [start[0] + geometry.offset_0, start[1] + geometry.offset_1];
+        let from = [start[0] - centre[0], start[1] - centre[1]];
+        let to = [target[0] - centre[0], target[1] - centre[1]];
+        let start_radius = integer_length(from[0].0, from[1].0);
+        let end_radius = integer_length(to[0].0, to[1].0);
+        let unit = direction(from[0].0, from[1].0, start_radius);
+        let end = direction(to[0].0, to[1].0, end_radius);
+        // Products of 2^-30 fractions: 60 bits, their sums 61.
+        let cross = (unit[0] * end[1] - unit[1] * end[0]) as f32;
+        let dot = (unit[0] * end[0] + unit[1] * end[1]) as f32;
+        let mut angle = libm::atan2f(cross, dot);
+        let turns = geometry.turns as f32 * TURN;
+        if geometry.clockwise {
+            if angle >= -FULL_CIRCLE {
+                angle -= TURN;
+            }
+            angle -= turns;
+        } else {
+            if angle <= FULL_CIRCLE {
+                angle += TURN;
+            }
+            angle += turns;
+        }
+
+        // The sagitta of a chord with half angle h is r·(1 - cos h).
+        let radius = Coordinate(start_radius.max(end_radius)).to_mm();
+        let tolerance = tolerance.max(LEAST_TOLERANCE);
+        let half = if tolerance < radius {
+            libm::asinf((square_root(tolerance * (2.0 * radius - tolerance)) / radius).min(1.0)).min(WIDEST)
+        } else {
+            WIDEST
+        };
+        let count = libm::ceilf(angle.abs() / (2.0 * half)).min(MOST_CHORDS);
+        let chords = if start_radius == 0 || end_radius == 0 { 1 } else { (count as u32).max(1) };
+        let step = angle / chords as f32;
+        let half_sine = libm::sinf(0.5 * step);
+        let one = UNIT as f32;
+
+        let mut square = 0.0;
+        for axis in Axis::of_machine::<N>() {
+            let way = if axis == geometry.axis_0 || axis == geometry.axis_1 {
+                0.0
+            } else {
+                (of(&geometry.target, axis) - of(&geometry.start, axis)).to_mm()
+            };
+            square += way * way;
+        }
+        let along = 0.5 * Coordinate(start_radius.saturating_add(end_radius)).to_mm() * angle;
+        Self {
+            geometry: *geometry,
+            centre,
+            unit,
+            sine: (libm::sinf(step) * one) as i64,
+            versine: (2.0 * half_sine * half_sine * one) as i64,
+            start_radius,
+            radius_change: (end_radius - start_radius) as f32,
+            length: square_root(square + along * along),
+            chords,
+            done: 0,
+        }
+    }
+
+    /// Where the next chord ends; `None` after the last.
+    pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
+        if self.done >= self.chords {
+            return None;
+        }
+        self.done += 1;
+        if self.done == self.chords {
+            return Some(self.geometry.target);
+        }
+        let [x, y] = self.unit;
+        let half = UNIT / 2;
+        let x_turned = x - ((x * self.versine + y * self.sine + half) >> UNIT_BITS);
+        let y_turned = y + ((x * self.sine - y * self.versine + half) >> UNIT_BITS);
+        // One Newton step towards length 1.
+        let excess = (x_turned * x_turned + y_turned * y_turned - UNIT * UNIT) >> (UNIT_BITS + 1);
+        let x = x_turned - ((x_turned * excess + half) >> UNIT_BITS);
+        let y = y_turned - ((y_turned * excess + half) >> UNIT_BITS);
+        self.unit = [x, y];
+
+        let share = self.done as f32 / self.chords as f32;
+        let radius = self.start_radius + (self.radius_change * share) as i64;
+        let mut point = self.geometry.start;
+        for (axis, (place, target)) in Axis::of_machine::<N>().zip(point.iter_mut().zip(self.geometry.target.iter())) {
+            *place = if axis == self.geometry.axis_0 {
+                self.centre[0] + Coordinate(scale(radius, x))
+            } else if axis == self.geometry.axis_1 {
+                self.centre[1] + Coordinate(scale(radius, y))
+            } else if target == place {
+                *place
+            } else {
+                *place + Coordinate(((*target - *place).0 as f32 * share) as i64)
+            };
+        }
+        Some(point)
+    }
+
+    /// Length of the way, in mm.
+    pub fn length(&self) -> f32 {
+        self.length
+    }
+
+    /// Chords still to come.
+    pub fn chords_left(&self) -> u32 {
+        self.chords - self.done
+    }
+
+    /// Radius at the start, in mm.
+    pub fn radius(&self) -> f32 {
+        Coordinate(self.start_radius).to_mm()
+    }
+}

@@ -1,0 +1,99 @@
+//! What has been handed to the step task and not begun there: end position, speed and power of each segment, and how much
+//! time they stand for together.
+
+use crate::axes::PerAxis;
+use crate::messages::SEGMENTS_DEPTH;
+
+/// The queue to the step task, its prefetched segment, and some for messages on their way.
+const RING: usize = SEGMENTS_DEPTH + 4;
+
+/// A segment in words of the machine.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Record<const N: usize> {
+    /// Machine steps at its end.
+    pub position: PerAxis<i32, N>,
+    /// mm/s.
+    pub speed: f32,
+    /// Its time in step-clock ticks.
+    pub clocks: u32,
+    pub line_number: u32,
+    pub power: u16,
+}
+
+/// The records of segments not begun, and that of the one begun last.
+#[derive(Clone, Debug)]
+pub(super) struct Flight<const N: usize> {
+    ring: [Record<N>; RING],
+    first: usize,
+    len: usize,
+    /// Time of all records in the ring.
+    queued: u32,
+    /// Count of the step task at which the first record of the ring is still to begin.
+    begun: u32,
+    current: Record<N>,
+}
+
+impl<const N: usize> Flight<N> {
+    pub(super) fn new(position: PerAxis<i32, N>) -> Self {
+        let record = Record { position, speed: 0.0, clocks: 0, line_number: 0, power: 0 };
+        Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record }
+    }
+
+    #[inline]
+    pub(super) fn is_full(&self) -> bool {
+        self.len >= RING
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Step-clock ticks handed over and not begun.
+    #[inline]
+    pub(super) fn queued(&self) -> u32 {
+        self.queued
+    }
+
+    pub(super) fn current(&self) -> &Record<N> {
+        &self.current
+    }
+
+    pub(super) fn push(&mut self, record: Record<N>) {
+        let index = self.first + self.len;
+        let index = if index >= RING { index - RING } else { index };
+        if let Some(slot) = self.ring.get_mut(index) {
+            *slot = record;
+            self.len += 1;
+            self.queued = self.queued.saturating_add(record.clocks);
+        }
+    }
+
+    /// Takes over how many segments have begun.
+    pub(super) fn observe(&mut self, begun: u32, idle: bool) {
+        while self.len > 0 && self.begun != begun {
+            if let Some(record) = self.ring.get(self.first) {
+                self.current = *record;
+            }
+            self.queued = self.queued.saturating_sub(self.current.clocks);
+            self.first = if self.first + 1 >= RING { 0 } else { self.first + 1 };
+            self.len -= 1;
+            self.begun = self.begun.wrapping_add(1);
+        }
+        if self.len == 0 {
+            // After a stop the step task begins nothing before the gate is opened, so the count cannot be too old here.
+            self.begun = begun;
+            if idle {
+                self.current.speed = 0.0;
+                self.current.power = 0;
+                self.current.line_number = 0;
+            }
+        }
+    }
+
+    /// Everything handed over is gone; the machine rests at `position`.
+    pub(super) fn forget(&mut self, position: PerAxis<i32, N>) {
+        self.len = 0;
+        self.queued = 0;
+        self.current = Record { position, speed: 0.0, clocks: 0, line_number: 0, power: 0 };
+    }
+}

@@ -1,0 +1,752 @@
+//! Motion: straight moves in, messages for the step task out.
+//!
+//! ```text
+//!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper
+//!  arc ─ chords ─┘                 entry speeds        cut from the profile of the running block
+//! ```
+//! It promises: steps add up exactly; no axis is asked for more than its rate and acceleration; whatever has been handed
+//! over ends at rest; a hold begins to brake within the time queued ([`QUEUED_TIME_MS`]). It knows nothing of G-code, of
+//! replies or of machine states; when to start is decided outside.
+
+pub mod arc;
+mod block;
+mod flight;
+mod kinematics;
+mod planner;
+mod profile;
+mod segment;
+pub mod stepper;
+
+pub use arc::{Arc, ArcGeometry};
+pub use stepper::{Stepper, Tick};
+
+use crate::axes::PerAxis;
+use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
+use crate::units::{Coordinate, StepsPerMm};
+use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
+use flight::{Flight, Record};
+use planner::Planner;
+use profile::{Curve, square_root};
+use segment::{Cut, Pacer};
+use stepper::{signed_add, steps_taken};
+
+/// Step time handed to the step task in advance: enough for a control task that is late, and the latency of a hold.
+pub const QUEUED_TIME_MS: u32 = 16;
+/// Ticks farther away than this are waited for in pieces of [`WAIT_MS`], so that a hold needs not wait for them.
+const FAR_MS: u32 = 4;
+const WAIT_MS: u32 = 1;
+/// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
+const REST_US: u32 = 20;
+/// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
+const CRAWL_S: f32 = 0.001;
+
+/// Least speed, mm/s: a third of a step per minute with 10,000 steps/mm.
+const LEAST_SPEED: f32 = 5.0e-7;
+/// Greatest speed and acceleration, far beyond any machine: squares stay within `f32`.
+const GREATEST_SPEED: f32 = 1.0e5;
+const LEAST_ACCELERATION: f32 = 1.0e-3;
+const GREATEST_ACCELERATION: f32 = 1.0e7;
+/// Overrides that make sense at all.
+const LEAST_OVERRIDE: f32 = 0.001;
+const GREATEST_OVERRIDE: f32 = 100.0;
+
+/// What motion must know of the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionSettings<const N: usize> {
+    /// Motor steps of a millimetre.
+    pub steps_per_mm: PerAxis<StepsPerMm, N>,
+    /// Greatest speed of each axis, mm/s.
+    pub max_rate: PerAxis<f32, N>,
+    /// Greatest acceleration of each axis, mm/s².
+    pub acceleration: PerAxis<f32, N>,
+    /// How far a corner may be cut in thought to find its speed, mm.
+    pub junction_deviation: f32,
+    /// How far chords may leave an arc, mm.
+    pub arc_tolerance: f32,
+    /// Ticks per second of the step timer.
+    pub step_clock_hz: u32,
+}
+
+/// How fast a move is meant to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Speed {
+    /// As fast as the axes go.
+    Rapid,
+    /// Along the path, mm/s.
+    Feed(f32),
+    /// The whole move in this many seconds.
+    Duration(f32),
+}
+
+/// A straight move to be queued.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move<const N: usize> {
+    /// Where it ends, machine coordinates within [`Coordinate::LIMIT`].
+    pub target: PerAxis<Coordinate, N>,
+    /// How fast.
+    pub speed: Speed,
+    /// Spindle or laser power, 0 to 65535; rides with the segments.
+    pub power: u16,
+    /// Power falls and rises with actual / programmed speed (M4 of a laser).
+    pub scale_power: bool,
+    /// N word for reports, 0 = none.
+    pub line_number: u32,
+    /// Overrides leave the move alone (jog, homing, probing).
+    pub no_feed_override: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Hold {
+    None,
+    /// Braking to a stop.
+    Ramp,
+    /// Stopped, nothing more is handed over.
+    Held,
+}
+
+/// A move with more steps than a block can have, cut into equal pieces as there is room.
+#[derive(Clone, Copy, Debug)]
+struct LongMove<const N: usize> {
+    start: PerAxis<Coordinate, N>,
+    whole: Move<N>,
+    pieces: u32,
+    next: u32,
+}
+
+/// The block that is being cut into segments.
+#[derive(Clone, Copy, Debug)]
+struct Running<const N: usize> {
+    active: bool,
+    /// Messages of the block still to be sent before its first segment.
+    announce: Announce,
+    /// The next segment is the block's first.
+    fresh: bool,
+    steps: [u32; N],
+    directions: u8,
+    flags: u8,
+    power: u16,
+    line_number: u32,
+    dominant: u32,
+    /// Units of the whole block and those cut off so far.
+    total: u32,
+    done: u32,
+    /// Units of a millimetre.
+    scale: f32,
+    /// In units/s², units²/s².
+    acceleration: f32,
+    nominal2: f32,
+    /// mm/s before overrides.
+    programmed: f32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Announce {
+    Rest,
+    Block,
+    Nothing,
+}
+
+/// A single tick that is far away, and how much of its time is left (fixed point).
+#[derive(Clone, Copy, Debug)]
+struct Far {
+    cut: Cut,
+    time: u64,
+}
+
+/// The facade of this room.
+#[derive(Clone, Debug)]
+pub struct Motion<const N: usize, const BLOCKS: usize> {
+    steps_per_mm: PerAxis<StepsPerMm, N>,
+    mm_per_step: [f32; N],
+    max_rate: [f32; N],
+    acceleration: [f32; N],
+    junction_deviation: f32,
+    step_clock_hz: u32,
+    pacer: Pacer,
+    planner: Planner<N, BLOCKS>,
+    overrides: Overrides,
+
+    /// End of the queue: as programmed, where the last block ended, and in steps.
+    planned: PerAxis<Coordinate, N>,
+    block_end: PerAxis<Coordinate, N>,
+    planned_steps: PerAxis<i32, N>,
+    /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
+    carried: f32,
+    /// Unit vector of the last block.
+    direction: [f32; N],
+    long: Option<LongMove<N>>,
+
+    running: Running<N>,
+    /// Machine steps at the start of the running block.
+    start: PerAxis<i32, N>,
+    /// Speed² at the end of what has been handed over: in units²/s² of the running block, mm²/s² between blocks.
+    speed2: f32,
+    far: Option<Far>,
+    /// What has been handed over ends at rest.
+    rest: bool,
+    started: bool,
+    hold: Hold,
+
+    flight: Flight<N>,
+    step_idle: bool,
+    /// Machine steps when the step counters are 0.
+    origin: PerAxis<i32, N>,
+}
+
+/// `value` within bounds, the least one for a NaN.
+fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
+    if value > least { value.min(greatest) } else { least }
+}
+
+impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// At rest at machine position 0.
+    pub fn new(settings: MotionSettings<N>) -> Self {
+        let zero = PerAxis::all(0);
+        let mut motion = Self {
+            steps_per_mm: settings.steps_per_mm,
+            mm_per_step: [1.0; N],
+            max_rate: [1.0; N],
+            acceleration: [1.0; N],
+            junction_deviation: 0.0,
+            step_clock_hz: settings.step_clock_hz,
+            pacer: Pacer::new(settings.step_clock_hz),
+            planner: Planner::new(),
+            overrides: Overrides { feed: 1.0, rapid: 1.0 },
+            planned: PerAxis::all(Coordinate::ZERO),
+            block_end: PerAxis::all(Coordinate::ZERO),
+            planned_steps: zero,
+            carried: 0.0,
+            direction: [0.0; N],
+            long: None,
+            running: Running {
+                active: false,
+                announce: Announce::Nothing,
+                fresh: false,
+                steps: [0; N],
+                directions: 0,
+                flags: 0,
+                power: 0,
+                line_number: 0,
+                dominant: 0,
+                total: 0,
+                done: 0,
+                scale: 1.0,
+                acceleration: 1.0,
+                nominal2: 1.0,
+                programmed: 1.0,
+            },
+            start: zero,
+            speed2: 0.0,
+            far: None,
+            rest: true,
+            started: false,
+            hold: Hold::None,
+            flight: Flight::new(zero),
+            step_idle: true,
+            origin: zero,
+        };
+        motion.configure(settings);
+        motion
+    }
+
+    /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
+    pub fn configure(&mut self, settings: MotionSettings<N>) {
+        self.steps_per_mm = settings.steps_per_mm;
+        self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
+        self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
+        self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
+        self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
+        self.step_clock_hz = settings.step_clock_hz.max(10_000);
+        self.pacer = Pacer::new(self.step_clock_hz);
+        self.plan_from(self.start);
+    }
+
+    /// The queue begins anew at these machine steps.
+    fn plan_from(&mut self, steps: PerAxis<i32, N>) {
+        self.planner.clear();
+        self.long = None;
+        self.running.active = false;
+        self.far = None;
+        self.speed2 = 0.0;
+        self.carried = 0.0;
+        self.rest = true;
+        self.start = steps;
+        self.planned_steps = steps;
+        self.planned = kinematics::place(&self.steps_per_mm, &steps);
+        self.block_end = self.planned;
+    }
+
+    /// Room for moves. None while a move of more than 2^26 steps is still being cut.
+    pub fn free_blocks(&self) -> usize {
+        if self.long.is_some() { 0 } else { self.planner.free() }
+    }
+
+    /// Moves queued, the running one included.
+    pub fn queued_blocks(&self) -> usize {
+        self.planner.len()
+    }
+
+    /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
+    pub fn line(&mut self, m: &Move<N>) -> bool {
+        if self.free_blocks() == 0 {
+            return false;
+        }
+        let steps = kinematics::steps(&self.steps_per_mm, &m.target);
+        let mut most = 0;
+        for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
+            most = most.max(new.abs_diff(*old));
+        }
+        if most <= MAX_STEPS - 1 {
+            self.append(m, &steps);
+            return true;
+        }
+        let mut whole = *m;
+        if let Speed::Duration(seconds) = m.speed {
+            whole.speed = Speed::Feed(self.distance(&m.target) / seconds);
+        }
+        // One piece more than the quotient: a piece's own rounding may add a step.
+        let pieces = most / (MAX_STEPS / 2) + 1;
+        self.long = Some(LongMove { start: self.planned, whole, pieces, next: 1 });
+        self.continue_long_move();
+        true
+    }
+
+    fn continue_long_move(&mut self) {
+        while let Some(mut long) = self.long {
+            if self.planner.free() == 0 {
+                return;
+            }
+            let mut piece = long.whole;
+            if long.next < long.pieces {
+                let (part, parts) = (i64::from(long.next), i64::from(long.pieces));
+                piece.target = long.start.zip(&long.whole.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / parts));
+                long.next += 1;
+                self.long = Some(long);
+            } else {
+                self.long = None;
+            }
+            let steps = kinematics::steps(&self.steps_per_mm, &piece.target);
+            self.append(&piece, &steps);
+        }
+    }
+
+    /// mm from the end of the queue.
+    fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
+        let mut square = 0.0;
+        for (to, from) in target.iter().zip(self.planned.iter()) {
+            let way = (*to - *from).to_mm();
+            square += way * way;
+        }
+        square_root(square)
+    }
+
+    /// Makes a block of a move; there is room and it is not too long.
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) {
+        let own = self.distance(&m.target);
+        let path = own + self.carried;
+        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
+        self.planned = m.target;
+
+        let mut block = Block::<N>::EMPTY;
+        let mut directions = 0;
+        // The way that the steps stand for, less half a step: what the path must be long at least (see `length`).
+        let mut least = 0.0_f32;
+        let mut dominant = 0;
+        let ends = target_steps.iter().zip(self.planned_steps.iter());
+        for (bit, ((to, from), (steps, mm))) in ends.zip(block.steps.iter_mut().zip(self.mm_per_step)).enumerate() {
+            *steps = to.abs_diff(*from);
+            if to < from {
+                directions |= 1 << bit;
+            }
+            if *steps > 0 {
+                least = least.max((*steps as f32 - 0.5) * mm);
+            }
+            dominant = dominant.max(*steps);
+        }
+        if dominant == 0 {
+            self.carried = path;
+            return;
+        }
+        // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
+        // taken as longer, and the next one as shorter by as much.
+        let length = path.max(least);
+        self.carried = (path - length).max(-least);
+        self.block_end = m.target;
+        self.planned_steps = *target_steps;
+
+        let mut square = 0.0;
+        for part in way.iter() {
+            square += part * part;
+        }
+        let straight = square_root(square);
+        let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
+        let mut acceleration = GREATEST_ACCELERATION;
+        let mut limit = GREATEST_SPEED;
+        for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
+            let share = part.abs() / length;
+            if share * acceleration > most {
+                acceleration = most / share;
+            }
+            if share * limit > rate {
+                limit = rate / share;
+            }
+        }
+        let (programmed, rapid) = match m.speed {
+            Speed::Rapid => (limit, RAPID),
+            Speed::Feed(feed) => (feed, 0),
+            Speed::Duration(seconds) => (own / seconds, 0),
+        };
+        block.directions = directions;
+        block.line_number = m.line_number;
+        block.length = length;
+        block.acceleration = acceleration;
+        block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
+        block.limit = limit;
+        block.corner2 = planner::corner_speed2(&self.direction, &unit, &self.acceleration, self.junction_deviation);
+        block.power = m.power;
+        block.flags =
+            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
+        self.direction = unit;
+        self.planner.push(block, self.overrides);
+    }
+
+    /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
+    pub fn start(&mut self) {
+        if self.planner.len() > 0 {
+            self.started = true;
+        }
+    }
+
+    /// Brakes to a stop, beginning with the next segment handed over.
+    pub fn hold(&mut self) {
+        if self.hold == Hold::None {
+            self.hold = if self.rest { Hold::Held } else { Hold::Ramp };
+        }
+    }
+
+    /// Goes on after a hold, also before it has come to a stop.
+    pub fn resume(&mut self) {
+        self.hold = Hold::None;
+        self.start();
+    }
+
+    /// Whether a hold is in force and what was handed over ends at rest.
+    pub fn is_held(&self) -> bool {
+        self.hold == Hold::Held
+    }
+
+    /// Factors on feeds and rapids, 1 = as programmed; they act with the next segment handed over.
+    pub fn set_overrides(&mut self, feed: f32, rapid: f32) {
+        let overrides = Overrides {
+            feed: bounded(feed, LEAST_OVERRIDE, GREATEST_OVERRIDE),
+            rapid: bounded(rapid, LEAST_OVERRIDE, GREATEST_OVERRIDE),
+        };
+        if overrides == self.overrides {
+            return;
+        }
+        self.overrides = overrides;
+        self.planner.replan(overrides);
+        if self.running.active {
+            if let Some(block) = self.planner.first() {
+                let nominal = block.nominal(overrides) * self.running.scale;
+                self.running.nominal2 = nominal * nominal;
+            }
+            if let Some(far) = &mut self.far {
+                // The tick that is waited for comes sooner or later in proportion, as if its speed had changed at once:
+                // it is a sixteenth of a step.
+                let speed = far.cut.units as f32 / far.cut.seconds;
+                let speed2 = self.running.nominal2.min(speed * speed + 2.0 * self.running.acceleration);
+                let changed = square_root(speed2);
+                if changed > 0.0 {
+                    far.time = (far.time as f32 * (speed / changed)) as u64;
+                    far.cut.seconds = far.cut.units as f32 / changed;
+                    far.cut.end2 = speed2;
+                }
+            }
+        }
+    }
+
+    /// Forgets all queued moves. At rest, or once a hold has been handed over to its end; ignored in motion.
+    pub fn discard(&mut self) {
+        if !self.rest {
+            return;
+        }
+        self.plan_from(self.prepared_steps());
+        self.started = false;
+        self.hold = Hold::None;
+    }
+
+    /// After a stop or underrun of the step task, with its step counters: everything queued is forgotten and the position
+    /// is exact. The gate of the step task is opened by the caller (`ToStep::Resume`) before anything of `next` reaches it.
+    pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
+        let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
+        self.flight.forget(steps);
+        self.plan_from(steps);
+        self.started = false;
+        self.hold = Hold::None;
+    }
+
+    /// Takes over how far the step task is.
+    pub fn observe(&mut self, observed: &Observed) {
+        self.step_idle = observed.step_idle;
+        self.flight.observe(observed.segments_begun, observed.step_idle);
+    }
+
+    /// Whether nothing is in the step task and nothing will come before `start` or `resume`.
+    pub fn is_at_rest(&self) -> bool {
+        self.flight.is_empty() && self.step_idle && self.rest && (!self.started || self.hold == Hold::Held)
+    }
+
+    /// Whether the machine is at rest and nothing is queued.
+    pub fn is_idle(&self) -> bool {
+        self.is_at_rest() && self.planner.len() == 0 && self.long.is_none()
+    }
+
+    /// Machine position in steps at the end of the segment begun last.
+    pub fn machine_steps(&self) -> PerAxis<i32, N> {
+        self.flight.current().position
+    }
+
+    /// Machine position at the end of the segment begun last.
+    pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
+        kinematics::place(&self.steps_per_mm, &self.machine_steps())
+    }
+
+    /// Declares where the machine is; at rest only. Forgets what is queued.
+    pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
+        let old = self.prepared_steps();
+        let new = kinematics::steps(&self.steps_per_mm, position);
+        let moved = new.zip(&old, i32::wrapping_sub);
+        self.origin = self.origin.zip(&moved, i32::wrapping_add);
+        self.flight.forget(new);
+        self.plan_from(new);
+        // The programmed place, not the nearest step: what follows is measured from it.
+        self.planned = *position;
+        self.block_end = *position;
+    }
+
+    /// The machine position at a reading of the step counters.
+    pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
+        kinematics::place(&self.steps_per_mm, &counter.zip(&self.origin, i32::wrapping_add))
+    }
+
+    /// End of the queue, as programmed.
+    pub fn planned_position(&self) -> PerAxis<Coordinate, N> {
+        self.long.map_or(self.planned, |long| long.whole.target)
+    }
+
+    /// Speed of the segment being executed, mm/s; 0 at rest.
+    pub fn speed(&self) -> f32 {
+        self.flight.current().speed
+    }
+
+    /// Power of the segment being executed; 0 at rest.
+    pub fn power(&self) -> u16 {
+        self.flight.current().power
+    }
+
+    /// N word of the block being executed, 0 if none.
+    pub fn line_number(&self) -> u32 {
+        self.flight.current().line_number
+    }
+
+    /// Machine steps at the end of what has been handed over.
+    fn prepared_steps(&self) -> PerAxis<i32, N> {
+        let run = &self.running;
+        if !run.active {
+            return self.start;
+        }
+        let mut position = self.start;
+        for (bit, (value, steps)) in position.iter_mut().zip(run.steps).enumerate() {
+            let taken = if run.done == run.total { steps } else { steps_taken(steps, run.dominant, run.done) };
+            *value = signed_add(*value, taken, run.directions >> bit & 1 != 0);
+        }
+        position
+    }
+
+    /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
+    pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
+        self.observe(observed);
+        if !self.started || self.hold == Hold::Held || self.flight.is_full() {
+            return None;
+        }
+        if self.flight.queued() >= self.step_clock_hz / 1000 * QUEUED_TIME_MS {
+            return None;
+        }
+        self.continue_long_move();
+        if !self.running.active && !self.begin_block() {
+            self.started = false;
+            return None;
+        }
+        match self.running.announce {
+            Announce::Rest => {
+                self.running.announce = Announce::Block;
+                let mut steps = [0; 3];
+                for (out, own) in steps.iter_mut().zip(self.running.steps.iter().skip(3)) {
+                    *out = *own;
+                }
+                Some(ToStep::BlockRest { steps })
+            }
+            Announce::Block => {
+                self.running.announce = Announce::Nothing;
+                let mut steps = [0; 3];
+                for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
+                    *out = *own;
+                }
+                Some(ToStep::Block { steps, directions: self.running.directions })
+            }
+            Announce::Nothing => Some(ToStep::Segment(self.segment())),
+        }
+    }
+
+    /// Takes the first block of the queue to pieces; `false` without one.
+    fn begin_block(&mut self) -> bool {
+        let Some(block) = self.planner.first() else { return false };
+        let dominant = block.dominant();
+        let total = dominant * UNITS_PER_STEP;
+        let scale = total as f32 / block.length;
+        let nominal = block.nominal(self.overrides) * scale;
+        self.running = Running {
+            active: true,
+            announce: if N > 3 { Announce::Rest } else { Announce::Block },
+            fresh: true,
+            steps: block.steps,
+            directions: block.directions,
+            flags: block.flags,
+            power: block.power,
+            line_number: block.line_number,
+            dominant,
+            total,
+            done: 0,
+            scale,
+            acceleration: block.acceleration * scale,
+            nominal2: nominal * nominal,
+            programmed: if block.flags & RAPID != 0 { block.limit } else { block.programmed },
+        };
+        self.speed2 = self.speed2 * scale * scale;
+        true
+    }
+
+    fn segment(&mut self) -> Segment {
+        let clocks_per_ms = self.step_clock_hz / 1000;
+        let far_fixed = u64::from(self.pacer.whole(FAR_MS * clocks_per_ms));
+        if self.far.is_none() {
+            match self.cut() {
+                Some(cut) => {
+                    let time = self.pacer.fixed(cut.seconds);
+                    if cut.ticks > 1 || time <= far_fixed {
+                        let time = u32::try_from(time).unwrap_or(u32::MAX);
+                        return self.emit(&cut, time);
+                    }
+                    self.far = Some(Far { cut, time });
+                }
+                None => return self.rest_here(),
+            }
+        }
+        let Some(far) = &mut self.far else { return self.rest_here() };
+        if self.hold == Hold::Ramp {
+            return self.rest_here();
+        }
+        let cut = far.cut;
+        if far.time > far_fixed {
+            let wait = WAIT_MS * clocks_per_ms;
+            let wait_fixed = self.pacer.whole(wait);
+            far.time -= u64::from(wait_fixed);
+            self.rest = false;
+            return self.hand_over(&cut, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait);
+        }
+        let time = far.time as u32;
+        self.far = None;
+        self.emit(&cut, time)
+    }
+
+    /// The next piece of the running block; `None` if it is a stop at this very place.
+    fn cut(&self) -> Option<Cut> {
+        let run = &self.running;
+        let left = run.total - run.done;
+        if self.hold != Hold::Ramp {
+            let exit2 = self.planner.exit2() * (run.scale * run.scale);
+            let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
+            return Some(segment::cut(&curve, run.done, left, self.speed2));
+        }
+        if self.speed2 <= 0.0 {
+            return None;
+        }
+        let way = self.speed2 / (2.0 * run.acceleration);
+        if way < 1.0 && square_root(self.speed2) * CRAWL_S < 2.0 {
+            return None;
+        }
+        if way >= left as f32 {
+            // All of this block brakes, and the next one goes on with what speed is left.
+            let exit2 = (self.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
+            let curve = Curve { acceleration: run.acceleration, nominal2: self.speed2, exit2 };
+            return Some(segment::cut(&curve, run.done, left, self.speed2));
+        }
+        // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
+        let mut stop = way as u32;
+        if (stop as f32) < way {
+            stop += 1;
+        }
+        let stop = stop.clamp(1, left);
+        let curve = Curve { acceleration: self.speed2 / (2.0 * stop as f32), nominal2: self.speed2, exit2: 0.0 };
+        Some(segment::cut(&curve, run.done, stop, self.speed2))
+    }
+
+    /// A segment that moves nothing and lets the step task rest.
+    fn rest_here(&mut self) -> Segment {
+        self.far = None;
+        self.speed2 = 0.0;
+        self.rest = true;
+        self.hold = Hold::Held;
+        let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
+        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end2: 0.0, ramp: 0.0 };
+        let interval = self.pacer.whole(clocks);
+        self.hand_over(&still, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
+    }
+
+    /// Hands over a cut with its time, and goes on to the next block after the last.
+    fn emit(&mut self, cut: &Cut, time: u32) -> Segment {
+        let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
+        self.running.done += cut.units;
+        self.speed2 = cut.end2;
+        let ends = self.running.done >= self.running.total;
+        let mut flags = 0;
+        if ends && self.planner.len() < 2 {
+            self.speed2 = 0.0;
+        }
+        self.rest = self.speed2 <= 0.0;
+        if self.rest {
+            flags = Segment::FLAG_LAST;
+            if self.hold == Hold::Ramp {
+                self.hold = Hold::Held;
+            }
+        }
+        let segment =
+            self.hand_over(cut, flags, intervals.interval, intervals.ramp, cut.ticks as u16, intervals.clocks);
+        if ends {
+            self.start = self.prepared_steps();
+            self.running.active = false;
+            self.planner.pop();
+            self.speed2 /= self.running.scale * self.running.scale;
+            if self.planner.len() == 0 && self.long.is_none() {
+                self.started = false;
+            }
+        }
+        segment
+    }
+
+    /// Notes a segment that is on its way, and makes its message.
+    fn hand_over(&mut self, cut: &Cut, flags: u8, interval: u32, ramp: i32, ticks: u16, clocks: u32) -> Segment {
+        let run = &self.running;
+        let speed = cut.units as f32 / (cut.seconds * run.scale);
+        let mut power = run.power;
+        if run.flags & SCALE_POWER != 0 {
+            power = (f32::from(power) * (speed / run.programmed)) as u16;
+        }
+        let record = Record { position: self.prepared_steps(), speed, clocks, line_number: run.line_number, power };
+        let fresh = if run.fresh { Segment::FLAG_NEW_BLOCK } else { 0 };
+        self.running.fresh = false;
+        self.flight.push(record);
+        Segment { interval, ramp, ticks, power, level: cut.level, flags: flags | fresh }
+    }
+}

@@ -1,0 +1,105 @@
+//! The speed curve within a block: speed² as a function of the distance left, and the exact time that a piece takes.
+//!
+//! ```text
+//!  v²   nominal² ________________
+//!             /                  \      each edge rises or falls by 2·a per unit of distance;
+//!            /                    \     the falling one is fixed to the block's end, so it cannot drift
+//!  now²     /                      \  exit²
+//! ```
+//! Distances in units (1/16 step of the dominant axis), speeds in units/s. A speed above the curve (after an override)
+//! falls by 2·a per unit until it meets it, over the end of the block if it must. A jerk limit would shape these edges.
+
+/// The one square root of the controller: IEEE, so the same on every machine.
+#[inline]
+pub(super) fn square_root(value: f32) -> f32 {
+    libm::sqrtf(value)
+}
+
+/// Speeds² closer than this (relative) are the same: some 30 roundings of an `f32`.
+const SAME: f32 = 4.0e-6;
+/// A piece meets at most: brake to nominal, cruise, brake; or accelerate, cruise, brake. The rest is for roundings.
+const MOST_PHASES: u32 = 8;
+
+/// What bounds the speed in the rest of a block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Curve {
+    pub acceleration: f32,
+    pub nominal2: f32,
+    pub exit2: f32,
+}
+
+/// A stretch with one acceleration.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Phase {
+    /// +1, 0 or -1 times the acceleration.
+    pub sign: f32,
+    /// Distance until it ends.
+    pub length: f32,
+    /// Speed² at that end.
+    end2: f32,
+}
+
+impl Curve {
+    /// The phase at a speed² with `left` units to the end of the block.
+    #[inline]
+    pub(super) fn phase(&self, speed2: f32, left: f32) -> Phase {
+        let slope = 2.0 * self.acceleration;
+        let brake2 = self.exit2 + slope * left;
+        if speed2 >= brake2 * (1.0 - SAME) {
+            // On the falling edge; or above it, when it is left at the end of the block with what speed remains.
+            let end2 = if speed2 > brake2 * 1.001 { speed2 - slope * left } else { self.exit2 };
+            return Phase { sign: -1.0, length: left, end2: end2.max(self.exit2) };
+        }
+        let missing2 = self.nominal2 - speed2;
+        if missing2 < -SAME * speed2 {
+            return Phase { sign: -1.0, length: -missing2 / slope, end2: self.nominal2 };
+        }
+        if missing2 <= SAME * speed2 {
+            return Phase { sign: 0.0, length: (brake2 - self.nominal2) / slope, end2: self.nominal2 };
+        }
+        // Where the rising edge meets the falling one it is half as high above the lower of the two as they are apart.
+        let meet2 = 0.5 * (brake2 - speed2);
+        if meet2 < missing2 {
+            Phase { sign: 1.0, length: meet2 / slope, end2: speed2 + meet2 }
+        } else {
+            Phase { sign: 1.0, length: missing2 / slope, end2: self.nominal2 }
+        }
+    }
+
+    /// Seconds for the next `distance` of the `left` units, and the speed² after it. Exact also from and to rest.
+    pub(super) fn advance(&self, mut speed2: f32, mut left: f32, mut distance: f32) -> (f32, f32) {
+        let slope = 2.0 * self.acceleration;
+        let mut speed = square_root(speed2);
+        let mut time = 0.0;
+        for _ in 0..MOST_PHASES {
+            let phase = self.phase(speed2, left);
+            let whole = phase.length <= distance;
+            let piece = if whole { phase.length } else { distance };
+            let end2 = if whole {
+                phase.end2
+            } else if phase.sign < 0.0 {
+                // Measured from the phase's end, where it must arrive exactly.
+                phase.end2 + slope * (phase.length - piece)
+            } else {
+                speed2 + phase.sign * slope * piece
+            };
+            let end = square_root(end2);
+            let sum = speed + end;
+            if piece > 0.0 {
+                // The second form is for a rest that rounding made of a crawl.
+                time += if sum > 0.0 { 2.0 * piece / sum } else { square_root(2.0 * piece / self.acceleration) };
+            }
+            speed2 = end2;
+            speed = end;
+            left -= piece;
+            distance -= piece;
+            if !whole || distance <= 0.0 {
+                return (time, speed2);
+            }
+        }
+        if speed > 0.0 {
+            time += distance / speed;
+        }
+        (time, speed2)
+    }
+}

@@ -1,0 +1,167 @@
+//! Cuts the next segment out of a block's speed curve, and puts times into the fixed point of the step task.
+//!
+//! A segment lasts 1 ms at most (or one tick, if that takes longer), has whole ticks, and ends where a phase of the curve
+//! ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
+//! cannot hold goes into the next segment, so no time is lost or gained.
+
+use super::profile::{Curve, square_root};
+use super::stepper::MAX_LEVEL;
+use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
+
+/// Longest segment of several ticks, in seconds: how old the acceleration may get.
+const SEGMENT_TIME: f32 = 0.001;
+/// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
+const SMOOTH_RATE: f32 = 8000.0;
+/// Share of speed²/acceleration that one segment may cover: its speed then changes by a fifth at most, so that evenly
+/// changing intervals follow the curve (the intervals of a longer piece bend).
+const EVEN: f32 = 0.2;
+/// Phases shorter than this many units end on the nearest tick, longer ones on the next whole step.
+const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
+
+/// A piece of a block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    pub units: u32,
+    pub level: u8,
+    pub ticks: u32,
+    pub seconds: f32,
+    /// Speed² at its end, in units²/s².
+    pub end2: f32,
+    /// Change of the interval from tick to tick, in seconds.
+    pub ramp: f32,
+}
+
+/// Speed in units/s above which `level` is not needed.
+fn level_speed(level: u8) -> f32 {
+    SMOOTH_RATE * UNITS_PER_STEP as f32 / (1_u32 << level) as f32
+}
+
+/// The coarsest level whose ticks are fast enough.
+fn level_for(speed: f32) -> u8 {
+    let mut level = 0;
+    while level < MAX_LEVEL && speed < level_speed(level) {
+        level += 1;
+    }
+    level
+}
+
+/// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
+pub(super) fn cut(curve: &Curve, done: u32, left: u32, speed2: f32) -> Cut {
+    let speed = square_root(speed2);
+    let phase = curve.phase(speed2, left as f32);
+    let mut level = level_for(speed);
+    let change = phase.sign * curve.acceleration * SEGMENT_TIME;
+    // A braking that ends within the time: all of it.
+    let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * SEGMENT_TIME } else { speed * SEGMENT_TIME };
+    if phase.sign != 0.0 {
+        reach = reach.min(EVEN * speed2 / curve.acceleration);
+        let edge = if phase.sign > 0.0 {
+            if level > 0 { level_speed(level - 1) } else { f32::MAX }
+        } else if level < MAX_LEVEL {
+            level_speed(level)
+        } else {
+            0.0
+        };
+        if edge < 1.0e9 {
+            reach = reach.min((edge * edge - speed2).abs() / (2.0 * curve.acceleration));
+        }
+    }
+
+    // A coarser tick begins at its own multiples only: until there, ticks as fine as the place allows.
+    let mut grain = UNITS_PER_STEP >> level;
+    let mut limit = left;
+    let astray = done & (grain - 1);
+    if astray != 0 {
+        limit = limit.min(grain - astray);
+        grain = 1 << done.trailing_zeros();
+    }
+    while grain > limit {
+        grain >>= 1;
+    }
+    level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
+
+    let units = if phase.length <= reach {
+        // A phase of some steps is left on a whole step, a shorter one at the tick.
+        let length = phase.length as u32;
+        let round = if length >= WHOLE_STEPS { UNITS_PER_STEP } else { grain };
+        let end = done + length;
+        ((end & !(round - 1)) + round) - done
+    } else {
+        let units = reach as u32;
+        if units >= UNITS_PER_STEP { ((done + units) & !(UNITS_PER_STEP - 1)) - done } else { units }
+    };
+    let most = (limit / grain).min(u32::from(u16::MAX));
+    let ticks = (units / grain).clamp(1, most);
+    let units = ticks * grain;
+
+    let (seconds, end2) = curve.advance(speed2, left as f32, units as f32);
+    let mut ramp = 0.0;
+    if ticks > 1 && phase.sign != 0.0 {
+        let end = square_root(end2);
+        if speed > 0.0 && end > 0.0 {
+            // The interval is grain / speed at either end of the segment.
+            ramp = grain as f32 * (speed - end) / (speed * end) / ticks as f32;
+        }
+    }
+    Cut { units, level, ticks, seconds, end2, ramp }
+}
+
+/// Intervals of one segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Intervals {
+    pub interval: u32,
+    pub ramp: i32,
+    /// Whole step-clock ticks, for accounts of queued time.
+    pub clocks: u32,
+}
+
+/// The step clock, and the remainder that the last segment could not hold.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pacer {
+    /// Fixed-point units of an interval in a second.
+    per_second: f32,
+    remainder: u32,
+}
+
+/// One clock tick, the least interval.
+const ONE: u32 = 1 << INTERVAL_FRACTION_BITS;
+
+impl Pacer {
+    pub(super) fn new(step_clock_hz: u32) -> Self {
+        Self { per_second: step_clock_hz as f32 * ONE as f32, remainder: 0 }
+    }
+
+    /// Seconds in fixed point. Saturates (at centuries).
+    #[inline]
+    pub(super) fn fixed(&self, seconds: f32) -> u64 {
+        (seconds * self.per_second) as u64
+    }
+
+    /// Whole step-clock ticks in fixed point.
+    #[inline]
+    pub(super) fn whole(&self, clocks: u32) -> u32 {
+        clocks.saturating_mul(ONE)
+    }
+
+    /// Spreads a time over ticks with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    pub(super) fn intervals(&mut self, time: u32, ticks: u32, ramp: f32) -> Intervals {
+        let least = ticks.saturating_mul(ONE);
+        let total = time.saturating_add(self.remainder).max(least);
+        let average = total / ticks;
+        let pairs = ticks - 1;
+        // Whatever the curve says, the shortest tick keeps a quarter of the average.
+        let steepest = if pairs == 0 { 0 } else { (average - average / 4).saturating_sub(ONE) / pairs };
+        let steepest = steepest.min(i32::MAX as u32) as i32;
+        let ramp = ((ramp * self.per_second) as i32).clamp(-steepest, steepest);
+        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2.
+        let rise = i64::from(ramp) * i64::from(pairs) / 2 * i64::from(ticks)
+            + i64::from(ramp) * i64::from(pairs) % 2 * i64::from(ticks) / 2;
+        let flat = (i64::from(total) - rise).max(0) as u64;
+        let (interval, remainder) = match u32::try_from(flat) {
+            Ok(flat) => (flat / ticks, flat % ticks),
+            Err(_) => ((flat / u64::from(ticks)) as u32, (flat % u64::from(ticks)) as u32),
+        };
+        self.remainder = remainder;
+        Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
+    }
+}
