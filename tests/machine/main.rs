@@ -1,0 +1,8 @@
+//! Tests of the whole machine: bytes in, pulses out.
+
+mod estimator;
+mod examples;
+mod host;
+mod oracle;
+mod rig;
+mod seed;
