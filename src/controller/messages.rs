@@ -32,6 +32,8 @@ pub const SIGNALS_DEPTH: usize = 8;
 pub enum Realtime {
     /// 0x18. The sender has also raised the sticky stop of the step task.
     Reset,
+    /// 0x19, as in grblHAL: brake, forget what is queued, keep position and modal state.
+    Stop,
     Status,
     CycleStart,
     FeedHold,
@@ -55,8 +57,8 @@ pub enum Realtime {
     MistToggle,
 }
 
-/// A byte of a line and the epoch it came in: the number (wrapping) of resets and jog cancels that the splitter had
-/// seen before it. So a byte sent before a 0x18 is dropped and one sent after it never is, although the two queues to
+/// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that the splitter had
+/// seen before it. So a byte sent before a reset is dropped and one sent after it never is, although the two queues to
 /// `control` keep no order between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {

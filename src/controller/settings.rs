@@ -66,7 +66,10 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true),
     entry(31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true),
     entry(32, "Laser mode", "", Kind::Switch, 0.0, true),
+    entry(40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false),
     entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
+    entry(901, "An error stops the job", "", Kind::Switch, 0.0, false),
+    entry(902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -105,12 +108,15 @@ pub enum Key {
     SpindleMaximum,
     SpindleMinimum,
     Laser,
+    JogClip,
     Dialect,
+    StopOnError,
+    TrustNeeded,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 24;
+    pub const COUNT: usize = 27;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -316,7 +322,9 @@ mod tests {
             (Key::DirectionSetup, 29),
             (Key::SpindleMinimum, 31),
             (Key::Laser, 32),
+            (Key::JogClip, 40),
             (Key::Dialect, 900),
+            (Key::TrustNeeded, 902),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

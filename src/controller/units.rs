@@ -90,6 +90,11 @@ impl Coordinate {
         Coordinate(if scaled < 0.0 { (scaled - 0.5) as i64 } else { (scaled + 0.5) as i64 })
     }
 
+    /// The nearest place that the controller may compute with.
+    pub fn limited(self) -> Coordinate {
+        self.clamp(-Self::LIMIT, Self::LIMIT)
+    }
+
     /// Whether the controller may compute with this place (see [`Coordinate::LIMIT`]).
     pub const fn in_range(self) -> bool {
         self.0 <= Self::LIMIT.0 && self.0 >= -Self::LIMIT.0

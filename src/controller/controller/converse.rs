@@ -16,6 +16,8 @@ use crate::units::Coordinate;
 /// Keys of stored records: a setting has its own number (0 to 999).
 const KEY_OFFSETS: u16 = 1000;
 const KEY_STARTUP: u16 = 1100;
+/// Number of the dialect setting, above all others.
+const DIALECT: u16 = 900;
 const KEY_BUILD_INFO: u16 = 1200;
 
 /// An answer of many lines.
@@ -116,6 +118,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         if let Err(error) = result {
             self.refuse(error);
+            let program = line.first() != Some(&b'$');
+            if program && self.settings.is_on(Key::StopOnError) && self.mode == Mode::Normal {
+                self.stop_softly(true);
+            }
         }
     }
 
@@ -143,11 +149,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         let stale = (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0;
-        let checked = self.interpreter.check_jog(line, self.context())?;
+        let mut checked = self.interpreter.check_jog(line, self.context())?;
         if stale || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
             return Ok(());
+        }
+        if self.settings.is_on(Key::JogClip) {
+            self.clip_to_travel(&mut checked);
         }
         if let Some(error) = self.refuse_motion(&checked, true) {
             return Err(error);
@@ -240,6 +249,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.coolant = Coolant::default();
                 self.drivers_on = false;
                 self.drivers_off_at = None;
+                // Axes can be moved by hand now.
+                self.trusted = false;
                 self.mode = Mode::Sleep;
             }
             System::Set(number, value) => {
@@ -254,7 +265,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A setting has a new value: derived numbers follow, and it is stored.
     fn changed(&mut self, number: u16) {
         self.reconfigure();
-        if number == 13 || number == 10 {
+        if number == 13 {
             self.rare_fields.offset_changed();
         }
         self.save_setting(number);
@@ -291,6 +302,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.mode = Mode::Normal;
             self.alarm = None;
             self.say(|out| report::message(out, "Caution: Unlocked"));
+            if !self.trusted && self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+            }
         }
         self.say(report::ok);
         Ok(())
@@ -298,8 +312,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
-            self.settings = Settings::default();
-            self.forget(0..KEY_OFFSETS);
+            // The dialect stays: it is how this host is spoken to.
+            let mut settings = Settings::default();
+            settings.restore(DIALECT, self.settings.value(Key::Dialect));
+            self.settings = settings;
+            self.forget(0..DIALECT);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();

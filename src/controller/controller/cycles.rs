@@ -66,7 +66,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match order {
             Order::Move { by, rate, watch } => {
                 let here = self.motion.machine_position();
-                let target = here.zip(&by, |from, by| from + Coordinate::from_mm_f32(by));
+                let target = here.zip(&by, |from, by| (from + Coordinate::from_mm_f32(by)).limited());
                 self.motion.line(&seek(target, Speed::Feed(rate)));
                 self.start_motion();
                 self.task = Task::Homing(homing, HomingWait::Motion(watch));
@@ -79,6 +79,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         place.set(axis, home);
                     }
                 }
+                // One axis alone does not make the others true.
+                self.trusted |= Axis::of_machine::<N>().all(|axis| axes.has(axis));
                 self.motion.set_machine_position(&place);
                 self.interpreter.set_position(self.motion.machine_position());
                 self.mode = Mode::Normal;

@@ -11,7 +11,7 @@ use crate::machine::homing::Homing;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, SpindleDirection};
-use crate::motion::{Arc, ArcGeometry, Move, Speed};
+use crate::motion::{Arc, ArcGeometry, Move, Speed, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::{Coordinate, Duration, Instant};
@@ -147,9 +147,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A checked line begins. Jogs have been allowed by the caller.
     pub(super) fn begin(&mut self, checked: Checked<N>, answer: Answer, jog: bool) {
         let checking = self.mode == Mode::Check;
-        let speed_needs_rest = checked.speed_changed
-            && self.spindle != SpindleDirection::Off
-            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None);
         let drain = !checking
             && (checked.spindle.is_some()
                 || checked.coolant.is_some()
@@ -157,9 +154,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.work_offset_changed
                 || checked.store.is_some()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
-                || speed_needs_rest);
+                || self.speed_needs_rest(&checked));
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job { answer, checked, stage, jog });
+    }
+
+    /// A running spindle changes its speed at rest; a laser's power rides with the motion.
+    fn speed_needs_rest(&self, checked: &Checked<N>) -> bool {
+        checked.speed_changed
+            && self.spindle != SpindleDirection::Off
+            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None)
     }
 
     /// Does one bounded piece of the task. Whether something was done.
@@ -296,6 +300,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         }
         self.spindle_speed = checked.speed;
+        if self.speed_needs_rest(checked) {
+            self.rare_fields.overrides_changed();
+        }
         if let Some(spindle) = checked.spindle {
             self.spindle = spindle;
             self.rare_fields.overrides_changed();
@@ -373,17 +380,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn begin_arc(&mut self, arc: &ArcMove<N>) -> Stage<N> {
-        let geometry = ArcGeometry {
-            start: arc.start,
-            target: arc.target,
-            axis_0: arc.axes.first,
-            axis_1: arc.axes.second,
-            offset_0: arc.i,
-            offset_1: arc.j,
-            clockwise: arc.clockwise,
-            turns: arc.turns,
-        };
-        let chords = Arc::new(&geometry, self.settings.value(Key::ArcTolerance));
+        let chords = Arc::new(&geometry(arc), self.settings.value(Key::ArcTolerance));
         let feed = match arc.feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => chords.length() / seconds,
@@ -400,7 +397,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.motion_locked() {
             return Some(error);
         }
+        if checked.uses_machine_place && self.must_home_first() {
+            self.say(|out| report::message(out, "Home first: the machine position is not known"));
+            return Some(Error::Locked);
+        }
         (jog && self.leaves_travel(checked)).then_some(Error::JogOutsideTravel)
+    }
+
+    /// Lets a jog end where the travel does.
+    pub(super) fn clip_to_travel(&self, checked: &mut Checked<N>) {
+        if let gcode::Motion::Line { target, .. } = &checked.motion
+            && self.limits_travel()
+        {
+            let travel = self.settings.axes(AxisKey::Travel);
+            checked.redirect(target.zip(&travel, |p, t| p.clamp(-Coordinate::from_mm_f32(t), Coordinate::ZERO)));
+        }
+    }
+
+    /// Whether soft limits are in force. Without a true position there is nothing to compare with.
+    fn limits_travel(&self) -> bool {
+        self.settings.is_on(Key::SoftLimits) && !self.must_home_first()
     }
 
     /// Whether the settings allow no motion at all; then the host has been told which.
@@ -410,7 +426,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Some(Error::Locked)
     }
 
-    /// Whether a motion ends (or turns) outside of the travel, with soft limits on.
+    /// Whether any part of a motion lies outside of the travel, with soft limits on.
     pub(super) fn leaves_travel(&self, checked: &Checked<N>) -> bool {
         let travel = self.settings.axes(AxisKey::Travel);
         let outside = |place: &PerAxis<Coordinate, N>| {
@@ -419,11 +435,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 .iter()
                 .any(|outside| *outside)
         };
-        self.settings.is_on(Key::SoftLimits)
+        self.limits_travel()
             && match &checked.motion {
                 gcode::Motion::None => false,
                 gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
-                gcode::Motion::Arc(arc) => outside(&arc.target),
+                gcode::Motion::Arc(arc) => {
+                    let (least, greatest) = extent(&geometry(arc));
+                    outside(&least) || outside(&greatest)
+                }
                 gcode::Motion::Probe { target, .. } => outside(target),
             }
     }
@@ -443,6 +462,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.initialise();
             }
         }
+    }
+}
+
+fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
+    ArcGeometry {
+        start: arc.start,
+        target: arc.target,
+        axis_0: arc.axes.first,
+        axis_1: arc.axes.second,
+        offset_0: arc.i,
+        offset_1: arc.j,
+        clockwise: arc.clockwise,
+        turns: arc.turns,
     }
 }
 

@@ -68,9 +68,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     line: Line,
     /// A byte that came before the realtime command which opened its epoch.
     held: Option<LineByte>,
-    /// Resets and jog cancels taken.
+    /// Resets, stops and jog cancels taken.
     epoch: u8,
-    /// Bytes of older epochs are dropped: the epoch of the last reset.
+    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
     reset_epoch: u8,
     /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
     jog_epoch: u8,
@@ -79,6 +79,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 
     mode: Mode,
     alarm: Option<Alarm>,
+    /// The machine is where the counters say: it falls with a stop at speed and with drivers that are off, and comes back
+    /// with homing. Without homing nobody knows better, so it is then a warning and no lock.
+    trusted: bool,
     /// Motion has been started and not come to its end.
     running: bool,
     input_ended: bool,
@@ -162,6 +165,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_epoch: 0,
             mode: Mode::Normal,
             alarm: None,
+            trusted: true,
             running: false,
             input_ended: false,
             task: Task::None,
@@ -198,6 +202,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
+            self.trusted = false;
         }
         self.initialise();
     }
@@ -357,6 +362,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.end_jog();
                 }
             }
+            Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
                 self.door_coolant = self.coolant;
                 self.coolant = Coolant::default();
@@ -378,6 +384,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drivers_off_at = None;
             self.drivers_on = false;
         }
+    }
+
+    /// With homing on, what goes to a place of the machine waits for a position that is true.
+    fn must_home_first(&self) -> bool {
+        !self.trusted && self.settings.is_on(Key::Homing) && self.settings.is_on(Key::TrustNeeded)
     }
 
     fn start_idle_delay(&mut self) {
@@ -422,6 +433,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }
+            Realtime::Stop => {
+                self.epoch = self.epoch.wrapping_add(1);
+                self.reset_epoch = self.epoch;
+                self.jog_epoch = self.epoch;
+                self.line.clear();
+                self.stop_softly(false);
+                self.release_held();
+            }
             Realtime::Status => self.status_due = true,
             Realtime::CycleStart => self.cycle_start(),
             Realtime::FeedHold => self.feed_hold(),
@@ -436,8 +455,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
-                    self.spindle_stopped = !self.spindle_stopped;
-                    self.rare_fields.overrides_changed();
+                    if self.spindle_stopped {
+                        self.restore_spindle();
+                    } else {
+                        self.spindle_stopped = true;
+                        self.rare_fields.overrides_changed();
+                    }
                 }
             }
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
@@ -488,15 +511,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A hold or a door is over: motion, a dwell or the lines that waited go on.
     fn leave_hold(&mut self) {
-        if self.spindle_stopped {
-            self.spindle_stopped = false;
-            self.rare_fields.overrides_changed();
-        }
+        self.restore_spindle();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         self.motion.resume();
         if !self.motion.is_idle() {
             self.start_motion();
+        }
+    }
+
+    /// A spindle that was stopped in a hold turns again.
+    fn restore_spindle(&mut self) {
+        if self.spindle_stopped {
+            self.spindle_stopped = false;
+            self.rare_fields.overrides_changed();
+            if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off {
+                self.say(|out| report::message(out, "Restoring spindle"));
+            }
         }
     }
 
@@ -508,10 +539,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Hold;
                 if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
                     self.spindle_stopped = true;
+                    self.rare_fields.overrides_changed();
                 }
             }
             Mode::Jog { .. } => self.cancel_jog(),
             _ => {}
+        }
+    }
+
+    /// Brakes to a stop and forgets the job; the position stays true.
+    pub(super) fn stop_softly(&mut self, locked: bool) {
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Door(_));
+        if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
+            self.motion.hold();
+            self.mode = Mode::Stopping { locked };
+        }
+    }
+
+    fn end_soft_stop(&mut self, locked: bool) {
+        self.motion.discard();
+        self.running = false;
+        self.probing = None;
+        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.interpreter.set_position(self.motion.machine_position());
+        self.start_idle_delay();
+        if self.task.abandon() {
+            self.say(report::ok);
+        }
+        self.mode = if locked { Mode::Alarm } else { Mode::Normal };
+        if locked {
+            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
         }
     }
 
@@ -530,6 +587,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
                 self.motion.hold();
                 self.task.suspend(self.now);
+            }
+            Mode::Door(_) => {
+                self.say(|out| report::message(out, "Check Door"));
+                return;
             }
             Mode::Home => {
                 self.stop.order = true;
@@ -624,6 +685,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
+                self.trusted &= !moving;
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
@@ -645,6 +707,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.line.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
+            self.trusted &= !moving;
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }
@@ -725,13 +788,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Power and speed of the spindle as it turns now.
-    fn spindle_output(&self) -> (u16, f32) {
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
-            (0, 0.0)
+    /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
+    /// with scaled power (M4) is off at no speed.
+    fn resting_power(&self) -> u16 {
+        let dark = self.settings.is_on(Key::Laser)
+            && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
+            0
         } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle)
+            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
         }
+    }
+
+    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
+    fn spindle_now(&self) -> (SpindleDirection, f32) {
+        let from_segments = self.settings.is_on(Key::Laser) && !self.motion.is_at_rest() && !self.spindle_stopped;
+        let power = if from_segments { self.motion.power() } else { self.resting_power() };
+        let direction = if power == 0 { SpindleDirection::Off } else { self.spindle };
+        (direction, self.spindle_range().speed_of(power))
     }
 
     /// A laser with constant power (M3) stays on between feed motions.
@@ -743,17 +817,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn changed_pins(&mut self) -> Option<SlowOutputs> {
-        let (power, _) = self.spindle_output();
-        let laser = self.settings.is_on(Key::Laser) && !self.spindle_stopped;
         let pins = SlowOutputs {
             spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
-            // A laser at rest: constant power (M3) stays in a feed mode, scaled power (M4) is nothing at no speed.
-            power: if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
-                0
-            } else {
-                power
-            },
-            power_from_segments: laser,
+            power: self.resting_power(),
+            power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
             coolant: self.coolant,
             drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
         };
@@ -807,10 +874,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
+        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
         let mask = self.settings.whole(Key::StatusReport);
-        let (_, speed) = self.spindle_output();
+        let (spindle, speed) = self.spindle_now();
         let grbl = self.dialect() == Dialect::Grbl;
         let line = self.motion.line_number();
         let status = report::Status {
@@ -825,7 +892,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             pins: self.signals,
             show_offset,
             overrides: show_overrides.then(|| {
-                let spindle = if self.spindle_stopped { SpindleDirection::Off } else { self.spindle };
                 ([self.overrides.feed, self.overrides.rapid, self.overrides.spindle], spindle, self.coolant)
             }),
         };

@@ -36,6 +36,8 @@ pub struct Checked<const N: usize> {
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
     pub work_offset_changed: bool,
+    /// The motion goes to a place of the machine (G53, G28, G30), so it needs a machine position that is true.
+    pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit.
     pub store: Option<StoredOffset>,
     /// The motion.
@@ -60,6 +62,14 @@ impl<const N: usize> Checked<N> {
         &self.position
     }
 
+    /// A straight move that ends elsewhere: a jog cut short at the end of the travel.
+    pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
+        if let Motion::Line { target, .. } = &mut self.motion {
+            *target = place;
+            self.position = place;
+        }
+    }
+
     /// What leaves everything as it is.
     pub(super) fn of_state(state: &Interpreter<N>) -> Self {
         Self {
@@ -70,6 +80,7 @@ impl<const N: usize> Checked<N> {
             coolant: None,
             dwell: None,
             work_offset_changed: false,
+            uses_machine_place: false,
             store: None,
             motion: Motion::None,
             flow: Flow::None,
@@ -371,10 +382,13 @@ impl<'a, const N: usize> Check<'a, N> {
         self.unused.remove(Letters::of(b"LP"));
         let which = StoredOffset::System(system);
         let present = self.state.offsets.stored(which);
-        let volatile = self.state.offsets.volatile();
         self.checked.store = Some(which);
         self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
-            if from_position { self.position(axis) - along(&volatile, axis) - value } else { value }
+            if from_position {
+                self.position(axis) - along(&self.state.offsets.g92, axis) - self.tool_offset(axis) - value
+            } else {
+                value
+            }
         }));
         Ok(())
     }
@@ -398,10 +412,10 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
         }
-        let mut rest = self.state.offsets.system(self.checked.modal.coordinate_system);
-        rest.set(TOOL_AXIS, along(&rest, TOOL_AXIS) + self.state.offsets.tool_length);
-        self.checked.g92 = self
-            .with_axis_words(self.state.offsets.g92, |axis, value| self.position(axis) - along(&rest, axis) - value);
+        let origin = self.state.offsets.system(self.checked.modal.coordinate_system);
+        self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
+            self.position(axis) - along(&origin, axis) - self.tool_offset(axis) - value
+        });
         Ok(())
     }
 
@@ -567,6 +581,8 @@ impl<'a, const N: usize> Check<'a, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
+        checked.uses_machine_place =
+            matches!(self.line.non_modal, Some(NonModal::MachineCoordinates | NonModal::Go(_)));
         if checked.flow == Flow::End {
             checked.modal.end_program();
         }
@@ -584,8 +600,7 @@ impl<'a, const N: usize> Check<'a, N> {
         checked
     }
 
-    /// Where the line's axis words lead to, in machine coordinates. Offsets are those before the line, the coordinate
-    /// system is the line's.
+    /// Where the line's axis words lead to, in machine coordinates.
     fn target(&self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
         let incremental = self.checked.modal.distance == Distance::Incremental;
@@ -636,10 +651,17 @@ impl<'a, const N: usize> Check<'a, N> {
         along(&self.state.position, axis)
     }
 
+    /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,
+    /// and the G92 from before it.
     fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
-        let sum = along(&offsets.system(self.checked.modal.coordinate_system), axis) + along(&offsets.g92, axis);
-        if axis == TOOL_AXIS { sum + offsets.tool_length } else { sum }
+        along(&offsets.system(self.checked.modal.coordinate_system), axis)
+            + along(&offsets.g92, axis)
+            + self.tool_offset(axis)
+    }
+
+    fn tool_offset(&self, axis: Axis) -> Coordinate {
+        if axis == TOOL_AXIS { self.checked.tool_length } else { Coordinate::ZERO }
     }
 
     fn feed_of_motion(&self) -> Feed {

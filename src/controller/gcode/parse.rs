@@ -107,7 +107,7 @@ impl<const N: usize> Parsed<N> {
     }
 
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
-        let claim = GWord::claim(code);
+        let claim = GWord::claim(code, dialect);
         if claim != Claim::Nobody {
             if self.claim != Claim::Nobody {
                 return Err(Error::TwoAxisCommands);

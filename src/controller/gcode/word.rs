@@ -199,8 +199,10 @@ pub(super) enum GWord {
 
 impl GWord {
     /// The claim that a code lays on axis words. It is looked at before the code is known to be valid.
-    pub fn claim(code: Code) -> Claim {
+    pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
+            // G49 needs no axis word, so a line may cancel the offset and move: `G0 G49 ...` opens many programs.
+            (49, _) if dialect == Dialect::Seed => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,

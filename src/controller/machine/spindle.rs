@@ -29,6 +29,18 @@ impl SpindleRange {
             ((LEAST_POWER + share * (FULL_POWER - LEAST_POWER)) as u16, speed)
         }
     }
+
+    /// The speed (rpm) that a power stands for: the way back of [`SpindleRange::output`].
+    pub fn speed_of(&self, power: u16) -> f32 {
+        if power == 0 {
+            0.0
+        } else if self.minimum >= self.maximum {
+            self.maximum
+        } else {
+            let share = (f32::from(power) - LEAST_POWER) / (FULL_POWER - LEAST_POWER);
+            self.minimum + share * (self.maximum - self.minimum)
+        }
+    }
 }
 
 #[cfg(test)]
@@ -43,6 +55,9 @@ mod tests {
         assert_eq!(range.output(1000.0, 100), (65_535, 1000.0));
         assert_eq!(range.output(600.0, 200), (65_535, 1000.0));
         assert_eq!(range.output(600.0, 100), (32_896, 600.0));
+        for speed in [200.0, 300.0, 600.0, 999.0, 1000.0] {
+            assert!((range.speed_of(range.output(speed, 100).0) - speed).abs() < 0.02);
+        }
         assert_eq!(SpindleRange { maximum: 0.0, minimum: 0.0 }.output(10.0, 100), (65_535, 0.0));
     }
 }

@@ -7,6 +7,7 @@
 //!    │ reset in motion,   │ │ │ └── $C, reset ── Check
 //!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
 //!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
+//!   Stopping (0x19, a refused line with $901): brakes, then Normal or Alarm
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
 //! ```
 //! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
@@ -27,6 +28,11 @@ pub enum Mode {
     Hold,
     /// The homing cycle runs.
     Home,
+    /// Braking; then everything queued is forgotten. `locked`: an alarm state follows, because a line was refused.
+    Stopping {
+        /// Whether the machine locks itself afterwards.
+        locked: bool,
+    },
     /// Safety door: see [`Door`].
     Door(Door),
     /// Locked until `$X`, `$H` or a reset.
@@ -55,7 +61,7 @@ pub enum Door {
 impl Mode {
     /// Whether received lines wait unread.
     pub fn is_suspended(self) -> bool {
-        matches!(self, Mode::Hold | Mode::Door(_) | Mode::Sleep | Mode::Critical)
+        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep | Mode::Critical)
     }
 
     /// Whether the machine is locked.
@@ -73,6 +79,7 @@ impl Mode {
             Mode::Hold if at_rest => "Hold:0",
             Mode::Hold => "Hold:1",
             Mode::Home => "Home",
+            Mode::Stopping { .. } => "Hold:1",
             Mode::Door(Door::Braking) => "Door:2",
             Mode::Door(Door::Parked) if door_open => "Door:1",
             Mode::Door(Door::Parked) => "Door:0",

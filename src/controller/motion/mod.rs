@@ -10,6 +10,7 @@
 
 pub mod arc;
 mod block;
+mod extent;
 mod flight;
 mod kinematics;
 mod planner;
@@ -18,6 +19,7 @@ mod segment;
 pub mod stepper;
 
 pub use arc::{Arc, ArcGeometry};
+pub use extent::extent;
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::PerAxis;

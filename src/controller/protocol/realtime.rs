@@ -29,7 +29,7 @@ impl Splitter {
     pub fn push(&mut self, byte: u8) -> Received {
         match command(byte) {
             Some(command) => {
-                if matches!(command, Realtime::Reset | Realtime::JogCancel) {
+                if matches!(command, Realtime::Reset | Realtime::Stop | Realtime::JogCancel) {
                     self.epoch = self.epoch.wrapping_add(1);
                 }
                 Received::Realtime(command)
@@ -44,6 +44,7 @@ impl Splitter {
 pub const fn command(byte: u8) -> Option<Realtime> {
     Some(match byte {
         0x18 => Realtime::Reset,
+        0x19 => Realtime::Stop,
         b'?' => Realtime::Status,
         b'~' => Realtime::CycleStart,
         b'!' => Realtime::FeedHold,
@@ -78,15 +79,15 @@ mod tests {
         let mut splitter = Splitter::new();
         let mut line = Vec::new();
         let mut commands = Vec::new();
-        for byte in *b"G1?X\x85!2\xC3\n" {
+        for byte in *b"G1?X\x85!\x192\xC3\n" {
             match splitter.push(byte) {
                 Received::Realtime(c) => commands.push(c),
                 Received::Line(b) => line.push((b.byte, b.epoch)),
                 Received::Nothing => {}
             }
         }
-        assert_eq!(commands, [Realtime::Status, Realtime::JogCancel, Realtime::FeedHold]);
-        assert_eq!(line, [(b'G', 0), (b'1', 0), (b'X', 0), (b'2', 1), (b'\n', 1)]);
+        assert_eq!(commands, [Realtime::Status, Realtime::JogCancel, Realtime::FeedHold, Realtime::Stop]);
+        assert_eq!(line, [(b'G', 0), (b'1', 0), (b'X', 0), (b'2', 2), (b'\n', 2)]);
     }
 
     #[test]

@@ -1,0 +1,101 @@
+//! How far an arc reaches: its end points and each point of its circle that is farthest along an axis and lies on the arc.
+
+use super::arc::ArcGeometry;
+use crate::axes::{Axis, PerAxis};
+use crate::units::Coordinate;
+
+/// Angles within this of zero are full circles, as for the chords.
+const FULL_CIRCLE: f32 = 5.0e-7;
+const TURN: f32 = core::f32::consts::TAU;
+const QUARTER: f32 = core::f32::consts::FRAC_PI_2;
+
+/// The least and the greatest coordinates on an arc or helix.
+pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
+    let mut least = arc.start.zip(&arc.target, |a, b| a.min(b));
+    let mut greatest = arc.start.zip(&arc.target, |a, b| a.max(b));
+    let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
+    let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
+    let from = [-arc.offset_0.to_mm(), -arc.offset_1.to_mm()];
+    let to = [
+        (of(&arc.target, arc.axis_0) - centre[0]).to_mm(),
+        (of(&arc.target, arc.axis_1) - centre[1]).to_mm(),
+    ];
+    let [first, second] = [libm::atan2f(from[1], from[0]), libm::atan2f(to[1], to[0])];
+    let forward = |from: f32, to: f32| {
+        let way = if arc.clockwise { from - to } else { to - from };
+        if way < 0.0 { way + TURN } else { way }
+    };
+    let mut sweep = forward(first, second);
+    if sweep <= FULL_CIRCLE || arc.turns > 0 {
+        sweep = TURN;
+    }
+    let radius = |v: [f32; 2]| libm::sqrtf(v[0] * v[0] + v[1] * v[1]);
+    let radius = Coordinate::from_mm_f32(radius(from).max(radius(to)));
+    // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
+    let farthest: [(f32, Axis, Coordinate); 4] = [
+        (0.0, arc.axis_0, centre[0] + radius),
+        (QUARTER, arc.axis_1, centre[1] + radius),
+        (2.0 * QUARTER, arc.axis_0, centre[0] - radius),
+        (3.0 * QUARTER, arc.axis_1, centre[1] - radius),
+    ];
+    for (angle, axis, place) in farthest {
+        let way = forward(first, angle);
+        if (if way >= TURN { way - TURN } else { way }) < sweep {
+            least.set(axis, of(&least, axis).min(place));
+            greatest.set(axis, of(&greatest, axis).max(place));
+        }
+    }
+    (least, greatest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn arc(start: [f64; 2], target: [f64; 2], centre: [f64; 2], clockwise: bool) -> ArcGeometry<3> {
+        let mm = |v: f64| Coordinate((v * 1.0e7).round() as i64);
+        ArcGeometry {
+            start: PerAxis([mm(start[0]), mm(start[1]), Coordinate::ZERO]),
+            target: PerAxis([mm(target[0]), mm(target[1]), Coordinate::mm(3)]),
+            axis_0: Axis::X,
+            axis_1: Axis::Y,
+            offset_0: mm(centre[0] - start[0]),
+            offset_1: mm(centre[1] - start[1]),
+            clockwise,
+            turns: 0,
+        }
+    }
+
+    /// The extent against ten thousand points of the same arc, for many arcs.
+    #[test]
+    fn agrees_with_points_on_the_arc() {
+        for k in 0..400 {
+            let k = f64::from(k);
+            let (radius, a, sweep) = (0.5 + k * 0.37, k * 0.71, 0.01 + (k * 1.37) % 6.25);
+            let clockwise = k as i32 % 2 == 0;
+            let b = if clockwise { a - sweep } else { a + sweep };
+            let at = |angle: f64| [7.0 + radius * angle.cos(), -3.0 + radius * angle.sin()];
+            let (least, greatest) = extent(&arc(at(a), at(b), [7.0, -3.0], clockwise));
+            let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
+            for step in 0..=10_000 {
+                let point = at(a + (b - a) * f64::from(step) / 10_000.0);
+                for i in 0..2 {
+                    low[i] = low[i].min(point[i]);
+                    high[i] = high[i].max(point[i]);
+                }
+            }
+            for i in 0..2 {
+                let tolerance = 2.0e-3;
+                assert!((least.0[i].0 as f64 * 1e-7 - low[i]).abs() < tolerance, "{k} {i}");
+                assert!((greatest.0[i].0 as f64 * 1e-7 - high[i]).abs() < tolerance, "{k} {i}");
+            }
+            assert_eq!(greatest.0[2], Coordinate::mm(3));
+        }
+    }
+
+    #[test]
+    fn a_full_circle_reaches_all_round() {
+        let (least, greatest) = extent(&arc([1.0, 0.0], [1.0, 0.0], [0.0, 0.0], true));
+        assert_eq!((least.0[0], greatest.0[1]), (Coordinate::mm(-1), Coordinate::mm(1)));
+    }
+}

@@ -1,0 +1,263 @@
+//! Error numbers and their order, motions that no recording shows, and what Oxmill's own words do.
+
+mod program;
+
+use oxmill_controller::gcode::{Checked, Context, Dialect, Feed, Flow, Interpreter, Motion};
+use oxmill_controller::messages::{Coolant, SpindleDirection};
+use program::{DIALECTS, Program, target};
+
+/// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
+const ERRORS: &[(u8, &[&str])] = &[
+    (1, &["1", "%", "G1 X1..2", "X1*2", "@", "X1,5", "g0"]),
+    (2, &["X", "G", "M", "G0 X--1", "X.", "X-", "X+", "G1 XY"]),
+    (4, &["F-1", "N-1", "P-1", "S-1", "T-1", "F-0.0000001"]),
+    (20, &["G5", "G43", "G43.2", "G64", "G61.1", "G92.2", "G38", "G38.6", "G90.2", "M6", "M99", "D1", "A1", "U1"]),
+    (20, &["G-1", "G999", "G10 L3 P1 X1", "G10 L2 P1 R1 X1", "G10 P1 X1", "G10 L-2 X0", "G10 L258 P1 X0", "X1E3"]),
+    (21, &["G17 G18", "G20 G21", "G80 G80", "M3 M4", "M0 M2", "M8 M9", "G53 G4 P1", "G4 P1 G92 X1"]),
+    (22, &["G1 F0", "G1 F0 X1", "G93 G1 X1", "G93 G2 X2 I1", "G93 G38.2 X1", "G2 F0 I1"]),
+    (23, &["G1.5", "G17.1", "M3.5", "M-1", "M256", "G256", "G54.1", "G59.4", "G10.1", "G-0.5"]),
+    (24, &["G0 G1", "G0 G0", "G28 G30", "G92 X1 G1", "G0 G43.1 Z1", "G0 G1.5", "G0 G38.9", "G43.1 Z1 G10"]),
+    (25, &["X1 X1", "F1 F1", "T1 T1", "T1 T-1", "R1 R1", "K1 K1", "N1 N1", "L1 L1"]),
+    (26, &["G2 I1", "G2", "G38.2", "G10", "G10 L2 P1", "G92"]),
+    (27, &["N10000001", "N99999999999999999999", "N10000001 G4"]),
+    (28, &["G4", "G4 X1", "G10 X0"]),
+    (29, &["G10 L2 P10 X0", "G10 L3 P10 X0", "G10 L20 P99999999999999999999 X0"]),
+    (30, &["G53 G2 X2 I1", "G53 G80", "G53 G80 X1", "G53 G38.2 X1"]),
+    (31, &["G80 X1", "G80 G92.1 X1", "G80 G28.1 X1"]),
+    (32, &["G2 Z1 I1", "G18 G2 Y1 I1", "G19 G2 X1 J1"]),
+    (33, &["G2 X0 Y0 R1", "G2 Z1 X0 R1", "G38.2 X0", "G0 X-50000.001"]),
+    (33, &["X99999999999999999999999", "G28 X60000", "G20 X-3000", "G2 X1 I99999999999", "G2 X1 R99999999999"]),
+    (34, &["G2 X10 R1", "G2 X10 R0", "G2 X10 R4.9999"]),
+    (35, &["G2 X1", "G2 X1 K1", "G19 G2 Y1 I1"]),
+    (36, &["I1", "L1", "P1", "R1", "G0 X1 P1", "G2 X2 I1 R1", "M3 P1", "G4 P1 L1", "G10 L20 P1 X1 R1"]),
+    (37, &["G43.1", "G43.1 X1", "G43.1 X1 Z1"]),
+    (38, &["T256", "T255.5", "T99999999999999999999", "T256 T256"]),
+];
+
+fn ready(dialect: Dialect) -> Program {
+    let mut program = Program::new(dialect);
+    program.run("F100");
+    program
+}
+
+#[test]
+fn every_error() {
+    for dialect in DIALECTS {
+        let program = ready(dialect);
+        for (code, lines) in ERRORS {
+            for line in lines.iter() {
+                assert_eq!(program.error(line), *code, "{line} in {dialect:?}");
+            }
+        }
+    }
+}
+
+/// Where two things are wrong the one that Grbl looks for first is told.
+#[test]
+fn order_of_checks() {
+    for dialect in DIALECTS {
+        let program = ready(dialect);
+        let ladder: &[(&str, u8)] = &[
+            // The words, from left to right,
+            ("X1 G5 1", 20),
+            ("X1 * G5", 1),
+            ("G0 G1 G5", 24),
+            ("M3.5 M99", 23),
+            ("T300 T-1", 38),
+            // then line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
+            ("N99999999 G93 G1 X1 P1", 27),
+            ("G93 G1 X1 G4", 22),
+            ("G4 G1 F0 X1", 28),
+            ("G43.1 X1 P1", 37),
+            ("G10 P99", 26),
+            ("G10 L2 P99 X1 I1", 29),
+            ("G53 G2 F0 X1 P1", 30),
+            ("G80 X1 P1", 31),
+            ("G2 F0", 22),
+            ("G2 Z1 P1 L1", 32),
+            ("G2 X10 R1 L1", 34),
+            ("G2 X2 I1 L1", 36),
+        ];
+        for (line, code) in ladder {
+            assert_eq!(program.error(line), *code, "{line} in {dialect:?}");
+        }
+    }
+}
+
+/// A modal G80 and a command that uses the axis words itself.
+#[test]
+fn axis_words_of_other_commands_under_g80() {
+    for line in ["G28 Z0", "G30 X1", "G92 X1", "G10 L2 P1 X1", "G43.1 Z1", "G80 G28 Z0"] {
+        for dialect in DIALECTS {
+            let mut program = ready(dialect);
+            program.run("G80");
+            assert_eq!(program.error(line), if dialect == Dialect::Grbl { 31 } else { 0 }, "{line} in {dialect:?}");
+        }
+    }
+}
+
+#[test]
+fn tool_number_is_kept() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        program.run("T7");
+        assert_eq!(program.interpreter.modal().tool, 7);
+        program.run("X1");
+        assert_eq!(program.interpreter.modal().tool, if dialect == Dialect::Grbl { 0 } else { 7 });
+    }
+}
+
+#[test]
+fn words_of_oxmill() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        if dialect == Dialect::Grbl {
+            assert_eq!((program.error("M7"), program.error("M56"), program.error("G2 X2 I1 P1")), (20, 20, 36));
+            continue;
+        }
+        let mist = Coolant { mist: true, flood: false };
+        assert_eq!(program.run("M7").coolant, Some(mist));
+        assert_eq!(program.run("M7").coolant, None);
+        assert_eq!(program.run("M8").coolant, Some(Coolant { mist: true, flood: true }));
+        assert_eq!(program.run("M9").coolant, Some(Coolant::default()));
+        for (line, on) in [("M56", true), ("M56 P0", false), ("M56 P1", true), ("G0", true)] {
+            program.run(line);
+            assert_eq!(program.interpreter.modal().parking_override, on, "{line}");
+        }
+        assert_eq!(program.error("M56 G4 P1"), 28);
+    }
+}
+
+fn turns(checked: &Checked<3>) -> u32 {
+    match checked.motion {
+        Motion::Arc(arc) => arc.turns,
+        _ => panic!("no arc"),
+    }
+}
+
+#[test]
+fn turns_of_arcs() {
+    for dialect in [Dialect::Oxmill, Dialect::Seed] {
+        let program = ready(dialect);
+        assert_eq!(turns(&program.check("G2 X2 I1").unwrap()), 0);
+        assert_eq!(turns(&program.check("G2 X2 I1 P1").unwrap()), 0);
+        assert_eq!(turns(&program.check("G3 X0 I1 Z-5 P5").unwrap()), 4);
+        assert_eq!(turns(&program.check("G3 X2 R1 P2").unwrap()), 1);
+        for p in ["P0", "P1.5", "P0.5", "P99999999999999999999", "P1000001"] {
+            assert_eq!(program.error(&format!("G2 X2 I1 {p}")), 23, "{p}");
+        }
+    }
+}
+
+/// Arcs turn as seen against the third axis of their plane: G18 is Z towards X.
+#[test]
+fn planes() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        for (line, i, j) in
+            [("G17 G2 X10 Y10 R10", 10, 0), ("G18 G2 Z10 X10 R10", 10, 0), ("G19 G2 Y10 Z10 R10", 10, 0)]
+        {
+            let Motion::Arc(arc) = program.check(line).unwrap().motion else { panic!("{line}") };
+            assert_eq!((arc.i.0, arc.j.0), (i * 10_000_000, j * 10_000_000), "{line}");
+        }
+        program.run("G18");
+        let Motion::Arc(arc) = program.check("G3 X0 Z0 Y3 I1 K2").unwrap().motion else { panic!() };
+        assert_eq!((arc.i.0, arc.j.0, arc.clockwise), (20_000_000, 10_000_000, false));
+    }
+}
+
+/// With the centre at the start nothing turns; the other axis still moves.
+#[test]
+fn arc_without_radius() {
+    for dialect in DIALECTS {
+        let checked = ready(dialect).check("G2 X0 Y0 Z5 I0 J0").unwrap();
+        let Motion::Line { via: None, feed: Feed::PerMinute(_), .. } = checked.motion else { panic!() };
+        assert_eq!(target(&checked), [0.0, 0.0, 5.0]);
+    }
+}
+
+#[test]
+fn probing_moves() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        for (word, away, alarm) in
+            [("G38.2", false, true), ("G38.3", false, false), ("G38.4", true, true), ("G38.5", true, false)]
+        {
+            let checked = program.check(&format!("{word} Z-5")).unwrap();
+            match checked.motion {
+                Motion::Probe { away: a, alarm: b, .. } => assert_eq!((a, b), (away, alarm), "{word}"),
+                _ => panic!("{word}"),
+            }
+            assert_eq!(target(&checked), [0.0, 0.0, -5.0]);
+        }
+        // The probe stopped on the way: the program goes on from there.
+        program.run("G38.2 Z-5");
+        let mut stopped = *program.interpreter.position();
+        stopped.0[2].0 = -12_345_678;
+        program.interpreter.set_position(stopped);
+        assert_eq!(target(&program.run("G91 G0 Z1")), [0.0, 0.0, -0.234_567_8]);
+    }
+}
+
+#[test]
+fn end_of_program() {
+    for dialect in DIALECTS {
+        for word in ["M2", "M30"] {
+            let mut program = ready(dialect);
+            program.run("G20 G91 G55 G18 M3 S5 M8 F2 T3 G92 X1");
+            let end = program.run(&format!("G0 X1 {word}"));
+            // The spindle still turns during the motion; the end is told by the flow.
+            assert_eq!((end.flow, end.spindle, end.coolant), (Flow::End, None, None));
+            assert_eq!(end.modal().spindle, SpindleDirection::Off);
+            assert!(end.work_offset_changed);
+            let modal = program.interpreter.modal();
+            let words = [modal.motion.word(), modal.plane.word(), modal.units.word(), modal.distance.word()];
+            assert_eq!(words, ["G1", "G17", "G20", "G90"]);
+            assert_eq!((modal.coordinate_system.word(), modal.speed, modal.feed.0), ("G54", 5.0, 508_000_000));
+        }
+    }
+}
+
+#[test]
+fn jogs_leave_the_state_alone() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        program.run_all("G91\nG20\nT4\nG10 L2 P1 X1\nG92 Y1\nG80");
+        let before = program.interpreter.clone();
+        // A jog is a line even under G80, in the program's units and distance mode unless it says otherwise.
+        let jog = before.check_jog(b"X1F60N7", program.context).unwrap();
+        assert_eq!(target(&jog), [25.4, 0.0, 0.0]);
+        let Motion::Line { feed: Feed::PerMinute(feed), .. } = jog.motion else { panic!() };
+        assert_eq!((feed, jog.line_number), (25.4, 7));
+        let absolute = before.check_jog(b"G21G90G53X2F60", program.context).unwrap();
+        assert_eq!(target(&absolute), [2.0, 0.0, 0.0]);
+        program.interpreter.commit(&absolute);
+        assert_eq!(program.machine(), [2.0, 0.0, 0.0]);
+        program.interpreter.set_position(*before.position());
+        assert!(program.interpreter == before);
+        let nothing = before.check_jog(b"F100", program.context).unwrap();
+        assert_eq!((nothing.motion, nothing.position()), (Motion::None, before.position()));
+        for (jog, code) in [("", 22), ("X1", 22), ("X1F0", 22), ("G0X1F1", 16), ("M3X1F1", 16), ("X1F1S1", 36)] {
+            assert_eq!(before.check_jog(jog.as_bytes(), program.context).unwrap_err().code(), code, "{jog}");
+        }
+    }
+}
+
+/// Angles are degrees whatever the unit of lengths, and not part of any plane.
+#[test]
+fn four_axes() {
+    for dialect in DIALECTS {
+        let context = Context { dialect, ..Context::default() };
+        let mut interpreter = Interpreter::<4>::new();
+        for line in ["G20F10", "G10L2P1X1A10", "G0X1A90"] {
+            let checked = interpreter.check(line.as_bytes(), context).unwrap();
+            interpreter.commit(&checked);
+        }
+        assert_eq!(interpreter.position().0.map(|place| place.0), [508_000_000, 0, 0, 1_000_000_000]);
+        let helix = interpreter.check(b"G2X1Y0I1A0", context).unwrap();
+        let Motion::Arc(arc) = helix.motion else { panic!() };
+        assert_eq!(arc.target.0.map(|place| place.0), [508_000_000, 0, 0, 100_000_000]);
+        assert_eq!(interpreter.check(b"B1", context).unwrap_err().code(), 20);
+        assert_eq!(interpreter.check(b"G43.1Z1A1", context).unwrap_err().code(), 37);
+    }
+}

@@ -1,0 +1,182 @@
+//! What holds for every line: an answer without panic, no change by checking, exact places.
+
+mod program;
+
+use oxmill_controller::axes::PerAxis;
+use oxmill_controller::gcode::{Checked, Context, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::units::Coordinate;
+use program::{DIALECTS, Program};
+use proptest::prelude::*;
+
+fn dialect() -> impl Strategy<Value = Dialect> {
+    prop::sample::select(DIALECTS.to_vec())
+}
+
+/// Lines that are mostly made of words that exist.
+fn line() -> impl Strategy<Value = Vec<u8>> {
+    let number = prop_oneof![
+        4 => (-20_i32..20).prop_map(|number| number.to_string()),
+        2 => (-200_000_i64..200_000).prop_map(|number| format!("{}.{:03}", number / 1000, number.abs() % 1000)),
+        1 => "[-+]?[0-9]{0,25}[.]?[0-9]{0,12}",
+    ];
+    let g = "(0|1|2|3|4|10|17|18|19|20|21|28|28.1|30|30.1|38.2|38.4|40|43.1|49|53|54|55|59|59.1|59.3|61|80|90|90.1|91\
+             |91.1|92|92.1|93|94)";
+    let word = prop_oneof![
+        3 => g.prop_map(|number| format!("G{number}")),
+        1 => "M(0|1|2|3|4|5|7|8|9|30|56)",
+        8 => ("[FIJKLNPRSTXYZ]", number).prop_map(|(letter, number)| format!("{letter}{number}")),
+    ];
+    prop::collection::vec(word, 0..7).prop_map(|words| words.concat().into_bytes())
+}
+
+fn in_reach(place: &PerAxis<Coordinate, 3>) -> bool {
+    place.iter().all(|coordinate| coordinate.in_range())
+}
+
+/// What every action promises.
+fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseError> {
+    let feeds = |feed: Feed| match feed {
+        Feed::Rapid => true,
+        Feed::PerMinute(feed) | Feed::InverseTime(feed) => feed.is_finite() && feed > 0.0,
+    };
+    match checked.motion {
+        Motion::None => prop_assert_eq!(checked.position(), before.position()),
+        Motion::Line { via, target, feed } => {
+            prop_assert!(via.is_none_or(|via| in_reach(&via)) && in_reach(&target) && feeds(feed));
+            prop_assert_eq!(*checked.position(), target);
+        }
+        Motion::Probe { target, feed, .. } => {
+            prop_assert!(in_reach(&target) && feeds(feed));
+            prop_assert_eq!(*checked.position(), target);
+        }
+        Motion::Arc(arc) => {
+            prop_assert!(in_reach(&arc.target) && feeds(arc.feed));
+            prop_assert_eq!((*checked.position(), *before.position()), (arc.target, arc.start));
+            let from_centre = |place: &PerAxis<Coordinate, 3>| {
+                let along = |axis| (place.get(axis).unwrap() - arc.start.get(axis).unwrap()).0 as f64 / 1e7;
+                let (first, second) = (arc.i.0 as f64 / 1e7, arc.j.0 as f64 / 1e7);
+                (along(arc.axes.first) - first).hypot(along(arc.axes.second) - second)
+            };
+            let (start, end) = (from_centre(&arc.start), from_centre(&arc.target));
+            prop_assert!(start > 0.0);
+            prop_assert!((start - end).abs() <= 0.005_001_f64.max((0.001 * start + 1e-6).min(0.5)), "{start} {end}");
+        }
+    }
+    prop_assert!(checked.speed.is_finite());
+    Ok(())
+}
+
+/// Checks and carries out one line; the state after it is the answer's.
+fn step(interpreter: &mut Interpreter<3>, line: &[u8], context: Context) -> Result<(), TestCaseError> {
+    let before = interpreter.clone();
+    let jog = interpreter.check_jog(line, context);
+    let checked = interpreter.check(line, context);
+    prop_assert!(*interpreter == before, "checking changes nothing");
+    if let Ok(jog) = jog {
+        sound(&before, &jog)?;
+        let mut jogged = before.clone();
+        jogged.commit(&jog);
+        prop_assert_eq!(jogged.position(), jog.position());
+        jogged.set_position(*before.position());
+        prop_assert!(jogged == before, "a jog changes the position only");
+    }
+    let Ok(checked) = checked else { return Ok(()) };
+    sound(&before, &checked)?;
+    let offset = before.work_offset();
+    interpreter.commit(&checked);
+    prop_assert_eq!(interpreter.position(), checked.position());
+    prop_assert_eq!(interpreter.modal(), checked.modal());
+    prop_assert!(checked.work_offset_changed || interpreter.work_offset() == offset);
+    let once = interpreter.clone();
+    interpreter.commit(&checked);
+    prop_assert!(*interpreter == once, "a second commit changes nothing more");
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn any_bytes(lines in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..8), dialect in dialect()) {
+        let context = Context { dialect, ..Context::default() };
+        let mut interpreter = Interpreter::new();
+        for line in lines {
+            step(&mut interpreter, &line, context)?;
+        }
+    }
+
+    #[test]
+    fn any_words(lines in prop::collection::vec(line(), 1..20), dialect in dialect()) {
+        let context = Context { dialect, ..Context::default() };
+        let mut interpreter = Interpreter::new();
+        for line in lines {
+            step(&mut interpreter, &line, context)?;
+        }
+    }
+
+    /// A work coordinate that is programmed is the one that is read afterwards, whatever the offsets.
+    #[test]
+    fn programmed_is_reached(
+        offsets in prop::collection::vec(-1_000_000_000_i64..1_000_000_000, 4),
+        to in -1_000_000_000_i64..1_000_000_000,
+        inches: bool,
+    ) {
+        let text = |value: i64| {
+            format!("{}{}.{:07}", if value < 0 { "-" } else { "" }, value.abs() / 10_000_000, value.abs() % 10_000_000)
+        };
+        let mut program = Program::new(Dialect::Oxmill);
+        if inches {
+            program.run("G20");
+        }
+        program.run(&format!("G10 L2 P2 Z{}", text(offsets[0])));
+        program.run(&format!("G55 G0 Z{}", text(offsets[1])));
+        program.run(&format!("G43.1 Z{}", text(offsets[2])));
+        program.run(&format!("G92 Z{}", text(offsets[3])));
+        let read = |program: &Program| {
+            program.interpreter.position().0[2] - program.interpreter.work_offset().0[2]
+        };
+        let length = |value: i64| {
+            let tenth = if value < 0 { -5 } else { 5 };
+            Coordinate(if inches { (value * 254 + tenth) / 10 } else { value })
+        };
+        prop_assert_eq!(read(&program), length(offsets[3]));
+        program.run(&format!("G0 Z{}", text(to)));
+        prop_assert_eq!(read(&program), length(to));
+        program.run(&format!("G10 L20 P2 Z{}", text(offsets[1])));
+        prop_assert_eq!(read(&program), length(offsets[1]));
+    }
+}
+
+/// Grbl in single precision ends at 1000.04 mm or so.
+#[test]
+fn a_million_small_steps() {
+    let context = Context::default();
+    let mut interpreter = Interpreter::<3>::new();
+    for line in [&b"G91G1F100"[..], b"G20"] {
+        let checked = interpreter.check(line, context).unwrap();
+        interpreter.commit(&checked);
+    }
+    for _ in 0..100_000 {
+        for line in [&b"X0.0001"[..], b"Y-0.00001"] {
+            let checked = interpreter.check(line, context).unwrap();
+            interpreter.commit(&checked);
+        }
+    }
+    assert_eq!(*interpreter.position(), PerAxis([Coordinate::mm(254), Coordinate(-254_000_000), Coordinate::ZERO]));
+    let mut interpreter = Interpreter::<3>::new();
+    for _ in 0..1_000_000 {
+        let checked = interpreter.check(b"G91G0X0.001", context).unwrap();
+        interpreter.commit(&checked);
+    }
+    assert_eq!(*interpreter.position(), PerAxis([Coordinate::mm(1000), Coordinate::ZERO, Coordinate::ZERO]));
+}
+
+#[test]
+fn very_long_lines() {
+    for dialect in DIALECTS {
+        let program = Program::new(dialect);
+        assert_eq!(program.error(&"G4".repeat(5000)), 21);
+        assert_eq!(program.error(&"X1".repeat(5000)), 25);
+        assert_eq!(program.error(&format!("X{}", "1".repeat(100_000))), 33);
+        assert_eq!(program.error(&format!("X.{}", "1".repeat(100_000))), 0);
+        assert_eq!(program.error(&format!("X{}1", "0".repeat(100_000))), 0);
+    }
+}

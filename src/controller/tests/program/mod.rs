@@ -1,0 +1,79 @@
+//! Runs programs for tests: lines in, positions in millimetres and actions out.
+#![allow(dead_code, reason = "each test program uses a part of it")]
+
+use oxmill_controller::axes::PerAxis;
+use oxmill_controller::error::Error;
+use oxmill_controller::gcode::{Checked, Context, Dialect, Interpreter, Motion};
+use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
+
+pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
+
+/// An interpreter and the dialect it is asked in.
+#[derive(Clone)]
+pub struct Program {
+    pub interpreter: Interpreter<3>,
+    pub context: Context,
+}
+
+impl Program {
+    pub fn new(dialect: Dialect) -> Self {
+        Self { interpreter: Interpreter::new(), context: Context { dialect, ..Context::default() } }
+    }
+
+    /// Checks a line that may have blanks.
+    pub fn check(&self, line: &str) -> Result<Checked<3>, Error> {
+        self.interpreter.check(line.replace(' ', "").as_bytes(), self.context)
+    }
+
+    /// Carries out a line.
+    pub fn run(&mut self, line: &str) -> Checked<3> {
+        let checked = self.check(line).unwrap_or_else(|error| panic!("{line}: {error:?}"));
+        self.interpreter.commit(&checked);
+        checked
+    }
+
+    /// Carries out lines.
+    pub fn run_all(&mut self, lines: &str) {
+        for line in lines.lines().map(str::trim).filter(|line| !line.is_empty()) {
+            self.run(line);
+        }
+    }
+
+    /// The error number of a line.
+    pub fn error(&self, line: &str) -> u8 {
+        match self.check(line) {
+            Ok(_) => 0,
+            Err(error) => error.code(),
+        }
+    }
+
+    /// Machine position in mm.
+    pub fn machine(&self) -> [f64; 3] {
+        in_mm(self.interpreter.position())
+    }
+
+    /// Work position in mm.
+    pub fn work(&self) -> [f64; 3] {
+        in_mm(&self.interpreter.position().zip(&self.interpreter.work_offset(), |position, offset| position - offset))
+    }
+}
+
+/// Numbers of tests have at most seven decimals, so dividing gives the nearest `f64` of each.
+pub fn in_mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+    place.0.map(|coordinate| coordinate.0 as f64 / DECIMAL_ONE as f64)
+}
+
+pub fn target(checked: &Checked<3>) -> [f64; 3] {
+    match checked.motion {
+        Motion::None => panic!("no motion"),
+        Motion::Line { target, .. } | Motion::Probe { target, .. } => in_mm(&target),
+        Motion::Arc(arc) => in_mm(&arc.target),
+    }
+}
+
+pub fn via(checked: &Checked<3>) -> Option<[f64; 3]> {
+    match checked.motion {
+        Motion::Line { via, .. } => via.map(|via| in_mm(&via)),
+        _ => panic!("no straight move"),
+    }
+}
