@@ -4,6 +4,9 @@
 //! - Path speed comes from the intervals between steps of a block's dominant axis, once they are shorter than 1 ms. A
 //!   step time is rounded to a tick of the step clock, so a speed may be off by one tick of its interval. Beyond that a
 //!   limit may be exceeded by 1 % ([`TOLERANCE`]).
+//! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
+//!   than above; where the grid changes, an interval is longer or shorter by that. There a speed is measured over 16
+//!   steps, and these 7/16 are allowed for.
 //! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean speed
 //!   of an interval is the speed at its middle while the acceleration is even, and a mean of allowed values otherwise.
 //!   Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping excess is missed.
@@ -21,6 +24,12 @@ use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
 pub const TOLERANCE: f64 = 0.01;
 /// Last digit of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
+
+/// Steps per second below which steps are placed on a finer grid; by how much of a step that may move them; and over how
+/// many steps a speed is measured there.
+const SMOOTHED: f64 = 8000.0;
+const SHIFT: f64 = 7.0 / 16.0;
+const WINDOW: usize = 16;
 
 /// The limits of a machine, each axis in mm, mm/s and mm/s².
 #[derive(Clone, Debug)]
@@ -57,12 +66,21 @@ struct Move {
 /// The mean speed between two dominant steps.
 #[derive(Clone, Copy, Debug)]
 struct Reading {
-    /// Middle of the interval, s.
+    /// Middle of the interval, s, and its length.
     at: f64,
+    span: f64,
     /// mm/s.
     speed: f64,
     /// What the rounding to ticks can do to it, mm/s.
     rounding: f64,
+}
+
+impl Reading {
+    /// For how long an acceleration can act between two mean speeds: from middle to middle, and where one interval is
+    /// longer than the other, from its inside to its outside.
+    fn apart(&self, other: &Reading) -> f64 {
+        (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0
+    }
 }
 
 impl Limits {
@@ -145,18 +163,23 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     Ok(())
 }
 
-/// Readings of the intervals shorter than a millisecond, `None` for longer ones.
+/// A reading for each interval, `None` for those longer than a millisecond. That of a slow interval covers the following
+/// steps as well, as far as there are any and none of their intervals is longer than a millisecond.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
-    m.times
-        .windows(2)
-        .map(|pair| {
-            let ticks = (pair[1] - pair[0]) as f64;
-            let speed = m.pitch / (ticks / hz);
-            (ticks < hz / 1000.0).then_some(Reading {
-                at: (pair[0] + pair[1]) as f64 / 2.0 / hz,
-                speed,
-                rounding: speed / (ticks - 1.0).max(1.0),
-            })
+    (1..m.times.len())
+        .map(|i| {
+            let interval = |i: usize| (m.times[i] - m.times[i - 1]) as f64;
+            let (mut last, mut shift) = (i, 0.0);
+            if interval(i) > hz / SMOOTHED {
+                shift = SHIFT;
+                let end = m.times.len().min(i + WINDOW);
+                last = (i..end).take_while(|&k| interval(k) < hz / 1000.0).last()?;
+            }
+            let (from, to) = (m.times[i - 1], m.times[last]);
+            let ticks = (to - from) as f64;
+            let speed = m.pitch * (last + 1 - i) as f64 / (ticks / hz);
+            let rounding = speed / (ticks - 1.0).max(1.0) + shift * m.pitch / (ticks / hz);
+            (ticks > 0.0).then_some(Reading { at: (from + to) as f64 / 2.0 / hz, span: ticks / hz, speed, rounding })
         })
         .collect()
 }
@@ -172,7 +195,7 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
     if let [first, .., last] = m.times[..] {
         let seconds = (last - first) as f64 / hz;
         let steps = (m.times.len() - 1) as f64;
-        if (steps - 1.0) * m.pitch > m.speed * (1.0 + TOLERANCE) * seconds {
+        if (steps - SHIFT) * m.pitch > m.speed * (1.0 + TOLERANCE) * seconds {
             return Err(format!("{steps} steps of {} mm in {seconds} s: faster than {} mm/s", m.pitch, m.speed));
         }
     }
@@ -180,13 +203,13 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
     while distance < readings.len() {
         for i in 0..readings.len() - distance {
             if let (Some(a), Some(b)) = (readings[i], readings[i + distance]) {
-                let allowed = m.acceleration * (1.0 + TOLERANCE) * (b.at - a.at) + a.rounding + b.rounding;
+                let allowed = m.acceleration * (1.0 + TOLERANCE) * a.apart(&b) + a.rounding + b.rounding;
                 if (b.speed - a.speed).abs() > allowed {
                     return Err(format!(
                         "from {} to {} mm/s in {} s, at {} s: {} mm/s² are allowed",
                         a.speed,
                         b.speed,
-                        b.at - a.at,
+                        a.apart(&b),
                         a.at,
                         m.acceleration
                     ));
@@ -203,7 +226,7 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     else {
         return Ok(());
     };
-    let time = b.at - a.at;
+    let time = a.apart(&b);
     let acceleration = before.acceleration.max(after.acceleration) * (1.0 + TOLERANCE);
     let noise = DIGIT / before.length.min(after.length);
     let straight = (0..AXES).all(|i| (after.unit[i] - before.unit[i]).abs() <= noise.max(1e-4));
@@ -241,11 +264,11 @@ mod tests {
     use super::super::oracle;
     use super::*;
 
-    const HZ: f64 = 1e6;
+    const HZ: f64 = 1e8;
 
     fn limits() -> Limits {
         Limits {
-            steps_per_mm: [100.0, 80.0, 400.0],
+            steps_per_mm: [800.0, 640.0, 1600.0],
             rate: [100.0, 100.0, 20.0],
             acceleration: [500.0, 400.0, 100.0],
             junction_deviation: 0.01,
@@ -313,8 +336,8 @@ mod tests {
     fn a_jump_of_speed_is_seen() {
         let limits = limits();
         let smooth = trapezoid(LENGTH, 50.0, 400.0);
-        // After half of the way everything happens 0.2 ms later: one interval is too long.
-        let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 2e-4 } else { 0.0 });
+        // After half of the way everything happens 5 us later: one interval of 22 us is too long.
+        let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 5e-6 } else { 0.0 });
         assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
         // At speed from the first step on.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| s * LENGTH / 50.0);
@@ -323,7 +346,7 @@ mod tests {
 
     #[test]
     fn slow_feeds_are_measured_over_the_move() {
-        let limits = limits();
+        let limits = Limits { steps_per_mm: [100.0, 80.0, 160.0], ..limits() };
         let slow = Line { feed: Some(1.0), ..STRAIGHT };
         let t = trace(&slow, &limits, 0.0, trapezoid(LENGTH, 1.0, 100.0));
         check(&t, HZ, &[slow], &limits).unwrap();

@@ -65,42 +65,48 @@ pub fn line(from: Place, to: Place) -> Vec<Place> {
     places
 }
 
-/// Takes the pulses of one straight move off a trace and compares them with Bresenham's places: equal whenever the
-/// dominant axis has stepped; in between (smoothed steps of the minor axes) each axis within one step of the places
-/// before and after. Gives back the times of the dominant steps.
+/// Places to the step of the dominant axis at which a smoothing generator may step the axes.
+pub const FINE: i64 = 16;
+
+/// Takes the pulses of one straight move off a trace and compares them with Bresenham's places on a grid [`FINE`] times
+/// as fine as the dominant steps (a slow axis steps between those of the dominant one): after each event the machine
+/// must be at one of these places, farther on than before, and in the end at the last. So each axis is always within
+/// half a step of one point of the straight line. Gives back the times of the dominant steps.
 ///
 /// # Errors
 /// What differs.
 pub fn follow_line(trace: &mut &[Pulse], from: Place, to: Place) -> Result<Vec<u64>, String> {
-    let (axis, _) = dominant(from, to);
+    let (axis, count) = dominant(from, to);
+    let threshold = count as i64 * FINE;
+    let mut expected = from;
+    let mut error = [-threshold; AXES];
     let mut place = from;
-    let mut before = from;
     let mut times = Vec::new();
-    for expected in line(from, to) {
-        loop {
-            let Some((pulse, rest)) = trace.split_first() else {
-                return Err(format!("the trace ends at {place:?}, on the way from {from:?} to {to:?}"));
-            };
-            *trace = rest;
-            place = pulse.moved(place);
-            if pulse.steps == 0 {
-                return Err(format!("an event without a step at {place:?}"));
+    let mut grid = 0..threshold;
+    while place != to {
+        let Some((pulse, rest)) = trace.split_first() else {
+            return Err(format!("the trace ends at {place:?}, on the way from {from:?} to {to:?}"));
+        };
+        *trace = rest;
+        if pulse.steps == 0 {
+            return Err(format!("an event without a step at {place:?}"));
+        }
+        place = pulse.moved(place);
+        if pulse.steps >> axis & 1 == 1 {
+            times.push(pulse.at);
+        }
+        while place != expected {
+            if grid.next().is_none() {
+                return Err(format!("{place:?} is not on the way from {from:?} to {to:?}"));
             }
-            if pulse.steps >> axis & 1 == 1 {
-                times.push(pulse.at);
-                break;
-            }
-            for i in 0..AXES {
-                let (low, high) = (before[i].min(expected[i]), before[i].max(expected[i]));
-                if !(low..=high).contains(&place[i]) {
-                    return Err(format!("{place:?} lies beyond {expected:?}, on the way from {from:?} to {to:?}"));
+            for a in 0..AXES {
+                error[a] += 2 * (to[a] - from[a]).abs();
+                if error[a] > 0 {
+                    error[a] -= 2 * threshold;
+                    expected[a] += (to[a] - from[a]).signum();
                 }
             }
         }
-        if place != expected {
-            return Err(format!("{place:?} instead of {expected:?}, on the way from {from:?} to {to:?}"));
-        }
-        before = place;
     }
     Ok(times)
 }
@@ -241,15 +247,25 @@ mod tests {
         let good = pulses(&places, from);
         assert_eq!(follow_line(&mut &good[..], from, to).unwrap().len(), 10);
 
-        // The minor axis may step by itself, before the dominant step that it belongs to.
-        let mut smoothed = good.clone();
-        let both = smoothed.iter().position(|p| p.steps == 0b011).unwrap();
-        smoothed[both].steps = 0b010;
-        smoothed.insert(both + 1, Pulse { steps: 0b001, ..smoothed[both] });
-        follow_line(&mut &smoothed[..], from, to).unwrap();
+        // Smoothed: at every place of the fine grid where something steps. Ten steps of X fill it, so its own steps come
+        // at the first place after each half.
+        let fine = |tick: i64, steps: i64| (2 * tick * steps + 10 * FINE - 1) / (2 * 10 * FINE);
+        let mut before = from;
+        let mut smoothed = Vec::new();
+        for tick in 1..=10 * FINE {
+            let place = [from[0] + fine(tick, 10), from[1] - fine(tick, 3), from[2] + fine(tick, 2)];
+            if place != before {
+                smoothed.extend(pulses(&[place], before).iter().map(|p| Pulse { at: tick as u64, ..*p }));
+                before = place;
+            }
+        }
+        assert!(smoothed.len() > good.len());
+        assert_eq!(follow_line(&mut &smoothed[..], from, to).unwrap(), Vec::from_iter((0..10).map(|i| 16 * i + 9)));
 
         let mut late = good.clone();
-        late[both].steps = 0b001;
+        let both = late.iter().position(|p| p.steps & 2 != 0).unwrap();
+        late[both].steps &= !2;
+        late[both + 1].steps |= 2;
         assert!(follow_line(&mut &late[..], from, to).is_err());
         let mut wrong_way = good.clone();
         wrong_way[4].directions ^= 1;
