@@ -3,6 +3,7 @@
 mod estimator;
 mod examples;
 mod host;
+mod motion_properties;
 mod oracle;
 mod rig;
 mod seed;

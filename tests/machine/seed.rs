@@ -204,7 +204,7 @@ fn chapter_2_10_1_five_circles_as_printed() {
         assert_near(rig.place_mm(CARVER_STEPS), from, 0.0);
         rig.carry_out(lines.next().expect("up"));
     }
-    rig.carry_out("M2");
+    assert_eq!(rig.ask("M2"), ["[MSG:Pgm End]", "ok"]);
 }
 
 #[test]
