@@ -28,10 +28,7 @@ pub mod error;
 pub mod messages;
 pub mod units;
 
-pub mod number {
-    //! Interim.
-    pub use crate::gcode::{Digits, read};
-}
+pub mod number;
 pub mod settings;
 
 pub mod gcode;

@@ -8,9 +8,9 @@
 //!          │ ╱  ╲ h │               G2 with R > 0 has its centre to the right of the chord, G3 to the left;
 //!        start ── centre ── first   R < 0 swaps the sides and so takes the longer way round
 //! ```
-//! Lengths stay below 2^41 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with more than 40 bits
-//! to spare; square roots are taken with those bits as fraction. The error is far below a unit for all arcs whose chord
-//! is not absurdly short for their radius.
+//! Lengths stay below 2^42 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with 40 bits to spare;
+//! square roots are taken with those bits as fraction. The error is far below a unit for all arcs whose chord is not
+//! absurdly short for their radius.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE};

@@ -4,7 +4,7 @@
 use super::Dialect;
 use super::arc::{self, Vector};
 use super::interpreter::Interpreter;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PlaneAxes, Units};
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PlaneAxes, ProbeMode, Units};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
 use super::word::{Claim, Letters, MWord, NonModal, ToolLength};
@@ -452,7 +452,7 @@ impl<'a, const N: usize> Check<'a, N> {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
-            MotionMode::Probe(_) => self.probe(mode),
+            MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cancelled => Ok(()),
         }
     }
@@ -468,7 +468,7 @@ impl<'a, const N: usize> Check<'a, N> {
         Ok(())
     }
 
-    fn probe(&mut self, mode: MotionMode) -> Result<(), Error> {
+    fn probe(&mut self, mode: ProbeMode) -> Result<(), Error> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
         }
@@ -477,11 +477,9 @@ impl<'a, const N: usize> Check<'a, N> {
             return Err(Error::InvalidTarget);
         }
         let target = reachable(target)?;
-        if let MotionMode::Probe(mode) = mode {
-            let feed = self.feed_of_motion();
-            self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
-            self.checked.position = target;
-        }
+        let feed = self.feed_of_motion();
+        self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+        self.checked.position = target;
         Ok(())
     }
 

@@ -12,10 +12,10 @@
 
 mod arc;
 mod check;
+mod code;
 mod interpreter;
 mod jog;
 mod modal;
-mod number;
 mod offsets;
 mod parse;
 mod word;
@@ -25,7 +25,6 @@ pub use interpreter::Interpreter;
 pub use modal::{
     ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, Plane, PlaneAxes, ProbeMode, Units,
 };
-pub use number::{Digits, read};
 pub use offsets::{Offsets, StoredOffset};
 
 /// Whose meaning a program's words have.

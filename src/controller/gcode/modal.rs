@@ -253,6 +253,10 @@ impl Modal {
         self.plane = Plane::default();
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
+        if self.feed_mode == FeedMode::InverseTime {
+            // Moves per minute are no speed.
+            self.feed = Decimal::ZERO;
+        }
         self.feed_mode = FeedMode::default();
         self.spindle = SpindleDirection::default();
         self.coolant = Coolant::default();

@@ -2,7 +2,8 @@
 
 use super::Dialect;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
-use super::number::{Code, Digits};
+use super::code::Code;
+use crate::number::Digits;
 use super::word::{Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Error;

@@ -2,7 +2,8 @@
 
 use super::Dialect;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, ProbeMode, Units};
-use super::number::{self, Code, Digits};
+use super::code::Code;
+use crate::number::{self, Digits};
 use super::offsets::StoredOffset;
 use crate::error::Error;
 use crate::messages::SpindleDirection;

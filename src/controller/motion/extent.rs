@@ -21,9 +21,13 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         (of(&arc.target, arc.axis_1) - centre[1]).to_mm(),
     ];
     let [first, second] = [libm::atan2f(from[1], from[0]), libm::atan2f(to[1], to[0])];
+    // The way from one angle to another in the arc's sense, 0 to a turn; the angles are less than two turns apart.
     let forward = |from: f32, to: f32| {
-        let way = if arc.clockwise { from - to } else { to - from };
-        if way < 0.0 { way + TURN } else { way }
+        let mut way = if arc.clockwise { from - to } else { to - from };
+        while way < 0.0 {
+            way += TURN;
+        }
+        if way >= TURN { way - TURN } else { way }
     };
     let mut sweep = forward(first, second);
     if sweep <= FULL_CIRCLE || arc.turns > 0 {
@@ -39,8 +43,7 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         (3.0 * QUARTER, arc.axis_1, centre[1] - radius),
     ];
     for (angle, axis, place) in farthest {
-        let way = forward(first, angle);
-        if (if way >= TURN { way - TURN } else { way }) < sweep {
+        if forward(first, angle) < sweep {
             least.set(axis, of(&least, axis).min(place));
             greatest.set(axis, of(&greatest, axis).max(place));
         }

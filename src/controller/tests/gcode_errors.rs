@@ -219,6 +219,15 @@ fn end_of_program() {
 }
 
 #[test]
+fn feed_after_the_end_of_a_program() {
+    for dialect in DIALECTS {
+        let mut program = ready(dialect);
+        program.run("G93 G1 X1 F5 M2");
+        assert_eq!(program.error("X2"), 22);
+    }
+}
+
+#[test]
 fn jogs_leave_the_state_alone() {
     for dialect in DIALECTS {
         let mut program = ready(dialect);

@@ -95,7 +95,10 @@ fn step(interpreter: &mut Interpreter<3>, line: &[u8], context: Context) -> Resu
 
 proptest! {
     #[test]
-    fn any_bytes(lines in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..8), dialect in dialect()) {
+    fn any_bytes(
+        lines in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..8),
+        dialect in dialect(),
+    ) {
         let context = Context { dialect, ..Context::default() };
         let mut interpreter = Interpreter::new();
         for line in lines {

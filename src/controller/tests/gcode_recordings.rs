@@ -210,7 +210,6 @@ fn jogs() {
     replay("15_jog", 45);
 }
 
-/// A position of whole millimetres.
 #[test]
 fn a_reset_keeps_stored_offsets_and_position() {
     let mut interpreter = Interpreter::<3>::new();

@@ -1,6 +1,6 @@
-//! Numbers of a program: decimal text to exact [`Decimal`], and the numbers of G and M words to codes.
+//! Decimal text to exact [`Decimal`]: the numbers of programs and of `$` lines.
 
-use crate::units::{DECIMAL_ONE, DECIMAL_PLACES, Decimal};
+use crate::units::{DECIMAL_PLACES, Decimal};
 
 /// How many digits of a number count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,38 +75,10 @@ fn scaled(mantissa: u64, fraction: u32, zeros: u32, negative: bool) -> Decimal {
     Decimal(if negative { -magnitude } else { magnitude })
 }
 
-/// The number of a G or M word, in the two parts by which it is looked up: `G38.2` is 38 and 20.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Code {
-    /// The whole part, reduced to a byte.
-    pub whole: u8,
-    /// The fraction in hundredths, rounded; [`Code::NO_CODE`] if the whole part was not that of a byte.
-    pub hundredths: u16,
-}
-
-impl Code {
-    /// A fraction that no command has.
-    pub const NO_CODE: u16 = u16::MAX;
-    /// Units of a [`Decimal`] in a hundredth.
-    const HUNDREDTH: i64 = DECIMAL_ONE / 100;
-
-    /// The code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256` is a G0
-    /// with an impossible fraction and `G999` an unknown command; hosts see the two error numbers.
-    pub fn of(value: Decimal) -> Code {
-        let whole = value.0 / DECIMAL_ONE;
-        let rest = value.0 % DECIMAL_ONE;
-        let hundredths = (rest + if rest < 0 { -Self::HUNDREDTH / 2 } else { Self::HUNDREDTH / 2 }) / Self::HUNDREDTH;
-        let hundredths = match u16::try_from(hundredths) {
-            Ok(hundredths) if (0..256).contains(&whole) => hundredths,
-            _ => Self::NO_CODE,
-        };
-        Code { whole: (whole & 0xFF) as u8, hundredths }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::DECIMAL_ONE;
     use proptest::prelude::*;
 
     fn exact(text: &str) -> Option<(i64, usize)> {
@@ -190,19 +162,6 @@ mod tests {
         assert_eq!(eight("-.123456789"), Some((-1_234_567, 11)));
     }
 
-    #[test]
-    fn codes() {
-        let code = |text: &str| Code::of(Decimal(exact(text).unwrap().0));
-        assert_eq!(code("38.2"), Code { whole: 38, hundredths: 20 });
-        assert_eq!(code("92.10"), Code { whole: 92, hundredths: 10 });
-        assert_eq!(code("92.001"), Code { whole: 92, hundredths: 0 });
-        assert_eq!(code("1.999"), Code { whole: 1, hundredths: 100 });
-        assert_eq!(code("256"), Code { whole: 0, hundredths: Code::NO_CODE });
-        assert_eq!(code("999"), Code { whole: 231, hundredths: Code::NO_CODE });
-        assert_eq!(code("-1"), Code { whole: 255, hundredths: Code::NO_CODE });
-        assert_eq!(code("-0.5"), Code { whole: 0, hundredths: Code::NO_CODE });
-        assert_eq!(code("-0"), Code { whole: 0, hundredths: 0 });
-    }
 
     proptest! {
         #[test]

@@ -1,0 +1,52 @@
+//! The numbers of G and M words as codes.
+
+use crate::units::{DECIMAL_ONE, Decimal};
+
+/// The number of a G or M word, in the two parts by which it is looked up: `G38.2` is 38 and 20.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Code {
+    /// The whole part, reduced to a byte.
+    pub whole: u8,
+    /// The fraction in hundredths, rounded; [`Code::NO_CODE`] if the whole part was not that of a byte.
+    pub hundredths: u16,
+}
+
+impl Code {
+    /// A fraction that no command has.
+    pub const NO_CODE: u16 = u16::MAX;
+    /// Units of a [`Decimal`] in a hundredth.
+    const HUNDREDTH: i64 = DECIMAL_ONE / 100;
+
+    /// The code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256` is a G0
+    /// with an impossible fraction and `G999` an unknown command; hosts see the two error numbers.
+    pub fn of(value: Decimal) -> Code {
+        let whole = value.0 / DECIMAL_ONE;
+        let rest = value.0 % DECIMAL_ONE;
+        let hundredths = (rest + if rest < 0 { -Self::HUNDREDTH / 2 } else { Self::HUNDREDTH / 2 }) / Self::HUNDREDTH;
+        let hundredths = match u16::try_from(hundredths) {
+            Ok(hundredths) if (0..256).contains(&whole) => hundredths,
+            _ => Self::NO_CODE,
+        };
+        Code { whole: (whole & 0xFF) as u8, hundredths }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::number::{Digits, read};
+
+    #[test]
+    fn codes() {
+        let code = |text: &str| Code::of(read(text.as_bytes(), Digits::Exact).unwrap().0);
+        assert_eq!(code("38.2"), Code { whole: 38, hundredths: 20 });
+        assert_eq!(code("92.10"), Code { whole: 92, hundredths: 10 });
+        assert_eq!(code("92.001"), Code { whole: 92, hundredths: 0 });
+        assert_eq!(code("1.999"), Code { whole: 1, hundredths: 100 });
+        assert_eq!(code("256"), Code { whole: 0, hundredths: Code::NO_CODE });
+        assert_eq!(code("999"), Code { whole: 231, hundredths: Code::NO_CODE });
+        assert_eq!(code("-1"), Code { whole: 255, hundredths: Code::NO_CODE });
+        assert_eq!(code("-0.5"), Code { whole: 0, hundredths: Code::NO_CODE });
+        assert_eq!(code("-0"), Code { whole: 0, hundredths: 0 });
+    }
+}
