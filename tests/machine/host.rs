@@ -4,7 +4,7 @@ use super::oracle::AXES;
 use super::rig::Rig;
 
 /// Virtual seconds after which an answer is missed.
-const PATIENCE: f64 = 3.0 * 3600.0;
+const PATIENCE: f64 = 3600.0;
 
 /// Settings of a machine that carves: 80 steps/mm, 6000 mm/min, 500 mm/s².
 pub const CARVER: &str = "$100=80\n$101=80\n$102=80\n$110=6000\n$111=6000\n$112=6000\n$120=500\n$121=500\n$122=500\n";

@@ -160,7 +160,7 @@ fn steps(place: [f64; AXES], limits: &Limits) -> Place {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 96, max_shrink_iters: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Jobs of straight moves, compared step for step and interval for interval.
     #[test]
