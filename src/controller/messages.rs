@@ -84,6 +84,11 @@ pub enum ToStep {
         /// Bit set = axis moves to negative; bit 0 is X.
         directions: u8,
     },
+    /// The block just sent is entered in its midst, at this many units: it was left for a detour.
+    Reenter {
+        /// Units of the block that have been done.
+        units: u32,
+    },
     /// A piece of the current block.
     Segment(Segment),
     /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer

@@ -4,9 +4,9 @@ use super::execute::{Answer, Task};
 use super::{Controller, STORED_TEXT};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
-use crate::gcode::{Context, CoordinateSystem, Dialect, StoredOffset};
+use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, LINES_DEPTH, LineByte, Record, SpindleDirection, Store};
+use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -125,16 +125,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    fn context(&self) -> Context {
-        Context {
-            dialect: self.dialect(),
-            laser: self.settings.is_on(Key::Laser),
-            check_mode: self.mode == Mode::Check,
-        }
-    }
-
     fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        let checked = self.interpreter.check(line, self.context())?;
+        let checked = self.interpreter.check(line, self.dialect())?;
         if let Some(error) = self.refuse_motion(&checked, false) {
             return Err(error);
         }
@@ -149,7 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         let stale = (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0;
-        let mut checked = self.interpreter.check_jog(line, self.context())?;
+        let mut checked = self.interpreter.check_jog(line, self.dialect())?;
         if stale || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
@@ -245,13 +237,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
-                self.spindle = SpindleDirection::Off;
-                self.coolant = Coolant::default();
-                self.drivers_on = false;
-                self.drivers_off_at = None;
-                // Axes can be moved by hand now.
-                self.trusted = false;
-                self.mode = Mode::Sleep;
+                self.fall_asleep();
             }
             System::Set(number, value) => {
                 self.settings.set(number, value)?;

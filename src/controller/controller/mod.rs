@@ -4,45 +4,48 @@
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and gone on with
 //! in a later call, so `?`, `!` and a reset are never late. Time is an argument.
 //!
-//! * this file: what comes in and what goes out, realtime commands, stops and resets
+//! * this file: what comes in and what goes out, realtime commands
 //! * [`execute`]: a checked line of G-code is carried out, step by step
+//! * [`stops`]: stops, alarms and resets
+//! * [`outputs`]: pins, answers, reports
 //! * [`cycles`]: homing and probing
+//! * [`door`]: the safety door and parking
 //! * [`converse`]: lines are dispatched and `$` commands answered
 
 mod converse;
 mod cycles;
+mod door;
 mod execute;
+mod outputs;
+mod stops;
 
 use crate::axes::PerAxis;
-use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Interpreter, MotionMode};
+use crate::error::Alarm;
+use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
-use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Chunk, Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
-    SpindleDirection, StepEvent, Store, ToStep, Wiring,
+    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
+    SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
-use crate::protocol::line::{self, Line};
+use crate::protocol::line::Line;
 use crate::protocol::report::{self, RareFields};
-use crate::protocol::text::{PIECE, Text};
+use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
-use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_minute, per_second};
+use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
+use door::DoorState;
 use execute::Task;
 
 /// Longest startup line and build info that is stored.
 const STORED_TEXT: usize = 80;
 /// Bytes of answers that wait for the serial task.
 const REPLY_BYTES: usize = 1024;
+/// Free bytes of answers that a listing, a status report or a line asks for before it begins.
+const REPLY_RESERVE: usize = 2 * PIECE;
 /// How often the controller wants to be called while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
-const SPINDLE_RESTORE: Duration = Duration::from_ticks(4_000_000);
-/// From coolant on until motion goes on (Grbl's 1.0 s).
-const COOLANT_RESTORE: Duration = Duration::from_ticks(1_000_000);
-
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -64,6 +67,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     build_info: heapless::Vec<u8, STORED_TEXT>,
     interpreter: Interpreter<N>,
     motion: Motion<N, BLOCKS>,
+    /// Moves of its own while the job is held: parking.
+    detour: Motion<N, 2>,
 
     line: Line,
     /// A byte that came before the realtime command which opened its epoch.
@@ -92,8 +97,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// 0x9E in a hold, or a door: the spindle stands although the program has it on.
     spindle_stopped: bool,
     coolant: Coolant,
-    /// Coolant that comes back when the door is closed.
-    door_coolant: Coolant,
+    door: DoorState<N>,
+    /// A jog was moving when the door opened: it is forgotten at rest.
+    jog_interrupted: bool,
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
     probing: Option<Probing>,
@@ -150,6 +156,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn new(profile: Profile) -> Self {
         let settings = Settings::default();
         let motion = Motion::new(motion_settings(&settings, &profile));
+        let detour = Motion::new(motion_settings(&settings, &profile));
         Self {
             profile,
             settings,
@@ -157,6 +164,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
             motion,
+            detour,
             line: Line::new(),
             held: None,
             epoch: 0,
@@ -174,7 +182,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             spindle_speed: 0.0,
             spindle_stopped: false,
             coolant: Coolant::default(),
-            door_coolant: Coolant::default(),
+            door: DoorState::CLOSED,
+            jog_interrupted: false,
             probed: PerAxis::default(),
             probe_succeeded: false,
             probing: None,
@@ -211,6 +220,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
         self.motion.observe(&observed);
+        self.detour.observe(&observed);
     }
 
     /// Something happened at `now`.
@@ -245,7 +255,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        let moving = (self.running || !self.motion.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
+        let moving = (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
@@ -260,6 +270,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.stop.order
             && !self.stop.resume
             && self.motion.is_idle()
+            && self.detour.is_idle()
             && self.replies.is_empty()
             && self.unstored == 0
             && !self.status_due
@@ -272,7 +283,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        self.motion.machine_position()
+        // A parked machine is where the detour led.
+        if self.door.is_parking() { self.detour.machine_position() } else { self.motion.machine_position() }
     }
 
     /// Where the machine is in the active coordinate system.
@@ -321,14 +333,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.auto_start();
         if room.step
-            && let Some(message) = self.to_step()
+            && let Some(message) = self.step_message()
         {
             return Some(Output::Step(message));
         }
         None
     }
 
-    fn to_step(&mut self) -> Option<ToStep> {
+    fn step_message(&mut self) -> Option<ToStep> {
         if self.stop.awaited.is_some() {
             return None;
         }
@@ -342,7 +354,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(watch) = self.probe_watch.take() {
             return Some(watch);
         }
-        let message = self.motion.next(&self.observed);
+        let message = self.detour.next(&self.observed).or_else(|| self.motion.next(&self.observed));
         if message.is_some() {
             self.drivers_on = true;
             self.drivers_off_at = None;
@@ -357,27 +369,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.start_idle_delay();
         }
         match self.mode {
-            Mode::Jog { cancelling } if self.motion.is_at_rest() && (cancelling || self.motion.is_idle()) => {
-                if self.task.is_none() || cancelling {
-                    self.end_jog();
-                }
+            Mode::Jog { cancelling }
+                if self.motion.is_at_rest() && (cancelling || (self.motion.is_idle() && self.task.is_none())) =>
+            {
+                self.end_jog();
             }
             Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
-            Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
-                self.door_coolant = self.coolant;
-                self.coolant = Coolant::default();
-                self.spindle_stopped = true;
-                self.rare_fields.overrides_changed();
-                self.mode = Mode::Door(Door::Parked);
-            }
-            Mode::Door(Door::SpindleRestoring(until)) if self.now >= until => {
-                self.coolant = self.door_coolant;
-                self.rare_fields.overrides_changed();
-                self.mode = Mode::Door(Door::CoolantRestoring(self.now + COOLANT_RESTORE));
-            }
-            Mode::Door(Door::CoolantRestoring(until)) if self.now >= until => {
-                self.leave_hold();
-            }
+            Mode::Door(door) => self.settle_door(door),
             _ => {}
         }
         if self.drivers_off_at.is_some_and(|at| self.now >= at) {
@@ -490,21 +488,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.mode {
             Mode::Normal => self.start_motion(),
             Mode::Hold if self.motion.is_at_rest() => self.leave_hold(),
-            Mode::Door(Door::Parked) if !self.signals.door => {
-                self.spindle_stopped = false;
-                self.rare_fields.overrides_changed();
-                // Nothing to wait for when the program has neither spindle nor coolant on.
-                if self.spindle == SpindleDirection::Off && self.door_coolant == Coolant::default() {
-                    self.leave_hold();
-                } else {
-                    let delay = if self.spindle == SpindleDirection::Off || self.settings.is_on(Key::Laser) {
-                        Duration::millis(0)
-                    } else {
-                        SPINDLE_RESTORE
-                    };
-                    self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
-                }
-            }
+            Mode::Door(Door::Parked) => self.close_door(),
             _ => {}
         }
     }
@@ -578,31 +562,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Jog { cancelling: true };
     }
 
-    fn open_door(&mut self) {
-        match self.mode {
-            Mode::Jog { .. } => {
-                self.motion.hold();
-                self.task.forget_jog();
-            }
-            Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
-                self.motion.hold();
-                self.task.suspend(self.now);
-            }
-            Mode::Door(_) => {
-                self.say(|out| report::message(out, "Check Door"));
-                return;
-            }
-            Mode::Home => {
-                self.stop.order = true;
-                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
-                return;
-            }
-            _ => return,
-        }
-        self.say(|out| report::message(out, "Check Door"));
-        self.mode = Mode::Door(Door::Braking);
-    }
-
     fn signals_changed(&mut self, signals: Signals) {
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
@@ -625,283 +584,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if signals.start && !before.start {
             self.cycle_start();
         }
-    }
-
-    // Stops
-
-    fn begin_stop(&mut self, reason: StopReason) {
-        self.stop.expected = self.stop.expected.wrapping_add(1);
-        // A reset wins over an alarm that is still being carried out: the alarm is told of all the same by `moving`.
-        if self.stop.awaited != Some(StopReason::Reset) {
-            self.stop.awaited = Some(reason);
-        }
-        self.finish_stop();
-    }
-
-    fn step_event(&mut self, event: &StepEvent<N>) {
-        match *event {
-            StepEvent::Stopped { stops, moving, position } => {
-                self.stop.seen = stops;
-                self.stop.moving |= moving;
-                self.motion.stopped(&position);
-            }
-            StepEvent::Probed { position } => {
-                self.probe_contact(&position);
-                return;
-            }
-            StepEvent::Underrun { stops, position } => {
-                self.stop.seen = stops;
-                self.stop.expected = self.stop.expected.wrapping_add(1);
-                self.stop.moving = true;
-                self.motion.stopped(&position);
-                if self.stop.awaited.is_none() {
-                    self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
-                }
-            }
-        }
-        self.finish_stop();
-    }
-
-    /// Goes on after a stop, once every stop that was asked for has happened.
-    fn finish_stop(&mut self) {
-        let Some(reason) = self.stop.awaited else { return };
-        if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
-            return;
-        }
-        let moving = self.stop.moving;
-        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
-        self.running = false;
-        self.probing = None;
-        self.probe_watch = None;
-        if reason == StopReason::Switch {
-            // Homing goes on from here.
-            self.motion.discard();
-            return;
-        }
-        self.spindle = SpindleDirection::Off;
-        self.coolant = Coolant::default();
-        match reason {
-            StopReason::Switch => {}
-            StopReason::Reset => self.finish_reset(moving),
-            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
-            StopReason::Alarm(alarm) => {
-                self.trusted &= !moving;
-                self.motion.discard();
-                self.interpreter.set_position(self.motion.machine_position());
-                self.raise(alarm);
-                if alarm == Alarm::Underrun {
-                    if self.task.abandon() {
-                        self.say(|out| report::error(out, Error::Locked.code()));
-                    }
-                    self.mode = Mode::Alarm;
-                } else {
-                    self.say(|out| report::message(out, "Reset to continue"));
-                    self.mode = Mode::Critical;
-                }
-            }
-        }
-    }
-
-    fn finish_reset(&mut self, moving: bool) {
-        self.motion.discard();
-        self.line.clear();
-        if moving || self.mode == Mode::Home {
-            let homing = self.mode == Mode::Home;
-            self.trusted &= !moving;
-            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
-            self.mode = Mode::Alarm;
-        }
-        if self.mode == Mode::Sleep || self.mode == Mode::Critical {
-            self.mode = Mode::Alarm;
-        }
-        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
-        if self.task.answers_host() {
-            self.say(report::ok);
-        }
-        self.task = Task::None;
-        self.interpreter.reset();
-        if !self.mode.is_alarm() {
-            self.mode = Mode::Normal;
-        }
-        self.initialise();
-    }
-
-    fn raise(&mut self, alarm: Alarm) {
-        self.alarm = Some(alarm);
-        self.say(|out| report::alarm(out, alarm.code()));
-        if alarm == Alarm::Underrun {
-            self.say(|out| report::message(out, "Motion data ran out"));
-        }
-    }
-
-    /// What every power-up and reset ends with.
-    fn initialise(&mut self) {
-        self.spindle = SpindleDirection::Off;
-        self.spindle_speed = 0.0;
-        self.spindle_stopped = false;
-        self.coolant = Coolant::default();
-        self.overrides = Overrides::default();
-        self.motion.set_overrides(1.0, 1.0);
-        self.reconfigure();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.probed = PerAxis::default();
-        self.probe_succeeded = false;
-        self.rare_fields = RareFields::default();
-        self.status_due = false;
-        self.say(report::welcome);
-        if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
-            self.mode = Mode::Alarm;
-            self.say(|out| report::message(out, "Check Limits"));
-        }
-        if self.mode == Mode::Alarm {
-            self.say(|out| report::message(out, "'$H'|'$X' to unlock"));
-        } else {
-            self.alarm = None;
-            if self.signals.door {
-                self.open_door();
-            }
-            self.task = Task::Startup(0, None);
-        }
-    }
-
-    // Outputs
-
-    fn dialect(&self) -> Dialect {
-        match self.settings.whole(Key::Dialect) {
-            0 => Dialect::Grbl,
-            2 => Dialect::Seed,
-            _ => Dialect::Oxmill,
-        }
-    }
-
-    fn line_rules(&self) -> line::Rules {
-        match self.dialect() {
-            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
-            dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
-        }
-    }
-
-    fn spindle_range(&self) -> SpindleRange {
-        SpindleRange {
-            maximum: self.settings.value(Key::SpindleMaximum),
-            minimum: self.settings.value(Key::SpindleMinimum),
-        }
-    }
-
-    /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
-    /// with scaled power (M4) is off at no speed.
-    fn resting_power(&self) -> u16 {
-        let dark = self.settings.is_on(Key::Laser)
-            && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
-            0
-        } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
-        }
-    }
-
-    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
-    fn spindle_now(&self) -> (SpindleDirection, f32) {
-        let from_segments = self.settings.is_on(Key::Laser) && !self.motion.is_at_rest() && !self.spindle_stopped;
-        let power = if from_segments { self.motion.power() } else { self.resting_power() };
-        let direction = if power == 0 { SpindleDirection::Off } else { self.spindle };
-        (direction, self.spindle_range().speed_of(power))
-    }
-
-    /// A laser with constant power (M3) stays on between feed motions.
-    fn burns_at_rest(&self) -> bool {
-        matches!(
-            self.interpreter.modal().motion,
-            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
-        )
-    }
-
-    fn changed_pins(&mut self) -> Option<SlowOutputs> {
-        let pins = SlowOutputs {
-            spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
-            power: self.resting_power(),
-            power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
-            coolant: self.coolant,
-            drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
-        };
-        (self.pins_sent != Some(pins)).then(|| {
-            self.pins_sent = Some(pins);
-            pins
-        })
-    }
-
-    fn changed_wiring(&mut self) -> Option<Wiring> {
-        let s = &self.settings;
-        let wiring = Wiring {
-            pulse_us: s.whole(Key::StepPulse) as u8,
-            direction_setup_us: s.whole(Key::DirectionSetup) as u8,
-            step_invert: s.whole(Key::StepInvert) as u8,
-            direction_invert: s.whole(Key::DirectionInvert) as u8,
-            enable_invert: s.is_on(Key::EnableInvert),
-            limit_invert: s.is_on(Key::LimitInvert),
-            probe_invert: s.is_on(Key::ProbeInvert),
-        };
-        (self.wiring_sent != Some(wiring)).then(|| {
-            self.wiring_sent = Some(wiring);
-            wiring
-        })
-    }
-
-    fn has_reply_room(&self) -> bool {
-        self.replies.capacity() - self.replies.len() >= 2 * PIECE
-    }
-
-    /// Makes a piece of answer. There is always room: whoever can wait asks `has_reply_room` first, and what cannot (an
-    /// alarm, a message) is short.
-    fn say(&mut self, make: impl FnOnce(&mut Text)) {
-        let mut text = Text::new();
-        make(&mut text);
-        for byte in text {
-            if self.replies.push_back(byte).is_err() {
-                return;
-            }
-        }
-    }
-
-    fn reply_chunk(&mut self) -> Option<Chunk> {
-        let mut chunk = Chunk { len: 0, bytes: [0; 15] };
-        for slot in &mut chunk.bytes {
-            let Some(byte) = self.replies.pop_front() else { break };
-            *slot = byte;
-            chunk.len += 1;
-        }
-        (chunk.len > 0).then_some(chunk)
-    }
-
-    fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
-        let (show_offset, show_overrides) = self.rare_fields.next(busy);
-        let mask = self.settings.whole(Key::StatusReport);
-        let (spindle, speed) = self.spindle_now();
-        let grbl = self.dialect() == Dialect::Grbl;
-        let line = self.motion.line_number();
-        let status = report::Status {
-            state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
-            machine: self.motion.machine_position(),
-            offset: self.interpreter.work_offset(),
-            show_machine: mask & 1 != 0,
-            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
-            line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.motion.speed()),
-            speed,
-            pins: self.signals,
-            show_offset,
-            overrides: show_overrides.then(|| {
-                ([self.overrides.feed, self.overrides.rapid, self.overrides.spindle], spindle, self.coolant)
-            }),
-        };
-        let inches = self.settings.is_on(Key::ReportInches);
-        self.say(|out| report::status(out, &status, inches));
-    }
-
-    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
-    fn reconfigure(&mut self) {
-        self.motion.configure(motion_settings(&self.settings, &self.profile));
     }
 }
 

@@ -4,7 +4,7 @@ use super::check::{self, Checked, Purpose};
 use super::modal::Modal;
 use super::offsets::Offsets;
 use super::parse::Parsed;
-use super::{Context, jog};
+use super::{Dialect, jog};
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::messages::Coolant;
@@ -38,15 +38,15 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments.
-    pub fn check(&self, line: &[u8], context: Context) -> Result<Checked<N>, Error> {
-        let parsed = Parsed::read(line, context.dialect)?;
-        check::check(self, &parsed, context.dialect, Purpose::Program)
+    pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
+        let parsed = Parsed::read(line, dialect)?;
+        check::check(self, &parsed, dialect, Purpose::Program)
     }
 
     /// Checks what stands behind `$J=`. The motion of the result is a jog; of the state its commit changes the position
     /// only.
-    pub fn check_jog(&self, line: &[u8], context: Context) -> Result<Checked<N>, Error> {
-        jog::check(self, line, context)
+    pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
+        jog::check(self, line, dialect)
     }
 
     /// Takes over what a line has changed. The position becomes the end of the line's motion; a probing move that ends

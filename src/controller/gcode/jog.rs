@@ -1,6 +1,6 @@
 //! Jogs: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this line alone.
 
-use super::Context;
+use super::Dialect;
 use super::check::{self, Checked, Purpose};
 use super::interpreter::Interpreter;
 use super::parse::Parsed;
@@ -12,10 +12,10 @@ use crate::error::Error;
 pub(super) fn check<const N: usize>(
     state: &Interpreter<N>,
     line: &[u8],
-    context: Context,
+    dialect: Dialect,
 ) -> Result<Checked<N>, Error> {
-    let parsed = Parsed::read(line, context.dialect)?;
-    let checked = check::check(state, &parsed, context.dialect, Purpose::Jog)?;
+    let parsed = Parsed::read(line, dialect)?;
+    let checked = check::check(state, &parsed, dialect, Purpose::Jog)?;
     if !parsed.groups.within(Groups::OF_JOGS) {
         return Err(Error::InvalidJog);
     }

@@ -40,14 +40,3 @@ pub enum Dialect {
     /// arc whose end point lies off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }
-
-/// How the machine is set up while a line is checked.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Context {
-    /// Whose meaning the words have.
-    pub dialect: Dialect,
-    /// Laser mode. No word means something else in it; what differs is how the action is carried out.
-    pub laser: bool,
-    /// Check mode. A program is checked as it would be run, so this makes no difference here either.
-    pub check_mode: bool,
-}

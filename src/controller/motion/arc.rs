@@ -47,9 +47,11 @@ pub struct Arc<const N: usize> {
     centre: [Coordinate; 2],
     /// Direction from the centre to the last point.
     unit: [i64; 2],
-    /// Sine of a chord's angle (signed) and 1 - its cosine.
+    /// Sine of a chord's angle (signed) and 1 - its cosine, in fixed point with as many bits as 2^31 allows, so that
+    /// thousands of tiny angles add up right.
     sine: i64,
     versine: i64,
+    turn_bits: u32,
     start_radius: i64,
     radius_change: f32,
     length: f32,
@@ -119,7 +121,13 @@ impl<const N: usize> Arc<N> {
         let chords = if start_radius == 0 || end_radius == 0 { 1 } else { (count as u32).max(1) };
         let step = angle / chords as f32;
         let half_sine = libm::sinf(0.5 * step);
-        let one = UNIT as f32;
+        let mut turn_bits = UNIT_BITS;
+        let mut magnified = step.abs();
+        while magnified < 0.5 && turn_bits < 2 * UNIT_BITS {
+            magnified *= 2.0;
+            turn_bits += 1;
+        }
+        let one = (1_u64 << turn_bits) as f32;
 
         let mut square = 0.0;
         for axis in Axis::of_machine::<N>() {
@@ -137,6 +145,7 @@ impl<const N: usize> Arc<N> {
             unit,
             sine: (libm::sinf(step) * one) as i64,
             versine: (2.0 * half_sine * half_sine * one) as i64,
+            turn_bits,
             start_radius,
             radius_change: (end_radius - start_radius) as f32,
             length: square_root(square + along * along),
@@ -155,11 +164,13 @@ impl<const N: usize> Arc<N> {
             return Some(self.geometry.target);
         }
         let [x, y] = self.unit;
-        let half = UNIT / 2;
-        let x_turned = x - ((x * self.versine + y * self.sine + half) >> UNIT_BITS);
-        let y_turned = y + ((x * self.sine - y * self.versine + half) >> UNIT_BITS);
+        // 2^30 × 2^31 twice: below 2^62.
+        let half = 1_i64 << (self.turn_bits - 1);
+        let x_turned = x - ((x * self.versine + y * self.sine + half) >> self.turn_bits);
+        let y_turned = y + ((x * self.sine - y * self.versine + half) >> self.turn_bits);
         // One Newton step towards length 1.
         let excess = (x_turned * x_turned + y_turned * y_turned - UNIT * UNIT) >> (UNIT_BITS + 1);
+        let half = UNIT / 2;
         let x = x_turned - ((x_turned * excess + half) >> UNIT_BITS);
         let y = y_turned - ((y_turned * excess + half) >> UNIT_BITS);
         self.unit = [x, y];

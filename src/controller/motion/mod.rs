@@ -28,7 +28,7 @@ use crate::units::{Coordinate, StepsPerMm};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use flight::{Flight, Record};
 use planner::Planner;
-use profile::{Curve, square_root};
+use profile::{Curve, Pace, square_root};
 use segment::{Cut, Pacer};
 use stepper::{signed_add, steps_taken};
 
@@ -145,6 +145,8 @@ struct Running<const N: usize> {
 enum Announce {
     Rest,
     Block,
+    /// The block was left in its midst for moves of another kind.
+    Reenter,
     Nothing,
 }
 
@@ -158,6 +160,7 @@ struct Far {
 /// The facade of this room.
 #[derive(Clone, Debug)]
 pub struct Motion<const N: usize, const BLOCKS: usize> {
+    settings: MotionSettings<N>,
     steps_per_mm: PerAxis<StepsPerMm, N>,
     mm_per_step: [f32; N],
     max_rate: [f32; N],
@@ -181,8 +184,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     running: Running<N>,
     /// Machine steps at the start of the running block.
     start: PerAxis<i32, N>,
-    /// Speed² at the end of what has been handed over: in units²/s² of the running block, mm²/s² between blocks.
-    speed2: f32,
+    /// Speed at the end of what has been handed over: in units/s of the running block, mm/s between blocks.
+    pace: Pace,
     far: Option<Far>,
     /// What has been handed over ends at rest.
     rest: bool,
@@ -205,6 +208,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
         let mut motion = Self {
+            settings,
             steps_per_mm: settings.steps_per_mm,
             mm_per_step: [1.0; N],
             max_rate: [1.0; N],
@@ -238,7 +242,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 programmed: 1.0,
             },
             start: zero,
-            speed2: 0.0,
+            pace: Pace::REST,
             far: None,
             rest: true,
             started: false,
@@ -253,6 +257,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
+        self.settings = settings;
         self.steps_per_mm = settings.steps_per_mm;
         self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
@@ -260,7 +265,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
-        self.plan_from(self.start);
+        self.plan_from(self.prepared_steps());
     }
 
     /// The queue begins anew at these machine steps.
@@ -269,7 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.long = None;
         self.running.active = false;
         self.far = None;
-        self.speed2 = 0.0;
+        self.pace = Pace::REST;
         self.carried = 0.0;
         self.rest = true;
         self.start = steps;
@@ -298,7 +303,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
         }
-        if most <= MAX_STEPS - 1 {
+        if most < MAX_STEPS {
             self.append(m, &steps);
             return true;
         }
@@ -432,6 +437,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.start();
     }
 
+    /// The step task has done something else meanwhile, and the machine is back at the very place: the running block is
+    /// announced anew. At rest only.
+    pub fn reenter(&mut self) {
+        if self.running.active {
+            self.running.announce = if N > 3 { Announce::Rest } else { Announce::Block };
+            self.running.fresh = true;
+        }
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> MotionSettings<N> {
+        self.settings
+    }
+
     /// Whether a hold is in force and what was handed over ends at rest.
     pub fn is_held(&self) -> bool {
         self.hold == Hold::Held
@@ -448,22 +467,25 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         self.overrides = overrides;
         self.planner.replan(overrides);
-        if self.running.active {
-            if let Some(block) = self.planner.first() {
-                let nominal = block.nominal(overrides) * self.running.scale;
-                self.running.nominal2 = nominal * nominal;
-            }
-            if let Some(far) = &mut self.far {
-                // The tick that is waited for comes sooner or later in proportion, as if its speed had changed at once:
-                // it is a sixteenth of a step.
-                let speed = far.cut.units as f32 / far.cut.seconds;
-                let speed2 = self.running.nominal2.min(speed * speed + 2.0 * self.running.acceleration);
-                let changed = square_root(speed2);
-                if changed > 0.0 {
-                    far.time = (far.time as f32 * (speed / changed)) as u64;
-                    far.cut.seconds = far.cut.units as f32 / changed;
-                    far.cut.end2 = speed2;
-                }
+        if !self.running.active {
+            return;
+        }
+        let Some(block) = self.planner.first() else { return };
+        let nominal = block.nominal(overrides) * self.running.scale;
+        let nominal2 = nominal * nominal;
+        if nominal2 == self.running.nominal2 {
+            return;
+        }
+        self.running.nominal2 = nominal2;
+        if let Some(far) = &mut self.far {
+            // The tick that is waited for comes sooner or later in proportion, as if the speed had changed at once: it is
+            // a sixteenth of a step.
+            let speed = far.cut.units as f32 / far.cut.seconds;
+            let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
+            far.time = (far.time as f32 * (speed / changed)) as u64;
+            far.cut.seconds = far.cut.units as f32 / changed;
+            if far.cut.end.speed2 > nominal2 {
+                far.cut.end = Pace { speed: nominal, speed2: nominal2 };
             }
         }
     }
@@ -590,12 +612,16 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 Some(ToStep::BlockRest { steps })
             }
             Announce::Block => {
-                self.running.announce = Announce::Nothing;
+                self.running.announce = if self.running.done > 0 { Announce::Reenter } else { Announce::Nothing };
                 let mut steps = [0; 3];
                 for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
                     *out = *own;
                 }
                 Some(ToStep::Block { steps, directions: self.running.directions })
+            }
+            Announce::Reenter => {
+                self.running.announce = Announce::Nothing;
+                Some(ToStep::Reenter { units: self.running.done })
             }
             Announce::Nothing => Some(ToStep::Segment(self.segment())),
         }
@@ -625,7 +651,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             nominal2: nominal * nominal,
             programmed: if block.flags & RAPID != 0 { block.limit } else { block.programmed },
         };
-        self.speed2 = self.speed2 * scale * scale;
+        self.pace = self.pace.scaled(scale);
         true
     }
 
@@ -669,20 +695,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.hold != Hold::Ramp {
             let exit2 = self.planner.exit2() * (run.scale * run.scale);
             let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.speed2));
+            return Some(segment::cut(&curve, run.done, left, self.pace));
         }
-        if self.speed2 <= 0.0 {
+        if self.pace.speed2 <= 0.0 {
             return None;
         }
-        let way = self.speed2 / (2.0 * run.acceleration);
-        if way < 1.0 && square_root(self.speed2) * CRAWL_S < 2.0 {
+        let way = self.pace.speed2 / (2.0 * run.acceleration);
+        if way < 1.0 && self.pace.speed * CRAWL_S < 2.0 {
             return None;
         }
         if way >= left as f32 {
             // All of this block brakes, and the next one goes on with what speed is left.
-            let exit2 = (self.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
-            let curve = Curve { acceleration: run.acceleration, nominal2: self.speed2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.speed2));
+            let exit2 = (self.pace.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
+            let curve = Curve { acceleration: run.acceleration, nominal2: self.pace.speed2, exit2 };
+            return Some(segment::cut(&curve, run.done, left, self.pace));
         }
         // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
         let mut stop = way as u32;
@@ -690,18 +716,19 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             stop += 1;
         }
         let stop = stop.clamp(1, left);
-        let curve = Curve { acceleration: self.speed2 / (2.0 * stop as f32), nominal2: self.speed2, exit2: 0.0 };
-        Some(segment::cut(&curve, run.done, stop, self.speed2))
+        let curve =
+            Curve { acceleration: self.pace.speed2 / (2.0 * stop as f32), nominal2: self.pace.speed2, exit2: 0.0 };
+        Some(segment::cut(&curve, run.done, stop, self.pace))
     }
 
     /// A segment that moves nothing and lets the step task rest.
     fn rest_here(&mut self) -> Segment {
         self.far = None;
-        self.speed2 = 0.0;
+        self.pace = Pace::REST;
         self.rest = true;
         self.hold = Hold::Held;
         let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
-        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end2: 0.0, ramp: 0.0 };
+        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0 };
         let interval = self.pacer.whole(clocks);
         self.hand_over(&still, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
@@ -710,13 +737,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn emit(&mut self, cut: &Cut, time: u32) -> Segment {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
         self.running.done += cut.units;
-        self.speed2 = cut.end2;
+        self.pace = cut.end;
         let ends = self.running.done >= self.running.total;
         let mut flags = 0;
         if ends && self.planner.len() < 2 {
-            self.speed2 = 0.0;
+            self.pace = Pace::REST;
         }
-        self.rest = self.speed2 <= 0.0;
+        self.rest = self.pace.speed2 <= 0.0;
         if self.rest {
             flags = Segment::FLAG_LAST;
             if self.hold == Hold::Ramp {
@@ -729,7 +756,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             self.start = self.prepared_steps();
             self.running.active = false;
             self.planner.pop();
-            self.speed2 /= self.running.scale * self.running.scale;
+            self.pace = self.pace.scaled(1.0 / self.running.scale);
             if self.planner.len() == 0 && self.long.is_none() {
                 self.started = false;
             }
@@ -752,3 +779,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         Segment { interval, ramp, ticks, power, level: cut.level, flags: flags | fresh }
     }
 }
+
+#[cfg(test)]
+mod tests;

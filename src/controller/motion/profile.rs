@@ -28,6 +28,22 @@ pub(super) struct Curve {
     pub exit2: f32,
 }
 
+/// A speed and its square, kept together because either costs a multiplication or a root.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    pub speed: f32,
+    pub speed2: f32,
+}
+
+impl Pace {
+    pub(super) const REST: Self = Self { speed: 0.0, speed2: 0.0 };
+
+    /// The same speed in units that are `factor` times smaller.
+    pub(super) fn scaled(self, factor: f32) -> Self {
+        Self { speed: self.speed * factor, speed2: self.speed2 * factor * factor }
+    }
+}
+
 /// A stretch with one acceleration.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Phase {
@@ -66,10 +82,10 @@ impl Curve {
         }
     }
 
-    /// Seconds for the next `distance` of the `left` units, and the speed² after it. Exact also from and to rest.
-    pub(super) fn advance(&self, mut speed2: f32, mut left: f32, mut distance: f32) -> (f32, f32) {
+    /// Goes on by `distance` of the `left` units: seconds and the pace after it. Exact also from and to rest.
+    pub(super) fn advance(&self, from: Pace, mut left: f32, mut distance: f32) -> (f32, Pace) {
         let slope = 2.0 * self.acceleration;
-        let mut speed = square_root(speed2);
+        let Pace { mut speed, mut speed2 } = from;
         let mut time = 0.0;
         for _ in 0..MOST_PHASES {
             let phase = self.phase(speed2, left);
@@ -94,12 +110,12 @@ impl Curve {
             left -= piece;
             distance -= piece;
             if !whole || distance <= 0.0 {
-                return (time, speed2);
+                return (time, Pace { speed, speed2 });
             }
         }
         if speed > 0.0 {
             time += distance / speed;
         }
-        (time, speed2)
+        (time, Pace { speed, speed2 })
     }
 }

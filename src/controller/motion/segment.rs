@@ -4,7 +4,7 @@
 //! ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
 //! cannot hold goes into the next segment, so no time is lost or gained.
 
-use super::profile::{Curve, square_root};
+use super::profile::{Curve, Pace};
 use super::stepper::MAX_LEVEL;
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
@@ -12,9 +12,9 @@ use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 const SEGMENT_TIME: f32 = 0.001;
 /// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
 const SMOOTH_RATE: f32 = 8000.0;
-/// Share of speed²/acceleration that one segment may cover: its speed then changes by a fifth at most, so that evenly
-/// changing intervals follow the curve (the intervals of a longer piece bend).
-const EVEN: f32 = 0.2;
+/// Share of speed²/acceleration that one segment may cover: its speed then changes by a tenth, and evenly
+/// changing intervals follow the curve within 0.3 % (the intervals of a longer piece bend).
+const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the nearest tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
 
@@ -25,8 +25,8 @@ pub(super) struct Cut {
     pub level: u8,
     pub ticks: u32,
     pub seconds: f32,
-    /// Speed² at its end, in units²/s².
-    pub end2: f32,
+    /// Speed at its end, in units/s.
+    pub end: Pace,
     /// Change of the interval from tick to tick, in seconds.
     pub ramp: f32,
 }
@@ -46,8 +46,8 @@ fn level_for(speed: f32) -> u8 {
 }
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
-pub(super) fn cut(curve: &Curve, done: u32, left: u32, speed2: f32) -> Cut {
-    let speed = square_root(speed2);
+pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
+    let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);
     let mut level = level_for(speed);
     let change = phase.sign * curve.acceleration * SEGMENT_TIME;
@@ -94,16 +94,15 @@ pub(super) fn cut(curve: &Curve, done: u32, left: u32, speed2: f32) -> Cut {
     let ticks = (units / grain).clamp(1, most);
     let units = ticks * grain;
 
-    let (seconds, end2) = curve.advance(speed2, left as f32, units as f32);
+    let (seconds, end) = curve.advance(pace, left as f32, units as f32);
     let mut ramp = 0.0;
     if ticks > 1 && phase.sign != 0.0 {
-        let end = square_root(end2);
-        if speed > 0.0 && end > 0.0 {
+        if speed > 0.0 && end.speed > 0.0 {
             // The interval is grain / speed at either end of the segment.
-            ramp = grain as f32 * (speed - end) / (speed * end) / ticks as f32;
+            ramp = grain as f32 * (speed - end.speed) / (speed * end.speed) / ticks as f32;
         }
     }
-    Cut { units, level, ticks, seconds, end2, ramp }
+    Cut { units, level, ticks, seconds, end, ramp }
 }
 
 /// Intervals of one segment.
@@ -150,7 +149,7 @@ impl Pacer {
         let average = total / ticks;
         let pairs = ticks - 1;
         // Whatever the curve says, the shortest tick keeps a quarter of the average.
-        let steepest = if pairs == 0 { 0 } else { (average - average / 4).saturating_sub(ONE) / pairs };
+        let steepest = (average - average / 4).saturating_sub(ONE).checked_div(pairs).unwrap_or(0);
         let steepest = steepest.min(i32::MAX as u32) as i32;
         let ramp = ((ramp * self.per_second) as i32).clamp(-steepest, steepest);
         // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2.

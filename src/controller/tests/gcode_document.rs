@@ -122,7 +122,7 @@ fn the_house() {
             let checked = program.run(line);
             assert_eq!((target(&checked), feed(&checked)), (place, Feed::PerMinute(per_minute / 60.0)), "{line}");
         }
-        assert_eq!(program.interpreter.check(b"N16", program.context).unwrap().line_number, 16);
+        assert_eq!(program.interpreter.check(b"N16", program.dialect).unwrap().line_number, 16);
     }
 }
 

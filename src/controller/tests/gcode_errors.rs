@@ -2,7 +2,7 @@
 
 mod program;
 
-use oxmill_controller::gcode::{Checked, Context, Dialect, Feed, Flow, Interpreter, Motion};
+use oxmill_controller::gcode::{Checked, Dialect, Feed, Flow, Interpreter, Motion};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
 use program::{DIALECTS, Program, target};
 
@@ -234,20 +234,20 @@ fn jogs_leave_the_state_alone() {
         program.run_all("G91\nG20\nT4\nG10 L2 P1 X1\nG92 Y1\nG80");
         let before = program.interpreter.clone();
         // A jog is a line even under G80, in the program's units and distance mode unless it says otherwise.
-        let jog = before.check_jog(b"X1F60N7", program.context).unwrap();
+        let jog = before.check_jog(b"X1F60N7", program.dialect).unwrap();
         assert_eq!(target(&jog), [25.4, 0.0, 0.0]);
         let Motion::Line { feed: Feed::PerMinute(feed), .. } = jog.motion else { panic!() };
         assert_eq!((feed, jog.line_number), (25.4, 7));
-        let absolute = before.check_jog(b"G21G90G53X2F60", program.context).unwrap();
+        let absolute = before.check_jog(b"G21G90G53X2F60", program.dialect).unwrap();
         assert_eq!(target(&absolute), [2.0, 0.0, 0.0]);
         program.interpreter.commit(&absolute);
         assert_eq!(program.machine(), [2.0, 0.0, 0.0]);
         program.interpreter.set_position(*before.position());
         assert!(program.interpreter == before);
-        let nothing = before.check_jog(b"F100", program.context).unwrap();
+        let nothing = before.check_jog(b"F100", program.dialect).unwrap();
         assert_eq!((nothing.motion, nothing.position()), (Motion::None, before.position()));
         for (jog, code) in [("", 22), ("X1", 22), ("X1F0", 22), ("G0X1F1", 16), ("M3X1F1", 16), ("X1F1S1", 36)] {
-            assert_eq!(before.check_jog(jog.as_bytes(), program.context).unwrap_err().code(), code, "{jog}");
+            assert_eq!(before.check_jog(jog.as_bytes(), program.dialect).unwrap_err().code(), code, "{jog}");
         }
     }
 }
@@ -256,17 +256,16 @@ fn jogs_leave_the_state_alone() {
 #[test]
 fn four_axes() {
     for dialect in DIALECTS {
-        let context = Context { dialect, ..Context::default() };
         let mut interpreter = Interpreter::<4>::new();
         for line in ["G20F10", "G10L2P1X1A10", "G0X1A90"] {
-            let checked = interpreter.check(line.as_bytes(), context).unwrap();
+            let checked = interpreter.check(line.as_bytes(), dialect).unwrap();
             interpreter.commit(&checked);
         }
         assert_eq!(interpreter.position().0.map(|place| place.0), [508_000_000, 0, 0, 1_000_000_000]);
-        let helix = interpreter.check(b"G2X1Y0I1A0", context).unwrap();
+        let helix = interpreter.check(b"G2X1Y0I1A0", dialect).unwrap();
         let Motion::Arc(arc) = helix.motion else { panic!() };
         assert_eq!(arc.target.0.map(|place| place.0), [508_000_000, 0, 0, 100_000_000]);
-        assert_eq!(interpreter.check(b"B1", context).unwrap_err().code(), 20);
-        assert_eq!(interpreter.check(b"G43.1Z1A1", context).unwrap_err().code(), 37);
+        assert_eq!(interpreter.check(b"B1", dialect).unwrap_err().code(), 20);
+        assert_eq!(interpreter.check(b"G43.1Z1A1", dialect).unwrap_err().code(), 37);
     }
 }

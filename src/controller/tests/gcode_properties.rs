@@ -3,7 +3,7 @@
 mod program;
 
 use oxmill_controller::axes::PerAxis;
-use oxmill_controller::gcode::{Checked, Context, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Checked, Dialect, Feed, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
 use program::{DIALECTS, Program};
 use proptest::prelude::*;
@@ -67,10 +67,10 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
 }
 
 /// Checks and carries out one line; the state after it is the answer's.
-fn step(interpreter: &mut Interpreter<3>, line: &[u8], context: Context) -> Result<(), TestCaseError> {
+fn step(interpreter: &mut Interpreter<3>, line: &[u8], dialect: Dialect) -> Result<(), TestCaseError> {
     let before = interpreter.clone();
-    let jog = interpreter.check_jog(line, context);
-    let checked = interpreter.check(line, context);
+    let jog = interpreter.check_jog(line, dialect);
+    let checked = interpreter.check(line, dialect);
     prop_assert!(*interpreter == before, "checking changes nothing");
     if let Ok(jog) = jog {
         sound(&before, &jog)?;
@@ -99,19 +99,17 @@ proptest! {
         lines in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..8),
         dialect in dialect(),
     ) {
-        let context = Context { dialect, ..Context::default() };
         let mut interpreter = Interpreter::new();
         for line in lines {
-            step(&mut interpreter, &line, context)?;
+            step(&mut interpreter, &line, dialect)?;
         }
     }
 
     #[test]
     fn any_words(lines in prop::collection::vec(line(), 1..20), dialect in dialect()) {
-        let context = Context { dialect, ..Context::default() };
         let mut interpreter = Interpreter::new();
         for line in lines {
-            step(&mut interpreter, &line, context)?;
+            step(&mut interpreter, &line, dialect)?;
         }
     }
 
@@ -151,22 +149,22 @@ proptest! {
 /// Grbl in single precision ends at 1000.04 mm or so.
 #[test]
 fn a_million_small_steps() {
-    let context = Context::default();
+    let dialect = Dialect::default();
     let mut interpreter = Interpreter::<3>::new();
     for line in [&b"G91G1F100"[..], b"G20"] {
-        let checked = interpreter.check(line, context).unwrap();
+        let checked = interpreter.check(line, dialect).unwrap();
         interpreter.commit(&checked);
     }
     for _ in 0..100_000 {
         for line in [&b"X0.0001"[..], b"Y-0.00001"] {
-            let checked = interpreter.check(line, context).unwrap();
+            let checked = interpreter.check(line, dialect).unwrap();
             interpreter.commit(&checked);
         }
     }
     assert_eq!(*interpreter.position(), PerAxis([Coordinate::mm(254), Coordinate(-254_000_000), Coordinate::ZERO]));
     let mut interpreter = Interpreter::<3>::new();
     for _ in 0..1_000_000 {
-        let checked = interpreter.check(b"G91G0X0.001", context).unwrap();
+        let checked = interpreter.check(b"G91G0X0.001", dialect).unwrap();
         interpreter.commit(&checked);
     }
     assert_eq!(*interpreter.position(), PerAxis([Coordinate::mm(1000), Coordinate::ZERO, Coordinate::ZERO]));

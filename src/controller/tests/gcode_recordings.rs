@@ -3,11 +3,11 @@
 
 use oxmill_controller::axes::{Axis, PerAxis};
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Context, CoordinateSystem, Dialect, Flow, Interpreter, StoredOffset};
+use oxmill_controller::gcode::{CoordinateSystem, Dialect, Flow, Interpreter, StoredOffset};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
-const GRBL: Context = Context { dialect: Dialect::Grbl, laser: false, check_mode: false };
+const GRBL: Dialect = Dialect::Grbl;
 
 /// Lines that are answered otherwise on purpose: Grbl takes targets a kilometre away; here they end at 50 m.
 const OTHERWISE: &[(&str, &str, &str)] = &[("09_arcs", "G2 X1000000 Y0 R500000.5", "error:33")];

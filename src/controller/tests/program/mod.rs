@@ -3,7 +3,7 @@
 
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Checked, Context, Dialect, Interpreter, Motion};
+use oxmill_controller::gcode::{Checked, Dialect, Interpreter, Motion};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
@@ -12,17 +12,17 @@ pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::See
 #[derive(Clone)]
 pub struct Program {
     pub interpreter: Interpreter<3>,
-    pub context: Context,
+    pub dialect: Dialect,
 }
 
 impl Program {
     pub fn new(dialect: Dialect) -> Self {
-        Self { interpreter: Interpreter::new(), context: Context { dialect, ..Context::default() } }
+        Self { interpreter: Interpreter::new(), dialect }
     }
 
     /// Checks a line that may have blanks.
     pub fn check(&self, line: &str) -> Result<Checked<3>, Error> {
-        self.interpreter.check(line.replace(' ', "").as_bytes(), self.context)
+        self.interpreter.check(line.replace(' ', "").as_bytes(), self.dialect)
     }
 
     /// Carries out a line.

@@ -1,0 +1,154 @@
+//! Pins, answers and reports: what the outside gets to see.
+
+use super::{Controller, REPLY_RESERVE, motion_settings};
+use crate::gcode::{Dialect, MotionMode};
+use crate::machine::spindle::SpindleRange;
+use crate::machine::state::Mode;
+use crate::messages::{Chunk, SlowOutputs, SpindleDirection, Wiring};
+use crate::protocol::line;
+use crate::protocol::report;
+use crate::protocol::text::Text;
+use crate::settings::Key;
+use crate::units::per_minute;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    pub(super) fn dialect(&self) -> Dialect {
+        match self.settings.whole(Key::Dialect) {
+            0 => Dialect::Grbl,
+            2 => Dialect::Seed,
+            _ => Dialect::Oxmill,
+        }
+    }
+
+    pub(super) fn line_rules(&self) -> line::Rules {
+        match self.dialect() {
+            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
+            dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
+        }
+    }
+
+    pub(super) fn spindle_range(&self) -> SpindleRange {
+        SpindleRange {
+            maximum: self.settings.value(Key::SpindleMaximum),
+            minimum: self.settings.value(Key::SpindleMinimum),
+        }
+    }
+
+    /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
+    /// with scaled power (M4) is off at no speed.
+    pub(super) fn resting_power(&self) -> u16 {
+        let dark = self.settings.is_on(Key::Laser)
+            && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
+            0
+        } else {
+            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
+        }
+    }
+
+    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
+    pub(super) fn spindle_now(&self) -> (SpindleDirection, f32) {
+        let from_segments = self.settings.is_on(Key::Laser) && !self.motion.is_at_rest() && !self.spindle_stopped;
+        let power = if from_segments { self.motion.power() } else { self.resting_power() };
+        let direction = if power == 0 { SpindleDirection::Off } else { self.spindle };
+        (direction, self.spindle_range().speed_of(power))
+    }
+
+    /// A laser with constant power (M3) stays on between feed motions.
+    pub(super) fn burns_at_rest(&self) -> bool {
+        matches!(
+            self.interpreter.modal().motion,
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
+        )
+    }
+
+    pub(super) fn changed_pins(&mut self) -> Option<SlowOutputs> {
+        let pins = SlowOutputs {
+            spindle: if self.spindle_stopped { SpindleDirection::Off } else { self.spindle },
+            power: self.resting_power(),
+            power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
+            coolant: self.coolant,
+            drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
+        };
+        (self.pins_sent != Some(pins)).then(|| {
+            self.pins_sent = Some(pins);
+            pins
+        })
+    }
+
+    pub(super) fn changed_wiring(&mut self) -> Option<Wiring> {
+        let s = &self.settings;
+        let wiring = Wiring {
+            pulse_us: s.whole(Key::StepPulse) as u8,
+            direction_setup_us: s.whole(Key::DirectionSetup) as u8,
+            step_invert: s.whole(Key::StepInvert) as u8,
+            direction_invert: s.whole(Key::DirectionInvert) as u8,
+            enable_invert: s.is_on(Key::EnableInvert),
+            limit_invert: s.is_on(Key::LimitInvert),
+            probe_invert: s.is_on(Key::ProbeInvert),
+        };
+        (self.wiring_sent != Some(wiring)).then(|| {
+            self.wiring_sent = Some(wiring);
+            wiring
+        })
+    }
+
+    pub(super) fn has_reply_room(&self) -> bool {
+        self.replies.capacity() - self.replies.len() >= REPLY_RESERVE
+    }
+
+    /// Makes a piece of answer. There is always room: whoever can wait asks `has_reply_room` first, and what cannot (an
+    /// alarm, a message) is short.
+    pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
+        let mut text = Text::new();
+        make(&mut text);
+        for byte in text {
+            if self.replies.push_back(byte).is_err() {
+                return;
+            }
+        }
+    }
+
+    pub(super) fn reply_chunk(&mut self) -> Option<Chunk> {
+        let mut chunk = Chunk { len: 0, bytes: [0; 15] };
+        for slot in &mut chunk.bytes {
+            let Some(byte) = self.replies.pop_front() else { break };
+            *slot = byte;
+            chunk.len += 1;
+        }
+        (chunk.len > 0).then_some(chunk)
+    }
+
+    pub(super) fn report_status(&mut self) {
+        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
+        let (show_offset, show_overrides) = self.rare_fields.next(busy);
+        let mask = self.settings.whole(Key::StatusReport);
+        let (spindle, speed) = self.spindle_now();
+        let grbl = self.dialect() == Dialect::Grbl;
+        let line = self.motion.line_number();
+        let status = report::Status {
+            state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
+            machine: self.machine_position(),
+            offset: self.interpreter.work_offset(),
+            show_machine: mask & 1 != 0,
+            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
+            line: (line > 0 && !grbl).then_some(line),
+            feed: per_minute(self.motion.speed().max(self.detour.speed())),
+            speed,
+            pins: self.signals,
+            show_offset,
+            overrides: show_overrides.then_some((
+                [self.overrides.feed, self.overrides.rapid, self.overrides.spindle],
+                spindle,
+                self.coolant,
+            )),
+        };
+        let inches = self.settings.is_on(Key::ReportInches);
+        self.say(|out| report::status(out, &status, inches));
+    }
+
+    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
+    pub(super) fn reconfigure(&mut self) {
+        self.motion.configure(motion_settings(&self.settings, &self.profile));
+    }
+}

@@ -1,0 +1,153 @@
+//! Stops, alarms and resets: what ends a motion from outside, and how the controller begins anew.
+
+use super::door::DoorState;
+use super::execute::Task;
+use super::{Controller, StopReason, StopState};
+use crate::axes::PerAxis;
+use crate::error::{Alarm, Error};
+use crate::machine::realtime_override::Overrides;
+use crate::machine::state::Mode;
+use crate::messages::{Coolant, SpindleDirection, StepEvent};
+use crate::protocol::report::{self, RareFields};
+use crate::settings::Key;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    pub(super) fn begin_stop(&mut self, reason: StopReason) {
+        self.stop.expected = self.stop.expected.wrapping_add(1);
+        // A reset wins over an alarm that is still being carried out: the alarm is told of all the same by `moving`.
+        if self.stop.awaited != Some(StopReason::Reset) {
+            self.stop.awaited = Some(reason);
+        }
+        self.finish_stop();
+    }
+
+    pub(super) fn step_event(&mut self, event: &StepEvent<N>) {
+        match *event {
+            StepEvent::Stopped { stops, moving, position } => {
+                self.stop.seen = stops;
+                self.stop.moving |= moving;
+                self.motion.stopped(&position);
+                self.detour.stopped(&position);
+            }
+            StepEvent::Probed { position } => {
+                self.probe_contact(&position);
+                return;
+            }
+            StepEvent::Underrun { stops, position } => {
+                self.stop.seen = stops;
+                self.stop.expected = self.stop.expected.wrapping_add(1);
+                self.stop.moving = true;
+                self.motion.stopped(&position);
+                self.detour.stopped(&position);
+                if self.stop.awaited.is_none() {
+                    self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
+                }
+            }
+        }
+        self.finish_stop();
+    }
+
+    /// Goes on after a stop, once every stop that was asked for has happened.
+    pub(super) fn finish_stop(&mut self) {
+        let Some(reason) = self.stop.awaited else { return };
+        if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
+            return;
+        }
+        let moving = self.stop.moving;
+        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
+        self.running = false;
+        self.door = DoorState::CLOSED;
+        self.jog_interrupted = false;
+        self.probing = None;
+        self.probe_watch = None;
+        if reason == StopReason::Switch {
+            // Homing goes on from here.
+            self.motion.discard();
+            return;
+        }
+        self.spindle = SpindleDirection::Off;
+        self.coolant = Coolant::default();
+        match reason {
+            StopReason::Switch => {}
+            StopReason::Reset => self.finish_reset(moving),
+            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
+            StopReason::Alarm(alarm) => {
+                self.trusted &= !moving;
+                self.motion.discard();
+                self.interpreter.set_position(self.motion.machine_position());
+                self.raise(alarm);
+                if alarm == Alarm::Underrun {
+                    if self.task.abandon() {
+                        self.say(|out| report::error(out, Error::Locked.code()));
+                    }
+                    self.mode = Mode::Alarm;
+                } else {
+                    self.say(|out| report::message(out, "Reset to continue"));
+                    self.mode = Mode::Critical;
+                }
+            }
+        }
+    }
+
+    pub(super) fn finish_reset(&mut self, moving: bool) {
+        self.motion.discard();
+        self.line.clear();
+        if moving || self.mode == Mode::Home {
+            let homing = self.mode == Mode::Home;
+            self.trusted &= !moving;
+            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
+            self.mode = Mode::Alarm;
+        }
+        if self.mode == Mode::Sleep || self.mode == Mode::Critical {
+            self.mode = Mode::Alarm;
+        }
+        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
+        if self.task.answers_host() {
+            self.say(report::ok);
+        }
+        self.task = Task::None;
+        self.interpreter.reset();
+        if !self.mode.is_alarm() {
+            self.mode = Mode::Normal;
+        }
+        self.initialise();
+    }
+
+    pub(super) fn raise(&mut self, alarm: Alarm) {
+        self.alarm = Some(alarm);
+        self.say(|out| report::alarm(out, alarm.code()));
+        if alarm == Alarm::Underrun {
+            self.say(|out| report::message(out, "Motion data ran out"));
+        }
+    }
+
+    /// What every power-up and reset ends with.
+    pub(super) fn initialise(&mut self) {
+        self.spindle = SpindleDirection::Off;
+        self.spindle_speed = 0.0;
+        self.spindle_stopped = false;
+        self.coolant = Coolant::default();
+        self.overrides = Overrides::default();
+        self.motion.set_overrides(1.0, 1.0);
+        self.reconfigure();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.probed = PerAxis::default();
+        self.probe_succeeded = false;
+        self.rare_fields = RareFields::default();
+        self.status_due = false;
+        self.say(report::welcome);
+        if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
+            self.mode = Mode::Alarm;
+            self.say(|out| report::message(out, "Check Limits"));
+        }
+        if self.mode == Mode::Alarm {
+            self.say(|out| report::message(out, "'$H'|'$X' to unlock"));
+        } else {
+            self.alarm = None;
+            if self.signals.door {
+                self.open_door();
+            }
+            self.task = Task::Startup(0, None);
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! Whole jobs: times, speeds, power.
+
+use super::super::{Motion, Speed};
+use super::rig::{Rig, settings, to};
+use crate::messages::{Segment, ToStep};
+use proptest::prelude::*;
+
+#[test]
+fn a_trapezoid_takes_the_time_of_theory() {
+    for hz in [25_000_000, 72_000_000, 100_000_000] {
+        for (spm, length, feed, a) in [
+            (250.0, 5.0, 20.0, 100.0),
+            (250.0, 5.0, 60.0, 100.0), // a triangle
+            (80.0, 300.0, 200.0, 500.0),
+            (1.0, 400.0, 100.0, 50.0),
+            (1000.0, 0.5, 30.0, 5000.0),
+            (10_000.0, 1.0, 10.0, 3000.0),
+            (80.0, 0.5, 5.0, 0.01),
+        ] {
+            let mut config = settings(spm, 500.0, a);
+            config.step_clock_hz = hz;
+            let mut rig = Rig::<3, 16>::new(config);
+            rig.moves.push_back(to([length, 0.0, 0.0], Speed::Feed(feed)));
+            rig.run();
+            let (feed, a) = (f64::from(feed), f64::from(a));
+            let whole = if feed * feed / a < length { length / feed + feed / a } else { 2.0 * (length / a).sqrt() };
+            assert_eq!(rig.position[0], (length * f64::from(spm)) as i64);
+            assert!((rig.seconds() / whole - 1.0).abs() < 1e-4, "{} of {whole}", rig.seconds());
+            rig.check_limits();
+        }
+    }
+}
+
+#[test]
+fn reference_run() {
+    let mut rig = Rig::<3, 16>::new(settings(250.0, 500.0, 100.0));
+    rig.moves.push_back(to([5.0, 0.0, 0.0], Speed::Feed(20.0)));
+    rig.run();
+    assert!((rig.seconds() - 0.45).abs() < 0.45e-3);
+}
+
+#[test]
+fn a_long_chain_of_tiny_segments_reaches_its_speed() {
+    // 0.1 mm at F6000 and 200 mm/s²: braking takes 25 mm, so 256 blocks of look-ahead just suffice.
+    let mut rig = Rig::<3, 260>::new(settings(80.0, 500.0, 200.0));
+    let count = 14_200;
+    for k in 1..=count {
+        rig.moves.push_back(to([0.1 * f64::from(k), 0.0, 0.0], Speed::Feed(100.0)));
+    }
+    rig.run();
+    rig.check_limits();
+    let whole = 0.1 * f64::from(count) / 100.0 + 0.5;
+    assert!((rig.seconds() / whole - 1.0).abs() < 0.002, "{} of {whole}", rig.seconds());
+}
+
+#[test]
+fn a_short_look_ahead_brakes_in_time() {
+    // 8 blocks of 0.1 mm: v² = 2·a·0.8 mm at most, and never a stop that the steps cannot follow.
+    let mut rig = Rig::<3, 8>::new(settings(80.0, 500.0, 200.0));
+    for k in 1..=500 {
+        rig.moves.push_back(to([0.1 * f64::from(k), 0.0, 0.0], Speed::Feed(100.0)));
+    }
+    rig.run();
+    rig.check_limits();
+    let fastest = rig.trace.iter().map(|r| r.path / r.interval as f64 * f64::from(rig.hz)).fold(0.0, f64::max);
+    assert!(fastest > 15.0 && fastest < 18.0, "{fastest}");
+}
+
+#[test]
+fn corners_are_taken_at_the_junction_rule() {
+    // A right angle with a = 500, deviation 0.01: along the bisector the limit of both axes gives a·√2;
+    // v² = a_j·d·s/(1-s), s = sin 45°.
+    let mut rig = Rig::<3, 16>::new(settings(400.0, 500.0, 500.0));
+    rig.moves.push_back(to([50.0, 0.0, 0.0], Speed::Feed(100.0)));
+    rig.moves.push_back(to([50.0, 50.0, 0.0], Speed::Feed(100.0)));
+    rig.run();
+    rig.check_limits();
+    let s = 0.5_f64.sqrt();
+    let corner = (500.0 * 2.0_f64.sqrt() * 0.01 * s / (1.0 - s)).sqrt();
+    let last = rig.trace.iter().rev().find(|r| r.block == 0).unwrap();
+    let first = rig.trace.iter().find(|r| r.block == 1).unwrap();
+    for record in [last, first] {
+        let speed = record.path / record.interval as f64 * f64::from(rig.hz);
+        assert!((speed / corner - 1.0).abs() < 0.03, "{speed} instead of {corner}");
+    }
+}
+
+#[test]
+fn each_axis_keeps_its_own_limits() {
+    let mut config = settings(100.0, 500.0, 1000.0);
+    config.max_rate.0 = [100.0, 50.0, 10.0];
+    config.acceleration.0 = [1000.0, 400.0, 50.0];
+    let mut rig = Rig::<3, 16>::new(config);
+    rig.moves.push_back(to([30.0, 20.0, 10.0], Speed::Rapid));
+    rig.run();
+    rig.check_limits();
+    let length = 1400.0_f64.sqrt();
+    let facts = rig.blocks[0];
+    assert!((facts.nominal * 10.0 / length / 10.0 - 1.0).abs() < 1e-4, "Z is the slowest");
+    assert!((facts.acceleration * 10.0 / length / 50.0 - 1.0).abs() < 1e-4);
+}
+
+#[test]
+fn inverse_time_takes_its_time() {
+    let mut rig = Rig::<3, 16>::new(settings(100.0, 500.0, 1000.0));
+    rig.moves.push_back(to([30.0, 20.0, 10.0], Speed::Duration(3.0)));
+    rig.run();
+    assert!((rig.seconds() - 3.0).abs() < 0.02, "{}", rig.seconds());
+}
+
+#[test]
+fn power_follows_the_speed_if_it_shall() {
+    for scaled in [false, true] {
+        let mut motion = Motion::<3, 8>::new(settings(100.0, 500.0, 500.0));
+        let mut m = to([20.0, 0.0, 0.0], Speed::Feed(50.0));
+        m.power = 40_000;
+        m.scale_power = scaled;
+        motion.line(&m);
+        motion.start();
+        let mut observed = super::rig::Rig::<3, 8>::new(settings(100.0, 500.0, 500.0)).observed();
+        let mut powers = Vec::new();
+        while let Some(message) = motion.next(&observed) {
+            if let ToStep::Segment(segment) = message {
+                powers.push(segment.power);
+                observed.segments_begun += 1;
+            }
+        }
+        if scaled {
+            assert!(powers[0] < 3000 && *powers.last().unwrap() < 3000);
+            assert!((39_900..=40_100).contains(&powers[powers.len() / 2]));
+            assert!(powers.windows(2).filter(|w| w[1] > w[0]).count() > 20);
+        } else {
+            assert!(powers.iter().all(|p| *p == 40_000));
+        }
+    }
+}
+
+#[test]
+fn reports_follow_the_segments() {
+    let mut rig = Rig::<3, 16>::new(settings(100.0, 500.0, 500.0));
+    for (k, x) in [(7, 10.0), (8, 20.0)] {
+        let mut m = to([x, 0.0, 0.0], Speed::Feed(50.0));
+        m.line_number = k;
+        rig.moves.push_back(m);
+    }
+    rig.pump();
+    assert_eq!((rig.motion.line_number(), rig.motion.queued_blocks()), (0, 2));
+    assert!(rig.motion.is_at_rest() && !rig.motion.is_idle());
+    rig.motion.start();
+    let mut seen = std::collections::BTreeSet::new();
+    let mut fastest = 0.0_f32;
+    while !rig.run_ticks(1) {
+        rig.motion.observe(&rig.observed());
+        seen.insert(rig.motion.line_number());
+        fastest = fastest.max(rig.motion.speed());
+        let steps = rig.motion.machine_steps().0[0];
+        assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 6);
+    }
+    assert!(seen.contains(&7) && seen.contains(&8));
+    assert!((fastest - 50.0).abs() < 0.1);
+    assert_eq!((rig.motion.speed(), rig.motion.power(), rig.motion.line_number()), (0.0, 0, 0));
+    assert!(rig.motion.is_idle());
+}
+
+#[test]
+fn machine_position_can_be_set() {
+    let mut rig = Rig::<3, 16>::new(settings(100.0, 500.0, 500.0));
+    rig.moves.push_back(to([1.0, 2.0, 3.0], Speed::Rapid));
+    rig.run();
+    rig.motion.set_machine_position(&to([-10.0, -20.0, -30.0], Speed::Rapid).target);
+    assert_eq!(rig.motion.machine_position(), to([-10.0, -20.0, -30.0], Speed::Rapid).target);
+    rig.moves.push_back(to([-9.0, -20.0, -31.0], Speed::Rapid));
+    rig.run();
+    assert_eq!(rig.position, [200, 200, 200]);
+    let event = rig.stop();
+    rig.handle_stop(event);
+    assert_eq!(rig.motion.machine_position(), to([-9.0, -20.0, -31.0], Speed::Rapid).target);
+}
+
+#[test]
+fn smoothing_keeps_ticks_fast() {
+    let mut rig = Rig::<3, 16>::new(settings(80.0, 500.0, 500.0));
+    rig.moves.push_back(to([200.0, 30.0, 0.0], Speed::Feed(200.0)));
+    rig.run();
+    rig.check_limits();
+    let mut levels = [0; 5];
+    for record in &rig.trace {
+        levels[usize::from(record.level)] += 1;
+        let rate = f64::from(rig.hz) / record.interval as f64;
+        assert!(rate < 17_000.0, "{record:?}");
+        assert!(rate > 7_900.0 || record.level == 4, "{record:?}");
+    }
+    assert!(levels.iter().all(|count| *count > 0), "{levels:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+    #[test]
+    fn limits_hold_whatever_the_settings(
+        spm in prop::sample::select(vec![1.0_f32, 7.3, 80.0, 250.0, 1600.0, 10_000.0]),
+        a in prop::sample::select(vec![0.01_f32, 1.0, 30.0, 500.0, 5000.0]),
+        rate in prop::sample::select(vec![0.5_f32, 20.0, 833.0]),
+        feed in prop::sample::select(vec![0.01_f32, 1.0, 30.0, 833.0]),
+        deviation in prop::sample::select(vec![0.0_f32, 0.002, 0.05, 1.0]),
+        hz in prop::sample::select(vec![25_000_000_u32, 96_000_000, 100_000_000]),
+        steps in prop::collection::vec((-60_i32..60, -60_i32..60, -60_i32..60), 1..10),
+        part in prop::sample::select(vec![1.0_f64, 0.37, 0.02]),
+    ) {
+        let mut config = settings(spm, rate, a);
+        config.junction_deviation = deviation;
+        config.step_clock_hz = hz;
+        let mut rig = Rig::<3, 6>::new(config);
+        for (x, y, z) in steps {
+            let at = [x, y, z].map(|v| f64::from(v) * part / f64::from(spm));
+            rig.moves.push_back(to(at, Speed::Feed(feed.max(1.0 / spm / 60.0))));
+        }
+        rig.run();
+        prop_assert!(rig.events.is_empty());
+        // Beyond one step per two clocks the clock itself is the limit.
+        if rate.min(feed) * spm * 2.0 < hz as f32 / 4.0 {
+            rig.check_limits();
+        }
+    }
+}
+
+#[test]
+fn every_stop_is_marked() {
+    let mut motion = Motion::<3, 4>::new(settings(80.0, 100.0, 500.0));
+    let mut observed = Rig::<3, 4>::new(settings(80.0, 100.0, 500.0)).observed();
+    assert_eq!(motion.next(&observed), None);
+    assert!(motion.line(&to([1.0, 0.0, 0.0], Speed::Rapid)));
+    assert_eq!(motion.next(&observed), None, "not before start");
+    motion.start();
+    let mut last = None;
+    while let Some(message) = motion.next(&observed) {
+        if let ToStep::Segment(segment) = message {
+            assert!(last.is_none_or(|s: Segment| s.flags & Segment::FLAG_LAST == 0));
+            last = Some(segment);
+            observed.segments_begun += 1;
+        }
+    }
+    assert!(last.is_some_and(|s| s.flags & Segment::FLAG_LAST != 0));
+}

@@ -1,0 +1,9 @@
+//! The rooms of motion against each other and against oracles that share no code with them.
+
+#![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
+
+mod arcs;
+mod jobs;
+mod rig;
+mod steps;
+mod stops;

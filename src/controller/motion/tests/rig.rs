@@ -1,0 +1,316 @@
+//! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
+
+use super::super::{Motion, MotionSettings, Move, Speed, Stepper};
+use crate::axes::PerAxis;
+use crate::messages::{Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
+use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
+use std::collections::VecDeque;
+
+/// One expiry of the timer that belonged to a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Record {
+    /// Time of the tick and the time since the one before that advanced, waits included.
+    pub time: u64,
+    pub interval: u64,
+    pub steps: u8,
+    /// Direction levels that had been put out before this tick.
+    pub directions: u8,
+    /// Path that the tick stands for, mm.
+    pub path: f64,
+    pub level: u8,
+    /// Limits of the block, mm/s and mm/s².
+    pub nominal: f64,
+    pub acceleration: f64,
+    pub block: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct BlockFacts {
+    pub units: u32,
+    pub length: f64,
+    pub nominal: f64,
+    pub acceleration: f64,
+    pub steps: [u32; 3],
+}
+
+pub struct Rig<const N: usize, const B: usize> {
+    pub motion: Motion<N, B>,
+    pub stepper: Stepper<N>,
+    pub queue: VecDeque<ToStep>,
+    shadow: VecDeque<(Segment, usize)>,
+    current: Option<(Segment, usize)>,
+    pub blocks: Vec<BlockFacts>,
+    pub moves: VecDeque<Move<N>>,
+    pub time: u64,
+    due: u32,
+    waited: u64,
+    directions: u8,
+    pub position: [i64; N],
+    pub trace: Vec<Record>,
+    pub hz: u32,
+    pub events: Vec<StepEvent<N>>,
+    /// Whether `Motion` is asked for segments.
+    pub feeding: bool,
+    pub waits: usize,
+    pub segments: usize,
+    pub last_flags: usize,
+}
+
+pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
+    MotionSettings {
+        steps_per_mm: PerAxis::all(StepsPerMm::new(spm).unwrap()),
+        max_rate: PerAxis::all(rate),
+        acceleration: PerAxis::all(acceleration),
+        junction_deviation: 0.01,
+        arc_tolerance: 0.002,
+        step_clock_hz: 96_000_000,
+    }
+}
+
+pub fn mm(value: f64) -> Coordinate {
+    Coordinate((value * DECIMAL_ONE as f64).round() as i64)
+}
+
+pub fn to<const N: usize>(target: [f64; N], speed: Speed) -> Move<N> {
+    Move {
+        target: PerAxis(target.map(mm)),
+        speed,
+        power: 1000,
+        scale_power: false,
+        line_number: 0,
+        no_feed_override: false,
+    }
+}
+
+impl<const N: usize, const B: usize> Rig<N, B> {
+    pub fn new(settings: MotionSettings<N>) -> Self {
+        Self {
+            motion: Motion::new(settings),
+            stepper: Stepper::new(),
+            queue: VecDeque::new(),
+            shadow: VecDeque::new(),
+            current: None,
+            blocks: Vec::new(),
+            moves: VecDeque::new(),
+            time: 0,
+            due: 0,
+            waited: 0,
+            directions: 0,
+            position: [0; N],
+            trace: Vec::new(),
+            hz: settings.step_clock_hz,
+            events: Vec::new(),
+            feeding: true,
+            waits: 0,
+            segments: 0,
+            last_flags: 0,
+        }
+    }
+
+    pub fn observed(&self) -> Observed {
+        Observed {
+            segments_begun: self.stepper.segments_begun(),
+            step_idle: self.stepper.is_idle() && self.queue.is_empty(),
+            rx_free: 0,
+        }
+    }
+
+    /// Refills look-ahead and step queue as far as they take.
+    pub fn pump(&mut self) {
+        loop {
+            while let Some(m) = self.moves.front() {
+                if !self.motion.line(m) {
+                    break;
+                }
+                self.moves.pop_front();
+            }
+            if !self.feeding || self.queue.len() >= SEGMENTS_DEPTH {
+                return;
+            }
+            let observed = self.observed();
+            let Some(message) = self.motion.next(&observed) else { return };
+            match message {
+                ToStep::Block { steps, .. } => {
+                    let run = &self.motion.running;
+                    self.blocks.push(BlockFacts {
+                        units: run.total,
+                        length: f64::from(run.total) / f64::from(run.scale),
+                        nominal: f64::from(run.nominal2).sqrt() / f64::from(run.scale),
+                        acceleration: f64::from(run.acceleration / run.scale),
+                        steps,
+                    });
+                }
+                ToStep::Segment(segment) => {
+                    assert!(segment.ticks > 0);
+                    assert!(segment.interval >= 1 << 12 && u64::from(segment.interval) < 1 << 32);
+                    let end = i64::from(segment.interval) + i64::from(segment.ramp) * (i64::from(segment.ticks) - 1);
+                    assert!(end >= 1 << 12, "{segment:?}");
+                    self.segments += 1;
+                    if segment.flags & Segment::FLAG_WAIT != 0 {
+                        self.waits += 1;
+                    }
+                    if segment.flags & Segment::FLAG_LAST != 0 {
+                        self.last_flags += 1;
+                    }
+                    self.shadow.push_back((segment, self.blocks.len() - 1));
+                }
+                _ => {}
+            }
+            self.queue.push_back(message);
+        }
+    }
+
+    /// One expiry of the step timer; `false` at rest.
+    pub fn tick(&mut self) -> bool {
+        while self.stepper.wants() {
+            let Some(message) = self.queue.pop_front() else { break };
+            self.stepper.load(message);
+        }
+        if self.stepper.is_idle() {
+            return false;
+        }
+        self.time += u64::from(self.due);
+        let begun = self.stepper.segments_begun();
+        let tick = self.stepper.tick();
+        if let Some((segment, block)) = self.current {
+            let facts = self.blocks[block];
+            let units = if segment.flags & Segment::FLAG_WAIT != 0 { 0 } else { 16 >> segment.level };
+            self.waited += u64::from(self.due);
+            if units == 0 {
+                assert_eq!(tick.steps, 0, "a step while waiting");
+            }
+            let interval = self.waited;
+            self.trace.push(Record {
+                time: self.time,
+                interval,
+                steps: tick.steps,
+                directions: self.directions,
+                path: f64::from(units) / f64::from(facts.units) * facts.length,
+                level: segment.level,
+                nominal: facts.nominal,
+                acceleration: facts.acceleration,
+                block,
+            });
+            if units == 0 {
+                self.trace.pop();
+            } else {
+                self.waited = 0;
+            }
+        } else {
+            assert_eq!(tick.steps, 0, "a step without a segment");
+        }
+        for axis in 0..N {
+            if tick.steps >> axis & 1 != 0 {
+                self.position[axis] += if self.directions >> axis & 1 != 0 { -1 } else { 1 };
+            }
+        }
+        assert_eq!(self.stepper.position().0.map(i64::from), self.position, "counter and pulses differ");
+        if self.stepper.segments_begun() != begun {
+            self.current = self.shadow.pop_front();
+        } else if tick.interval == 0 {
+            self.current = None;
+        }
+        if tick.underrun {
+            let event = self.stepper.underrun_event();
+            self.after_stop(event);
+        }
+        self.directions = tick.directions;
+        self.due = tick.interval;
+        tick.interval != 0
+    }
+
+    fn after_stop(&mut self, event: StepEvent<N>) {
+        self.events.push(event);
+        self.current = None;
+        self.due = 0;
+    }
+
+    /// Stops the step task at once; the control side learns it from the event only.
+    pub fn stop(&mut self) -> StepEvent<N> {
+        let event = self.stepper.stop();
+        self.after_stop(event);
+        event
+    }
+
+    /// What control does with the event of a stop.
+    pub fn handle_stop(&mut self, event: StepEvent<N>) {
+        let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else { return };
+        self.motion.stopped(&position);
+        self.queue.push_back(ToStep::Resume { stops });
+    }
+
+    /// Throws away what went into a shut gate: the shadow of it.
+    pub fn flush(&mut self) {
+        self.queue.clear();
+        self.shadow.clear();
+    }
+
+    /// Ticks until rest or `limit` ticks.
+    pub fn run_ticks(&mut self, limit: usize) -> bool {
+        for _ in 0..limit {
+            self.pump();
+            if !self.tick() && self.queue.is_empty() {
+                self.pump();
+                if self.queue.is_empty() {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// Starts and runs all moves to rest.
+    pub fn run(&mut self) {
+        for _ in 0..1_000_000 {
+            self.pump();
+            self.motion.start();
+            assert!(self.run_ticks(200_000_000), "does not come to rest");
+            self.motion.observe(&self.observed());
+            if self.moves.is_empty() && self.motion.is_idle() {
+                return;
+            }
+        }
+        panic!("does not finish");
+    }
+
+    pub fn seconds(&self) -> f64 {
+        self.time as f64 / f64::from(self.hz)
+    }
+
+    /// Speed and acceleration along the path from the tick intervals.
+    ///
+    /// Speed: each tick's path by its interval, within 1 %. Acceleration: the mean speeds of neighbouring windows of at
+    /// least 2 ms and 8 ticks against the time between their middles, within 1 %; at rest the speed is 0.
+    pub fn check_limits(&self) {
+        let hz = f64::from(self.hz);
+        let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
+        let (mut path, mut time, mut ticks, mut limit, mut begin) = (0.0, 0.0, 0, 0.0_f64, None);
+        for record in &self.trace {
+            let interval = record.interval as f64 / hz;
+            assert!(
+                record.path <= record.nominal * interval * 1.01 + 1e-9,
+                "too fast: {} of {} mm/s at {record:?}",
+                record.path / interval,
+                record.nominal
+            );
+            let start = *begin.get_or_insert(record.time as f64 / hz - interval);
+            path += record.path;
+            time += interval;
+            ticks += 1;
+            limit = limit.max(record.acceleration);
+            if time >= 0.002 && ticks >= 8 {
+                let speed = path / time;
+                let middle = start + time / 2.0;
+                if let Some((before, old, old_limit)) = window {
+                    let most = limit.max(old_limit);
+                    let seen = (speed - old).abs() / (middle - before);
+                    // One clock tick of rounding in a window of 2 ms.
+                    let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
+                    assert!(seen <= most * 1.01 + rounding * 2.0, "acceleration {seen} of {most} at {record:?}");
+                }
+                window = Some((middle, speed, limit));
+                (path, time, ticks, limit, begin) = (0.0, 0.0, 0, 0.0, None);
+            }
+        }
+    }
+}
