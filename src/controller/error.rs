@@ -42,6 +42,44 @@ pub enum Error {
 }
 
 impl Error {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Error; 34] = [
+        Error::ExpectedLetter,
+        Error::BadNumber,
+        Error::InvalidStatement,
+        Error::NegativeValue,
+        Error::HomingDisabled,
+        Error::StepPulseTooShort,
+        Error::StoreReadFailed,
+        Error::NotIdle,
+        Error::Locked,
+        Error::SoftLimitNeedsHoming,
+        Error::LineTooLong,
+        Error::StepRateTooHigh,
+        Error::DoorOpen,
+        Error::JogOutsideTravel,
+        Error::InvalidJog,
+        Error::UnsupportedCommand,
+        Error::ModalGroupViolation,
+        Error::UndefinedFeed,
+        Error::IntegerRequired,
+        Error::TwoAxisCommands,
+        Error::WordRepeated,
+        Error::NoAxisWords,
+        Error::InvalidLineNumber,
+        Error::ValueWordMissing,
+        Error::UnsupportedCoordinateSystem,
+        Error::G53NeedsMotion,
+        Error::AxisWordsUnused,
+        Error::NoPlaneAxisForArc,
+        Error::InvalidTarget,
+        Error::ImpossibleRadius,
+        Error::NoPlaneOffsets,
+        Error::UnusedWords,
+        Error::ToolLengthAxis,
+        Error::ToolNumberTooHigh,
+    ];
+
     /// The number on the wire.
     pub const fn code(self) -> u8 {
         self as u8

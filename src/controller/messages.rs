@@ -131,6 +131,8 @@ impl Segment {
     pub const FLAG_LAST: u8 = 2;
     /// Time passes and nothing moves: the ticks advance no units (feeds slower than the timer's reach).
     pub const FLAG_WAIT: u8 = 4;
+    /// The move is a rapid. The step task does not care; those who draw what it did do.
+    pub const FLAG_RAPID: u8 = 8;
 }
 
 /// Fraction bits of [`Segment::interval`].

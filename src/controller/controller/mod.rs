@@ -297,6 +297,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.alarm
     }
 
+    /// The settings that hold.
+    pub fn settings(&self) -> &Settings<N> {
+        &self.settings
+    }
+
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
         self.mode == Mode::Hold && self.motion.is_at_rest()

@@ -773,10 +773,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             power = (f32::from(power) * (speed / run.programmed)) as u16;
         }
         let record = Record { position: self.prepared_steps(), speed, clocks, line_number: run.line_number, power };
+        let rapid = if run.flags & RAPID != 0 { Segment::FLAG_RAPID } else { 0 };
         let fresh = if run.fresh { Segment::FLAG_NEW_BLOCK } else { 0 };
         self.running.fresh = false;
         self.flight.push(record);
-        Segment { interval, ramp, ticks, power, level: cut.level, flags: flags | fresh }
+        Segment { interval, ramp, ticks, power, level: cut.level, flags: flags | fresh | rapid }
     }
 }
 

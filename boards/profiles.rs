@@ -1,0 +1,51 @@
+//! What the boards are to a program: numbers only, shared by the firmware and by the simulator that stands in for a board.
+//!
+//! Pins, clocks and memory belong to each board's own folder.
+
+/// Axes of every board so far.
+pub const AXES: usize = 3;
+/// Moves that the look-ahead holds.
+pub const BLOCKS: usize = 512;
+
+/// One board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Name on the command line and in `cargo fw`.
+    pub name: &'static str,
+    /// Ticks of the step timer in a second.
+    pub step_clock_hz: u32,
+    /// Axes.
+    pub axes: usize,
+    /// Moves that the look-ahead holds.
+    pub blocks: usize,
+    /// Greatest step rate of one axis that the step task can follow, steps/s.
+    pub safe_step_hz: u32,
+    /// Bytes of lines that are received ahead of the controller.
+    pub received_bytes: usize,
+}
+
+/// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
+pub const DESK: Board = Board {
+    name: "desk",
+    step_clock_hz: 100_000_000,
+    axes: AXES,
+    blocks: BLOCKS,
+    safe_step_hz: 1_000_000,
+    received_bytes: 255,
+};
+
+/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate leaves
+/// 480 CPU cycles for a tick.
+pub const BLACKPILL_F411: Board =
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 200_000, ..DESK };
+
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate leaves 600 CPU cycles
+/// for a tick.
+pub const NUCLEO_F446RE: Board =
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 300_000, ..DESK };
+
+/// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
+pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
+
+/// All boards.
+pub const ALL: [Board; 4] = [DESK, BLACKPILL_F411, NUCLEO_F446RE, QEMU_MPS2];

@@ -1,0 +1,74 @@
+//! The virtual clock: time in step-clock ticks since power-up, and the controller's microseconds made from it.
+
+use oxmill_controller::units::Instant;
+use std::time::Duration;
+
+const MICROSECONDS: u64 = 1_000_000;
+
+/// A clock that moves only when it is told to.
+#[derive(Clone, Copy, Debug)]
+pub struct Clock {
+    hz: u64,
+    now: u64,
+}
+
+impl Clock {
+    /// A clock at 0 that ticks `hz` times a second, at least once.
+    pub fn new(hz: u32) -> Self {
+        Self { hz: u64::from(hz.max(1)), now: 0 }
+    }
+
+    /// Ticks since power-up.
+    pub fn now(&self) -> u64 {
+        self.now
+    }
+
+    /// Moves on. Time never runs backwards.
+    pub fn advance_to(&mut self, ticks: u64) {
+        self.now = self.now.max(ticks);
+    }
+
+    /// The controller's view of now: whole microseconds that have passed.
+    pub fn instant(&self) -> Instant {
+        // Seconds and the rest apart, so that days of ticks times a million do not overflow.
+        Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
+    }
+
+    /// The first tick at which [`Clock::instant`] has reached a moment.
+    pub fn ticks_at(&self, instant: Instant) -> u64 {
+        let us = instant.ticks();
+        us / MICROSECONDS * self.hz + (us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS)
+    }
+
+    /// Ticks of a span, rounded up. Spans beyond the clock's range saturate.
+    pub fn ticks_in(&self, span: Duration) -> u64 {
+        u64::try_from((span.as_nanos() * u128::from(self.hz)).div_ceil(1_000_000_000)).unwrap_or(u64::MAX)
+    }
+
+    /// A number of ticks in seconds.
+    pub fn seconds(&self, ticks: u64) -> f64 {
+        ticks as f64 / self.hz as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_moment_has_come_exactly_at_its_tick() {
+        for hz in [25_000_000, 90_000_000, 96_000_000, 100_000_000, 1_000_003] {
+            for us in [0, 1, 2, 999_999, 1_000_000, 86_400_000_001] {
+                let mut clock = Clock::new(hz);
+                let at = clock.ticks_at(Instant::from_ticks(us));
+                clock.advance_to(at);
+                assert!(clock.instant().ticks() >= us, "{hz} {us}");
+                if at > 0 {
+                    let mut before = Clock::new(hz);
+                    before.advance_to(at - 1);
+                    assert!(before.instant().ticks() < us, "{hz} {us}");
+                }
+            }
+        }
+    }
+}

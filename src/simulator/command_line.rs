@@ -1,0 +1,218 @@
+//! The words of the command line, and nothing of what they do.
+
+use crate::boards::{self, Board};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Oxmill on a desk: runs G-code through the controller of the board, or stands in for the board on a port.
+#[derive(Debug, Parser)]
+#[command(name = "oxmill", version)]
+pub struct CommandLine {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Runs a G-code file in simulated time and says what the machine did.
+    Run(Run),
+    /// A Grbl device that any sender may connect to.
+    Serve(Serve),
+}
+
+/// `run`.
+#[derive(Debug, Args)]
+pub struct Run {
+    /// The job: .nc .ngc .gcode .gc .tap .mpf .cnc .min or any other text file; `-` for standard input.
+    pub job: PathBuf,
+    /// The summary as one JSON object on standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Draws the tool path, and path speed over time. May be given more than once.
+    #[arg(long, value_name = "FILE.svg|FILE.png")]
+    pub plot: Vec<PathBuf>,
+    /// Writes a row for each step event.
+    #[arg(long, value_name = "FILE.csv")]
+    pub trace: Option<PathBuf>,
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineOptions,
+}
+
+/// `serve`.
+#[derive(Debug, Args)]
+pub struct Serve {
+    /// Where clients come from.
+    #[command(flatten)]
+    pub link: Link,
+    /// How many times faster than real time; `max` runs as fast as the host can while the machine is busy.
+    #[arg(long, default_value = "1", value_name = "N|max")]
+    pub speed: Speed,
+    /// A new connection resets the controller, as DTR does on an Arduino.
+    #[arg(long)]
+    pub reset_on_connect: bool,
+    /// Takes lines such as `limit x 1` or `door 0` that move input pins.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub pins: Option<String>,
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineOptions,
+}
+
+/// Exactly one of the links.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub struct Link {
+    /// Listens for clients, one after another.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub tcp: Option<String>,
+    /// Makes a pseudo terminal and prints its path; LINK becomes a symbolic link to it.
+    #[cfg(unix)]
+    #[arg(long, value_name = "LINK", num_args = 0..=1)]
+    pub pty: Option<Option<PathBuf>>,
+    /// Standard input and output.
+    #[arg(long)]
+    pub stdio: bool,
+}
+
+/// What both commands know of the machine.
+#[derive(Debug, Args)]
+pub struct MachineOptions {
+    /// Whose step clock, axes and look-ahead to use.
+    #[arg(long, default_value = boards::DESK.name, value_parser = board, value_name = "NAME")]
+    pub board: Board,
+    /// Another step clock than the board's.
+    #[arg(long, value_name = "HZ", value_parser = clap::value_parser!(u32).range(100_000..=1_000_000_000))]
+    pub step_clock: Option<u32>,
+    /// How lines are understood and answered.
+    #[arg(long)]
+    pub dialect: Option<Dialect>,
+    /// Lines of the form $n=v, applied before anything else.
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// One setting, applied after the file's. May be given more than once.
+    #[arg(long, value_name = "N=V")]
+    pub set: Vec<String>,
+    /// The flash image, kept between runs.
+    #[arg(long, value_name = "FILE")]
+    pub store: Option<PathBuf>,
+}
+
+impl MachineOptions {
+    /// The board with the changes that other options make to it.
+    pub fn board(&self) -> Board {
+        Board { step_clock_hz: self.step_clock.unwrap_or(self.board.step_clock_hz), ..self.board }
+    }
+}
+
+/// How lines are understood and answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Dialect {
+    /// As Grbl 1.1h, even where Oxmill knows more.
+    Grbl,
+    /// Grbl and everything beyond it.
+    Oxmill,
+    /// As `oxmill`, and what the document means that Oxmill was made from.
+    Seed,
+}
+
+impl Dialect {
+    /// Its value as a `$` setting.
+    pub fn setting(self) -> u8 {
+        self as u8
+    }
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Dialect::Grbl => "grbl",
+            Dialect::Oxmill => "oxmill",
+            Dialect::Seed => "seed",
+        }
+    }
+}
+
+/// How virtual time follows the host's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Speed {
+    /// So many virtual seconds in a second.
+    Times(f64),
+    /// As fast as possible while the machine is busy.
+    Max,
+}
+
+impl std::str::FromStr for Speed {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "max" => Ok(Speed::Max),
+            Ok(times) if times.is_finite() && times > 0.0 => Ok(Speed::Times(times)),
+            _ => Err("a number above 0, or `max`, is needed".into()),
+        }
+    }
+}
+
+fn board(name: &str) -> Result<Board, String> {
+    boards::ALL.into_iter().find(|board| board.name == name).ok_or_else(|| {
+        let names: Vec<&str> = boards::ALL.iter().map(|board| board.name).collect();
+        format!("the boards are {}", names.join(", "))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn parse(words: &str) -> Result<Command, clap::Error> {
+        CommandLine::try_parse_from(words.split(' ')).map(|line| line.command)
+    }
+
+    #[test]
+    fn the_definition_is_sound() {
+        CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn run_takes_the_promised_words() {
+        let words = "oxmill run a.nc --json --plot a.svg --plot a.png --trace a.csv --board qemu_mps2 --dialect grbl \
+                     --settings s.txt --set $100=80 --set 101=80 --store f";
+        let Command::Run(run) = parse(words).unwrap() else { panic!() };
+        assert!(run.json);
+        assert_eq!(run.plot.len(), 2);
+        assert_eq!(run.machine.board().step_clock_hz, 25_000_000);
+        assert_eq!(run.machine.dialect, Some(Dialect::Grbl));
+        assert_eq!(run.machine.set, ["$100=80", "101=80"]);
+        let Command::Run(run) = parse("oxmill run - --step-clock 1000000").unwrap() else { panic!() };
+        assert_eq!(run.job, PathBuf::from("-"));
+        assert_eq!(run.machine.board(), Board { step_clock_hz: 1_000_000, ..boards::DESK });
+    }
+
+    #[test]
+    fn serve_wants_exactly_one_link() {
+        let Command::Serve(serve) = parse("oxmill serve --tcp 127.0.0.1:0 --speed max --pins 127.0.0.1:0").unwrap()
+        else {
+            panic!()
+        };
+        assert_eq!(serve.speed, Speed::Max);
+        #[cfg(unix)]
+        {
+            let Command::Serve(serve) = parse("oxmill serve --pty --speed 2.5").unwrap() else { panic!() };
+            assert_eq!((serve.link.pty, serve.speed), (Some(None), Speed::Times(2.5)));
+            let Command::Serve(serve) = parse("oxmill serve --pty /tmp/mill").unwrap() else { panic!() };
+            assert_eq!(serve.link.pty, Some(Some(PathBuf::from("/tmp/mill"))));
+        }
+        assert!(parse("oxmill serve").is_err());
+        assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());
+        assert!(parse("oxmill serve --stdio --speed 0").is_err());
+        assert!(parse("oxmill serve --stdio --board toaster").is_err());
+    }
+
+    #[test]
+    fn usage_mistakes_exit_with_2() {
+        assert_eq!(parse("oxmill run").unwrap_err().exit_code(), 2);
+        assert_eq!(parse("oxmill run a.nc --speeed").unwrap_err().exit_code(), 2);
+    }
+}

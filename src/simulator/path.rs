@@ -1,0 +1,249 @@
+//! What a drawing needs of a job: places and speeds, of bounded number however long the job is.
+
+use crate::boards::AXES;
+
+/// Points of the path that are kept. Twice as many are collected before they are thinned out.
+const POINTS: usize = 150_000;
+/// Columns of the speed curve that are kept. When a job outgrows them, neighbours are merged.
+const COLUMNS: usize = 8_192;
+/// Width of a column at first, in seconds: below a segment's.
+const FIRST_WIDTH: f64 = 0.000_25;
+/// Two speeds that differ by less than this part of the greatest one look the same.
+const SAME_SPEED: f32 = 0.02;
+
+/// A piece of evenly accelerated motion along a straight move.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// When it began.
+    pub seconds: f64,
+    /// How long it took.
+    pub time: f64,
+    /// Mean path speed in mm/s.
+    pub speed: f64,
+    /// Whether its move is a rapid.
+    pub rapid: bool,
+    /// Where the straight move began, in mm.
+    pub from: [f64; AXES],
+    /// Where the piece ended, in mm.
+    pub to: [f64; AXES],
+    /// Whether it is the first piece of its move.
+    pub new_block: bool,
+}
+
+/// A point of the path and how the tool came to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Place in mm.
+    pub at: [f32; AXES],
+    /// Path speed on the way here, mm/s.
+    pub speed: f32,
+    /// Whether the way here is a rapid.
+    pub rapid: bool,
+}
+
+/// Least and greatest speed in a span of time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Column {
+    /// Least speed, mm/s.
+    pub low: f32,
+    /// Greatest speed, mm/s.
+    pub high: f32,
+    /// Whether anything is known of the span; if not, nothing changed in it.
+    pub known: bool,
+}
+
+impl Column {
+    fn merge(self, other: Column) -> Column {
+        match (self.known, other.known) {
+            (true, true) => Column { low: self.low.min(other.low), high: self.high.max(other.high), known: true },
+            (true, false) => self,
+            _ => other,
+        }
+    }
+}
+
+/// The path and the speed curve.
+#[derive(Debug)]
+pub struct Drawing {
+    origin: f64,
+    end: f64,
+    limit: usize,
+    points: Vec<Point>,
+    tolerance: f32,
+    width: f64,
+    columns: Vec<Column>,
+    top_speed: f32,
+    /// The last point may still be moved on along its straight move.
+    extend: bool,
+}
+
+impl Drawing {
+    /// A drawing that begins at a place (mm) and a virtual time (s).
+    pub fn new(start: [f64; AXES], seconds: f64) -> Self {
+        Self::with_limit(start, seconds, POINTS)
+    }
+
+    fn with_limit(start: [f64; AXES], seconds: f64, limit: usize) -> Self {
+        Self {
+            origin: seconds,
+            end: seconds,
+            limit,
+            points: vec![Point { at: start.map(|v| v as f32), speed: 0.0, rapid: true }],
+            tolerance: 0.0005,
+            width: FIRST_WIDTH,
+            columns: Vec::new(),
+            top_speed: 0.0,
+            extend: false,
+        }
+    }
+
+    /// Adds a piece of motion.
+    pub fn add(&mut self, sample: Sample) {
+        let point = Point { at: sample.to.map(|v| v as f32), speed: sample.speed as f32, rapid: sample.rapid };
+        self.top_speed = self.top_speed.max(point.speed);
+        let near = self.top_speed * SAME_SPEED;
+        let same = |last: &Point| last.rapid == point.rapid && (last.speed - point.speed).abs() <= near;
+        match self.points.last_mut() {
+            Some(last) if self.extend && !sample.new_block && same(last) => last.at = point.at,
+            _ => self.points.push(point),
+        }
+        self.extend = true;
+        if self.points.len() >= 2 * self.limit {
+            self.thin_out();
+        }
+        if self.columns.is_empty() || sample.seconds > self.end + self.width {
+            self.mark(sample.seconds, 0.0);
+        }
+        self.mark(sample.seconds + sample.time / 2.0, point.speed);
+        self.end = self.end.max(sample.seconds + sample.time);
+    }
+
+    /// The machine stands still from `seconds` on.
+    pub fn rest(&mut self, seconds: f64) {
+        self.mark(seconds, 0.0);
+        self.end = self.end.max(seconds);
+        self.extend = false;
+    }
+
+    /// The path, its start included.
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+
+    /// The speed curve as (seconds from the start, column), in order of time, known columns only.
+    pub fn columns(&self) -> impl Iterator<Item = (f64, Column)> + '_ {
+        let middle = |index: usize| (index as f64 + 0.5) * self.width;
+        self.columns.iter().enumerate().filter(|(_, column)| column.known).map(move |(i, column)| (middle(i), *column))
+    }
+
+    /// How long the drawing is, in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.end - self.origin
+    }
+
+    fn mark(&mut self, seconds: f64, speed: f32) {
+        let seconds = (seconds - self.origin).max(0.0);
+        while seconds >= self.width * COLUMNS as f64 {
+            self.columns = self
+                .columns
+                .chunks(2)
+                .map(|pair| pair.iter().fold(Column::default(), |sum, column| sum.merge(*column)))
+                .collect();
+            self.width *= 2.0;
+        }
+        let index = (seconds / self.width) as usize;
+        if self.columns.len() <= index {
+            self.columns.resize(index + 1, Column::default());
+        }
+        let column = Column { low: speed, high: speed, known: true };
+        self.columns[index] = self.columns[index].merge(column);
+    }
+
+    /// Leaves out points that lie on the line between their neighbours, within a tolerance that doubles until half of
+    /// them are gone.
+    fn thin_out(&mut self) {
+        while self.points.len() > self.limit {
+            let tolerance = self.tolerance;
+            let speeds = self.top_speed * SAME_SPEED * 2.0;
+            let mut kept: Vec<Point> = Vec::with_capacity(self.points.len());
+            for (index, point) in self.points.iter().enumerate() {
+                let needed = match (kept.last(), self.points.get(index + 1)) {
+                    (Some(before), Some(after)) => {
+                        (after.rapid != point.rapid && tolerance < 1e3)
+                            || (after.speed - point.speed).abs() > speeds.max(self.top_speed * tolerance)
+                            || off_line(before.at, point.at, after.at) > tolerance
+                    }
+                    _ => true,
+                };
+                if needed {
+                    kept.push(*point);
+                }
+            }
+            self.points = kept;
+            self.tolerance *= 2.0;
+        }
+        self.extend = false;
+    }
+}
+
+/// Distance of a point from the line between two others.
+fn off_line(a: [f32; AXES], point: [f32; AXES], b: [f32; AXES]) -> f32 {
+    let line: [f32; AXES] = std::array::from_fn(|i| b[i] - a[i]);
+    let to: [f32; AXES] = std::array::from_fn(|i| point[i] - a[i]);
+    let dot = |u: &[f32; AXES], v: &[f32; AXES]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f32>();
+    let length2 = dot(&line, &line);
+    let along = if length2 > 0.0 { (dot(&to, &line) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    let off: [f32; AXES] = std::array::from_fn(|i| to[i] - line[i] * along);
+    dot(&off, &off).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(index: usize, to: [f64; 3], speed: f64, new_block: bool) -> Sample {
+        let seconds = index as f64 * 0.001;
+        Sample { seconds, time: 0.001, speed, rapid: false, from: [0.0; 3], to, new_block }
+    }
+
+    #[test]
+    fn even_motion_is_one_line() {
+        let mut drawing = Drawing::new([0.0; 3], 0.0);
+        for i in 0..1000 {
+            drawing.add(sample(i, [i as f64, 0.0, 0.0], 10.0, i == 0));
+        }
+        drawing.rest(1.0);
+        assert_eq!(drawing.points().len(), 2);
+        assert_eq!(drawing.points()[1].at, [999.0, 0.0, 0.0]);
+        assert!((drawing.seconds() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_number_of_points_is_bounded_and_the_shape_stays() {
+        let mut drawing = Drawing::with_limit([50.0, 0.0, 0.0], 0.0, 1000);
+        for i in 1..100_000 {
+            let angle = i as f64 * 0.01;
+            let to = [50.0 * angle.cos(), 50.0 * angle.sin(), 0.0];
+            drawing.add(sample(i, to, 10.0, true));
+            assert!(drawing.points().len() < 2000);
+        }
+        for pair in drawing.points().windows(2) {
+            let middle = [(pair[0].at[0] + pair[1].at[0]) / 2.0, (pair[0].at[1] + pair[1].at[1]) / 2.0];
+            assert!(middle[0].hypot(middle[1]) > 40.0, "{pair:?} cuts the corner");
+        }
+    }
+
+    #[test]
+    fn the_speed_curve_keeps_its_peaks() {
+        let mut drawing = Drawing::new([0.0; 3], 100.0);
+        for i in 0..100_000 {
+            let mut s = sample(i, [i as f64, 0.0, 0.0], if i == 70_000 { 99.0 } else { 10.0 }, false);
+            s.seconds += 100.0;
+            drawing.add(s);
+        }
+        let (at, peak) = drawing.columns().max_by(|a, b| a.1.high.total_cmp(&b.1.high)).unwrap();
+        assert_eq!(peak.high, 99.0);
+        assert!((at - 70.0).abs() < 0.1);
+        assert!(drawing.columns().count() <= COLUMNS);
+    }
+}

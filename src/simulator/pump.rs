@@ -1,0 +1,620 @@
+//! The pump: carries events to the controller and its outputs to the step task and the machine, in virtual time.
+//!
+//! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
+//! task takes no time, so it is never late. What happens at the same tick happens in this order:
+//! 1. the step task's tick,
+//! 2. bytes from the host, in the order sent,
+//! 3. changes of input pins,
+//! 4. a turn of the control task.
+//!
+//! A turn of the control task is the firmware's: observe; all events (step task, realtime, pins, store); line bytes as
+//! long as the controller wants them; then outputs, beginning again after each one for the step task, and ending when a
+//! whole round found nothing to do.
+
+use crate::boards::{self, AXES, BLOCKS, Board};
+use crate::clock::Clock;
+use crate::machine::Machine;
+use crate::meter::Meter;
+use crate::store::Store;
+use crate::text::JobText;
+use crate::trace::{StepRecord, Trace};
+use oxmill_controller::messages::{
+    Event, LineByte, Observed, Output, Realtime, Room, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent, ToStep, Wiring,
+};
+use oxmill_controller::settings::AxisKey;
+use oxmill_controller::units::Coordinate;
+use oxmill_controller::{Controller, Profile, Received, Splitter, Stepper};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Outgoing bytes that may wait for the host before the controller is asked to keep its answers.
+const OUTGOING: usize = 1 << 16;
+
+/// What a simulator is made of.
+#[derive(Debug)]
+pub struct Options {
+    /// The board it stands in for.
+    pub board: Board,
+    /// The flash image.
+    pub store: Store,
+    /// Whether all step events are kept in memory, for [`Trace::kept`].
+    pub keep_steps: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { board: boards::DESK, store: Store::in_memory(), keep_steps: false }
+    }
+}
+
+/// A controller, a step task and a machine in virtual time.
+pub struct Simulator {
+    board: Board,
+    clock: Clock,
+    controller: Box<Controller<AXES, BLOCKS>>,
+    stepper: Box<Stepper<AXES>>,
+    splitter: Splitter,
+    store: Store,
+
+    /// Sent by the host, not yet seen by the receive interrupt (whose line queue is full).
+    wire: VecDeque<u8>,
+    lines: VecDeque<LineByte>,
+    realtime: VecDeque<Realtime>,
+    step_events: VecDeque<StepEvent<AXES>>,
+    stored: VecDeque<bool>,
+    signals: Signals,
+    signals_changed: bool,
+    connected: bool,
+    outgoing: Vec<u8>,
+    segments: VecDeque<ToStep>,
+    /// A job whose lines are taken whenever the controller wants them.
+    job: Option<JobText>,
+
+    /// When the step timer expires next; `None` while it is stopped.
+    step_due: Option<u64>,
+    /// Ticks for which the step task has been busy.
+    busy: u64,
+    directions: u8,
+    begun: u32,
+    /// Count of stops that the step task waits to hear of, while its gate is shut.
+    shut: Option<u8>,
+    power: u16,
+    outputs: Option<SlowOutputs>,
+    wiring: Option<Wiring>,
+
+    machine: Machine,
+    meter: Meter,
+    trace: Trace,
+}
+
+impl Simulator {
+    /// Powers the board up and lets the controller say its welcome.
+    pub fn new(options: Options) -> Self {
+        let Options { board, store, keep_steps } = options;
+        let mut controller = Box::new(Controller::new(Profile {
+            name: board.name,
+            step_clock_hz: board.step_clock_hz,
+            safe_step_hz: board.safe_step_hz,
+            has_store: true,
+        }));
+        for record in store.records() {
+            controller.restore(&record);
+        }
+        let clock = Clock::new(board.step_clock_hz);
+        controller.start(clock.instant());
+        let mut trace = Trace::default();
+        if keep_steps {
+            trace.keep();
+        }
+        let mut simulator = Self {
+            board,
+            clock,
+            controller,
+            stepper: Box::new(Stepper::new()),
+            splitter: Splitter::new(),
+            store,
+            wire: VecDeque::new(),
+            lines: VecDeque::new(),
+            realtime: VecDeque::new(),
+            step_events: VecDeque::new(),
+            stored: VecDeque::new(),
+            signals: Signals::default(),
+            signals_changed: false,
+            connected: false,
+            outgoing: Vec::new(),
+            segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
+            job: None,
+            step_due: None,
+            busy: 0,
+            directions: 0,
+            begun: 0,
+            shut: None,
+            power: 0,
+            outputs: None,
+            wiring: None,
+            machine: Machine::default(),
+            meter: Meter::new(board.step_clock_hz),
+            trace,
+        };
+        simulator.turn();
+        simulator
+    }
+
+    // The outside world
+
+    /// Bytes from the host, at the present virtual time. Realtime commands act now, unless line bytes before them still
+    /// wait for room in the line queue.
+    pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
+        self.wire.extend(bytes.as_ref());
+        self.turn();
+    }
+
+    /// A realtime command that does not come over the wire.
+    pub fn press(&mut self, command: Realtime) {
+        self.take_realtime(command);
+        self.turn();
+    }
+
+    /// A host has opened the port.
+    pub fn connect(&mut self) {
+        self.connected = true;
+        self.turn();
+    }
+
+    /// What the controller has said since the last call.
+    pub fn take_output(&mut self) -> String {
+        let text = String::from_utf8_lossy(&self.outgoing).into_owned();
+        self.outgoing.clear();
+        text
+    }
+
+    /// Levels of the input pins.
+    pub fn pins(&self) -> Signals {
+        self.signals
+    }
+
+    /// Moves input pins.
+    pub fn set_pins(&mut self, signals: Signals) {
+        if signals != self.signals {
+            self.signals = signals;
+            self.signals_changed = true;
+            self.turn();
+        }
+    }
+
+    /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong.
+    pub fn pin_line(&mut self, line: &str) -> String {
+        match crate::pins::apply(self.signals, self.board.axes, line) {
+            Ok(signals) => {
+                self.set_pins(signals);
+                "ok".into()
+            }
+            Err(text) => format!("error: {text}"),
+        }
+    }
+
+    /// Bytes sent and not yet taken by the controller.
+    pub fn unread(&self) -> usize {
+        self.wire.len() + self.lines.len()
+    }
+
+    /// Bytes of answers not yet fetched with [`Simulator::take_output`].
+    pub fn unfetched(&self) -> usize {
+        self.outgoing.len()
+    }
+
+    // Time
+
+    /// Lets virtual time pass.
+    pub fn run_for(&mut self, time: Duration) {
+        self.advance_to(self.clock.now().saturating_add(self.clock.ticks_in(time)));
+    }
+
+    /// Lets virtual time pass until nothing is moving, waiting or unanswered, or the machine waits for the host (a hold,
+    /// an alarm with unread lines). Gives whether the controller is idle.
+    pub fn run_until_idle(&mut self) -> bool {
+        self.turn();
+        while !self.is_idle() && self.advance_once(u64::MAX) {}
+        self.is_idle()
+    }
+
+    /// Lets virtual time pass up to a tick of the step clock.
+    pub fn advance_to(&mut self, ticks: u64) {
+        while self.clock.now() < ticks {
+            if !self.advance_once(ticks) {
+                self.clock.advance_to(ticks);
+                self.turn();
+            }
+        }
+    }
+
+    /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
+    pub fn advance_once(&mut self, limit: u64) -> bool {
+        let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
+        if wake.is_none() && self.step_due.is_none() {
+            return false;
+        }
+        let until = wake.unwrap_or(u64::MAX).min(limit);
+        loop {
+            match self.step_due {
+                Some(due) if due <= until => {
+                    if self.step(due) {
+                        break;
+                    }
+                }
+                // The timer runs on and so does the wait for the wake-up.
+                _ => {
+                    self.clock.advance_to(until);
+                    break;
+                }
+            }
+        }
+        self.turn();
+        true
+    }
+
+    /// Whether nothing is queued, moving, waited for or unanswered.
+    pub fn is_idle(&self) -> bool {
+        self.controller.is_idle()
+            && self.step_due.is_none()
+            && self.segments.is_empty()
+            && self.unread() == 0
+            && self.job.as_ref().is_none_or(|job| job.is_used_up())
+    }
+
+    /// Whether something will happen without the host: a motion or a wait is going on.
+    pub fn is_active(&self) -> bool {
+        self.step_due.is_some() || self.controller.next_wakeup().is_some()
+    }
+
+    /// The virtual clock.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    // What can be seen
+
+    /// The board.
+    pub fn board(&self) -> &Board {
+        &self.board
+    }
+
+    /// The controller.
+    pub fn controller(&self) -> &Controller<AXES, BLOCKS> {
+        &self.controller
+    }
+
+    /// Trace of the step outputs.
+    pub fn trace(&self) -> &Trace {
+        &self.trace
+    }
+
+    /// Trace of the step outputs, to be told what else to record.
+    pub fn trace_mut(&mut self) -> &mut Trace {
+        &mut self.trace
+    }
+
+    /// The machine.
+    pub fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    /// Distances and speeds.
+    pub fn meter(&self) -> &Meter {
+        &self.meter
+    }
+
+    /// Distances and speeds, to be told what else to collect.
+    pub fn meter_mut(&mut self) -> &mut Meter {
+        &mut self.meter
+    }
+
+    /// The flash image; give it to another simulator to see what a power cycle leaves.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// Slow outputs; `None` before the controller has written them.
+    pub fn outputs(&self) -> Option<SlowOutputs> {
+        self.outputs
+    }
+
+    /// Spindle or laser power now, 0 to 65535.
+    pub fn power(&self) -> u16 {
+        self.power
+    }
+
+    /// Facts for the pins' own tasks.
+    pub fn wiring(&self) -> Option<Wiring> {
+        self.wiring
+    }
+
+    /// Step-clock ticks for which the step task has been busy: the time of the digest.
+    pub fn busy_ticks(&self) -> u64 {
+        self.busy
+    }
+
+    /// Machine position in mm.
+    pub fn machine_position(&self) -> [f64; AXES] {
+        self.controller.machine_position().0.map(millimetres)
+    }
+
+    /// Work position in mm.
+    pub fn work_position(&self) -> [f64; AXES] {
+        self.controller.work_position().0.map(millimetres)
+    }
+
+    /// Digests, trace, extents and measurements begin anew: what follows is a job of its own.
+    pub fn begin_job(&mut self) {
+        self.busy = 0;
+        self.trace.restart();
+        self.machine.restart();
+        self.meter.restart();
+        self.learn_resolution();
+    }
+
+    /// Gives the controller a job, whose lines it takes whenever it wants one.
+    pub fn load_job(&mut self, job: JobText) {
+        self.job = Some(job);
+        self.turn();
+    }
+
+    /// Takes the job away.
+    pub fn unload_job(&mut self) -> Option<JobText> {
+        self.job.take()
+    }
+
+    /// The job, if one was loaded.
+    pub fn job(&self) -> Option<&JobText> {
+        self.job.as_ref()
+    }
+
+    /// The job, if one was loaded.
+    pub fn job_mut(&mut self) -> Option<&mut JobText> {
+        self.job.as_mut()
+    }
+
+    // The control task
+
+    /// One turn of the control task at the present time: see the head of this file.
+    fn turn(&mut self) {
+        loop {
+            self.receive();
+            let now = self.clock.instant();
+            let rx_free = self.free_line_bytes();
+            self.controller.observe(Observed {
+                segments_begun: self.stepper.segments_begun(),
+                step_idle: self.step_due.is_none() && self.segments.is_empty() && self.stepper.is_idle(),
+                rx_free,
+            });
+            let mut busy = self.deliver_events();
+            while self.controller.wants_line()
+                && let Some(byte) = self.next_line_byte()
+            {
+                self.controller.event(now, Event::Line(byte));
+                busy = true;
+            }
+            if self.deliver_outputs() || busy || self.events_wait() {
+                continue;
+            }
+            return;
+        }
+    }
+
+    fn events_wait(&self) -> bool {
+        !self.step_events.is_empty() || !self.realtime.is_empty() || !self.stored.is_empty() || self.signals_changed
+    }
+
+    fn deliver_events(&mut self) -> bool {
+        let now = self.clock.instant();
+        let mut busy = false;
+        let mut give = |controller: &mut Controller<AXES, BLOCKS>, event| {
+            controller.event(now, event);
+            busy = true;
+        };
+        while let Some(event) = self.step_events.pop_front() {
+            give(&mut self.controller, Event::Step(event));
+        }
+        if std::mem::take(&mut self.connected) {
+            give(&mut self.controller, Event::Connected);
+        }
+        while let Some(command) = self.realtime.pop_front() {
+            give(&mut self.controller, Event::Realtime(command));
+        }
+        if std::mem::take(&mut self.signals_changed) {
+            give(&mut self.controller, Event::Signals(self.signals));
+        }
+        while let Some(stored) = self.stored.pop_front() {
+            give(&mut self.controller, if stored { Event::Stored } else { Event::StoreFailed });
+        }
+        busy
+    }
+
+    /// Pulls outputs until there are none or one asks for a new round. Gives whether there were any.
+    fn deliver_outputs(&mut self) -> bool {
+        let now = self.clock.instant();
+        let mut any = false;
+        loop {
+            let room = Room { step: self.segments.len() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING };
+            match self.controller.output(now, room) {
+                None => return any,
+                Some(Output::Step(message)) => {
+                    self.segments.push_back(message);
+                    self.load();
+                    return true;
+                }
+                Some(Output::Stop) => {
+                    self.stop();
+                    return true;
+                }
+                Some(Output::Reply(chunk)) => {
+                    self.outgoing.extend_from_slice(chunk.as_bytes());
+                    if let Some(job) = &mut self.job {
+                        job.answered(chunk.as_bytes());
+                    }
+                }
+                Some(Output::Pins(outputs)) => {
+                    self.outputs = Some(outputs);
+                    if !outputs.power_from_segments || self.step_due.is_none() {
+                        self.power = outputs.power;
+                    }
+                    self.trace.outputs(&outputs, self.power);
+                }
+                Some(Output::Wiring(wiring)) => {
+                    self.wiring = Some(wiring);
+                    self.learn_resolution();
+                }
+                Some(Output::Store(change)) => {
+                    // A store that cannot be written is the host's fault; the controller tells the host.
+                    let stored = self.store.apply(&change);
+                    self.stored.push_back(stored.is_ok());
+                }
+                Some(Output::Worked) => {}
+            }
+            any = true;
+        }
+    }
+
+    fn learn_resolution(&mut self) {
+        let steps_per_mm = self.controller.settings().axes(AxisKey::Resolution);
+        self.meter.set_resolution(steps_per_mm.0.map(f64::from));
+    }
+
+    // The receive interrupt
+
+    fn receive(&mut self) {
+        while self.lines.len() < self.board.received_bytes
+            && let Some(byte) = self.wire.pop_front()
+        {
+            match self.splitter.push(byte) {
+                Received::Realtime(command) => self.take_realtime(command),
+                Received::Line(byte) => self.lines.push_back(byte),
+                Received::Nothing => {}
+            }
+        }
+    }
+
+    fn take_realtime(&mut self, command: Realtime) {
+        if command == Realtime::Reset {
+            self.stop();
+        }
+        self.realtime.push_back(command);
+    }
+
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        if let Some(job) = &mut self.job {
+            return job.next_byte().map(|byte| LineByte { byte, epoch: 0 });
+        }
+        let byte = self.lines.pop_front();
+        self.receive();
+        byte
+    }
+
+    fn free_line_bytes(&mut self) -> u16 {
+        let waiting = match &mut self.job {
+            Some(job) => {
+                let waiting = job.waiting();
+                if waiting == 0 {
+                    self.controller.input_ended();
+                }
+                waiting
+            }
+            None => self.lines.len(),
+        };
+        self.board.received_bytes.saturating_sub(waiting) as u16
+    }
+
+    // The step task
+
+    /// Fills the step task from its queue and starts its timer when it has work.
+    fn load(&mut self) {
+        while self.stepper.wants()
+            && let Some(message) = self.segments.pop_front()
+        {
+            match message {
+                ToStep::Resume { stops } if self.shut == Some(stops) => self.shut = None,
+                _ if self.shut.is_some() => {}
+                _ => self.meter.loaded(&message),
+            }
+            self.stepper.load(message);
+        }
+        if self.step_due.is_none() && !self.stepper.is_idle() {
+            self.step_due = Some(self.clock.now());
+        }
+    }
+
+    /// The step timer expires. `true` if the control task should look at once.
+    #[inline]
+    fn step(&mut self, due: u64) -> bool {
+        self.clock.advance_to(due);
+        let tick = self.stepper.tick();
+        if tick.steps != 0 {
+            self.machine.step(tick.steps, self.directions);
+            self.trace.step(StepRecord {
+                at: due,
+                busy: self.busy,
+                steps: tick.steps,
+                directions: self.directions,
+                position: self.machine.position(),
+            });
+        }
+        self.directions = tick.directions;
+        self.busy += u64::from(tick.interval);
+        self.step_due = (tick.interval != 0).then(|| due + u64::from(tick.interval));
+        let begun = self.stepper.segments_begun();
+        if begun != self.begun {
+            self.begun = begun;
+            self.meter.begin(self.clock.seconds(due), self.machine.position());
+            self.segment_power(tick.power);
+        }
+        let probed = self.stepper.is_watching() && self.look_at_probe();
+        if tick.underrun {
+            let event = self.stepper.underrun_event();
+            self.stopped(event);
+            return true;
+        }
+        if !self.segments.is_empty() {
+            self.load();
+        }
+        if self.step_due.is_none() {
+            self.meter.at_rest(self.clock.seconds(due));
+            return true;
+        }
+        probed
+    }
+
+    fn segment_power(&mut self, power: u16) {
+        if let Some(outputs) = self.outputs
+            && outputs.power_from_segments
+            && power != self.power
+        {
+            self.power = power;
+            self.trace.outputs(&outputs, power);
+        }
+    }
+
+    fn look_at_probe(&mut self) -> bool {
+        let event = self.stepper.probe(self.signals.probe);
+        self.step_events.extend(event);
+        event.is_some()
+    }
+
+    /// Stops the step task at once.
+    fn stop(&mut self) {
+        let event = self.stepper.stop();
+        self.stopped(event);
+    }
+
+    fn stopped(&mut self, event: StepEvent<AXES>) {
+        if let StepEvent::Stopped { stops, .. } | StepEvent::Underrun { stops, .. } = event {
+            self.shut = Some(stops);
+        }
+        self.step_events.push_back(event);
+        self.step_due = None;
+        self.meter.stopped(self.clock.seconds(self.clock.now()));
+    }
+}
+
+fn millimetres(coordinate: Coordinate) -> f64 {
+    coordinate.0 as f64 / Coordinate::mm(1).0 as f64
+}

@@ -1,0 +1,271 @@
+//! What a job did, for people and as JSON.
+
+use crate::boards::AXES;
+use serde::Serialize;
+use std::fmt;
+
+/// An answer `error:N`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LineError {
+    /// Number of the line in the file, from 1.
+    pub line: u64,
+    /// The error's number.
+    pub code: u8,
+    /// What the error means.
+    pub text: String,
+    /// The line.
+    pub source: String,
+}
+
+/// The alarm that ended a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AlarmReport {
+    /// The alarm's number.
+    pub code: u8,
+    /// What it means.
+    pub text: String,
+    /// The oldest line without an answer when it came, if there was one.
+    pub line: Option<u64>,
+}
+
+/// Where the machine went, in mm of machine coordinates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Extents {
+    /// Least position of each axis.
+    pub min: [f64; AXES],
+    /// Greatest position of each axis.
+    pub max: [f64; AXES],
+}
+
+/// The whole report. Field names are a promise to those who read the JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[allow(missing_docs, reason = "names and units say it; the others are explained")]
+pub struct Summary {
+    pub job: String,
+    pub board: String,
+    pub dialect: String,
+    pub step_clock_hz: u32,
+    /// Lines of the file.
+    pub lines: u64,
+    /// Lines that begin with `%` and were left out.
+    pub tape_marks: u64,
+    pub errors: Vec<LineError>,
+    pub alarm: Option<AlarmReport>,
+    /// Whether the job was taken to its end.
+    pub complete: bool,
+    /// Remarks of the simulator, such as a pause that it ended.
+    pub notes: Vec<String>,
+    /// Messages of the controller.
+    pub messages: Vec<String>,
+    /// From the first line to rest: what a board will take over a link that never starves it.
+    pub forecast_s: f64,
+    /// From the first step to the last.
+    pub duration_s: f64,
+    /// Part of it for which the step task was busy.
+    pub moving_s: f64,
+    /// Machine position at the end.
+    pub position_mm: [f64; AXES],
+    /// Work position at the end.
+    pub work_position_mm: [f64; AXES],
+    /// Net steps.
+    pub steps: [i64; AXES],
+    /// Step pulses in either direction.
+    pub pulses: [u64; AXES],
+    /// Step events: pulses of several axes at once count once.
+    pub step_events: u64,
+    pub distance_mm: f64,
+    pub rapid_distance_mm: f64,
+    pub extents_mm: Extents,
+    pub peak_speed_mm_s: f64,
+    pub peak_acceleration_mm_s2: f64,
+    pub peak_axis_speed_mm_s: [f64; AXES],
+    pub peak_axis_acceleration_mm_s2: [f64; AXES],
+    /// Over (time in step-clock ticks, step bits, direction bits) of each step event.
+    pub trace_hash: String,
+    /// Over step and direction bits alone.
+    pub order_hash: String,
+    /// What the simulation took.
+    pub host_s: f64,
+}
+
+impl Summary {
+    /// Whether every line was accepted and nothing went wrong.
+    pub fn is_good(&self) -> bool {
+        self.errors.is_empty() && self.alarm.is_none() && self.complete
+    }
+}
+
+/// How many errors people are shown.
+const SHOWN_ERRORS: usize = 20;
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let row = |f: &mut fmt::Formatter<'_>, name: &str, text: String| writeln!(f, "  {name:<14}{text}");
+        writeln!(f, "{} on {} ({} MHz step clock)", self.job, self.board, f64::from(self.step_clock_hz) / 1e6)?;
+        let tape = match self.tape_marks {
+            0 => String::new(),
+            marks => format!(", {marks} of them tape marks (%) that were left out"),
+        };
+        row(f, "lines", format!("{}{tape}", self.lines))?;
+        let ended = match (self.complete, &self.alarm) {
+            (_, Some(alarm)) => {
+                let place = alarm.line.map_or(String::new(), |line| format!(" at line {line}"));
+                format!("ALARM:{}{place}: {}", alarm.code, alarm.text)
+            }
+            (true, None) => "taken to the end".into(),
+            (false, None) => "not taken to the end".into(),
+        };
+        row(f, "job", ended)?;
+        row(f, "errors", if self.errors.is_empty() { "none".into() } else { self.errors.len().to_string() })?;
+        for error in self.errors.iter().take(SHOWN_ERRORS) {
+            writeln!(f, "    line {}: error:{} ({}): {}", error.line, error.code, error.text, error.source)?;
+        }
+        if self.errors.len() > SHOWN_ERRORS {
+            writeln!(f, "    and {} more", self.errors.len() - SHOWN_ERRORS)?;
+        }
+        row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
+        let duration = format!("{}, moving for {}", clock_time(self.duration_s), clock_time(self.moving_s));
+        row(f, "duration", format!("{duration} (first to last step)"))?;
+        let cutting = self.distance_mm - self.rapid_distance_mm;
+        row(f, "distance", format!("{:.3} mm, {:.3} mm of it at feed", self.distance_mm, cutting))?;
+        for (axis, name) in ['X', 'Y', 'Z'].into_iter().enumerate() {
+            row(
+                f,
+                if axis == 0 { "extents" } else { "" },
+                format!("{name} {:>10.3} to {:>10.3} mm", self.extents_mm.min[axis], self.extents_mm.max[axis]),
+            )?;
+        }
+        row(f, "ends at", format!("machine {}, work {} mm", place(&self.position_mm), place(&self.work_position_mm)))?;
+        let [x, y, z] = self.steps;
+        row(f, "steps", format!("net {x}, {y}, {z}; {} step events", self.step_events))?;
+        row(
+            f,
+            "peaks",
+            format!("{:.1} mm/min, {:.1} mm/s2 along the path", self.peak_speed_mm_s * 60.0, self.peak_acceleration_mm_s2),
+        )?;
+        row(
+            f,
+            "",
+            format!(
+                "X, Y, Z: {} mm/min; {} mm/s2",
+                list(self.peak_axis_speed_mm_s.map(|v| v * 60.0)),
+                list(self.peak_axis_acceleration_mm_s2)
+            ),
+        )?;
+        row(f, "hashes", format!("trace {}, order {}", self.trace_hash, self.order_hash))?;
+        for message in &self.messages {
+            row(f, "message", message.clone())?;
+        }
+        for note in &self.notes {
+            row(f, "note", note.clone())?;
+        }
+        let faster = if self.host_s > 0.0 { self.forecast_s / self.host_s } else { 0.0 };
+        row(f, "simulated in", format!("{:.2} s, {faster:.0} times faster than the machine", self.host_s))
+    }
+}
+
+fn place(place: &[f64; AXES]) -> String {
+    place.map(|v| format!("{v:.3}")).join(", ")
+}
+
+fn list(values: [f64; AXES]) -> String {
+    values.map(|v| format!("{v:.1}")).join(", ")
+}
+
+/// Seconds as people read them.
+pub fn clock_time(seconds: f64) -> String {
+    let minutes = (seconds / 60.0).floor();
+    if minutes < 1.0 {
+        return format!("{seconds:.3} s");
+    }
+    let rest = seconds - minutes * 60.0;
+    if minutes < 60.0 {
+        return format!("{minutes:.0} min {rest:.1} s");
+    }
+    let hours = (minutes / 60.0).floor();
+    format!("{hours:.0} h {:.0} min {rest:.0} s", minutes - hours * 60.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub fn example() -> Summary {
+        Summary {
+            job: "a.nc".into(),
+            board: "desk".into(),
+            dialect: "oxmill".into(),
+            step_clock_hz: 100_000_000,
+            lines: 3,
+            tape_marks: 0,
+            errors: vec![LineError { line: 2, code: 20, text: "unknown".into(), source: "G1 Q1".into() }],
+            alarm: None,
+            complete: true,
+            notes: vec![],
+            messages: vec![],
+            forecast_s: 3725.5,
+            duration_s: 3700.0,
+            moving_s: 3699.0,
+            position_mm: [1.0, -2.0, 0.0],
+            work_position_mm: [0.0; 3],
+            steps: [250, -500, 0],
+            pulses: [250, 500, 0],
+            step_events: 500,
+            distance_mm: 2.5,
+            rapid_distance_mm: 0.5,
+            extents_mm: Extents { min: [0.0, -2.0, 0.0], max: [1.0, 0.0, 0.0] },
+            peak_speed_mm_s: 10.0,
+            peak_acceleration_mm_s2: 10.0,
+            peak_axis_speed_mm_s: [5.0, 10.0, 0.0],
+            peak_axis_acceleration_mm_s2: [5.0, 10.0, 0.0],
+            trace_hash: "00ff".into(),
+            order_hash: "ff00".into(),
+            host_s: 1.0,
+        }
+    }
+
+    #[test]
+    fn the_json_has_the_promised_fields() {
+        let json = serde_json::to_value(example()).unwrap();
+        for name in [
+            "lines",
+            "errors",
+            "alarm",
+            "duration_s",
+            "position_mm",
+            "work_position_mm",
+            "steps",
+            "distance_mm",
+            "extents_mm",
+            "trace_hash",
+            "order_hash",
+            "step_clock_hz",
+            "board",
+        ] {
+            assert!(json.get(name).is_some(), "{name}");
+        }
+        assert_eq!(json["errors"][0]["line"], 2);
+        assert_eq!(json["errors"][0]["code"], 20);
+        assert!(json["errors"][0]["text"].is_string());
+        assert_eq!(json["extents_mm"]["min"][1], -2.0);
+        assert!(json["alarm"].is_null());
+    }
+
+    #[test]
+    fn only_a_flawless_job_is_good() {
+        let mut summary = example();
+        assert!(!summary.is_good());
+        summary.errors.clear();
+        assert!(summary.is_good());
+        summary.complete = false;
+        assert!(!summary.is_good());
+    }
+
+    #[test]
+    fn people_read_times() {
+        assert_eq!(clock_time(1.5), "1.500 s");
+        assert_eq!(clock_time(95.0), "1 min 35.0 s");
+        assert_eq!(clock_time(3725.5), "1 h 2 min 6 s");
+        assert!(example().to_string().contains("line 2: error:20 (unknown): G1 Q1"));
+    }
+}

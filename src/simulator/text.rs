@@ -1,0 +1,285 @@
+//! A job as text: its lines on the way to the controller, and the controller's answers on the way back.
+//!
+//! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
+//! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
+//! in order, as for any sender.
+
+use std::collections::VecDeque;
+use std::io::{self, BufRead, Read};
+
+/// A longer line is no program for a machine.
+const LONGEST_LINE: usize = 1 << 20;
+/// Bytes that are made ready ahead of the controller: what a full receive queue holds.
+const AHEAD: usize = 256;
+
+/// What the controller said.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Said {
+    /// `error:N`, to the line with this number.
+    Error {
+        /// Number of the line in the file, from 1.
+        line: u64,
+        /// The error's number.
+        code: u8,
+        /// The line, without its end.
+        text: String,
+    },
+    /// Anything else than an answer to a line.
+    Message(String),
+}
+
+/// Lines on their way and answers to them.
+pub struct JobText {
+    reader: Box<dyn BufRead>,
+    bytes: VecDeque<u8>,
+    at_end: bool,
+    after_cr: bool,
+    stopped: bool,
+    failed: Option<io::Error>,
+    /// Lines that were begun to be taken or wait to be, with their numbers.
+    unanswered: VecDeque<(u64, String)>,
+    lines: u64,
+    tape_marks: u64,
+    answers: u64,
+    consumed: u64,
+    reply: Vec<u8>,
+    said: Vec<Said>,
+}
+
+impl JobText {
+    /// The lines of a reader.
+    pub fn new(reader: impl BufRead + 'static) -> Self {
+        Self {
+            reader: Box::new(reader),
+            bytes: VecDeque::new(),
+            at_end: false,
+            after_cr: false,
+            stopped: false,
+            failed: None,
+            unanswered: VecDeque::new(),
+            lines: 0,
+            tape_marks: 0,
+            answers: 0,
+            consumed: 0,
+            reply: Vec::new(),
+            said: Vec::new(),
+        }
+    }
+
+    /// Lines read up to now, tape marks included.
+    pub fn lines(&self) -> u64 {
+        self.lines
+    }
+
+    /// Lines that begin with `%`: marks of a punched tape's ends, not for the controller.
+    pub fn tape_marks(&self) -> u64 {
+        self.tape_marks
+    }
+
+    /// Lines answered.
+    pub fn answers(&self) -> u64 {
+        self.answers
+    }
+
+    /// Bytes of the file read up to now.
+    pub fn consumed(&self) -> u64 {
+        self.consumed
+    }
+
+    /// Number of the oldest line without an answer.
+    pub fn oldest_unanswered(&self) -> Option<u64> {
+        self.unanswered.front().map(|(number, _)| *number)
+    }
+
+    /// No further line is given out.
+    pub fn stop(&mut self) {
+        self.stopped = true;
+        self.bytes.clear();
+        self.unanswered.clear();
+    }
+
+    /// Whether all lines are given out and answered.
+    pub fn is_used_up(&self) -> bool {
+        self.bytes.is_empty() && (self.at_end || self.stopped) && self.unanswered.is_empty()
+    }
+
+    /// Why the file could not be read to its end.
+    pub fn failure(&mut self) -> Option<io::Error> {
+        self.failed.take()
+    }
+
+    /// What the controller said since the last call.
+    pub fn said(&mut self) -> Vec<Said> {
+        std::mem::take(&mut self.said)
+    }
+
+    /// Bytes that are ready, at most as many as a receive queue would hold; 0 at the end.
+    pub fn waiting(&mut self) -> usize {
+        self.fill();
+        self.bytes.len().min(AHEAD)
+    }
+
+    /// The next byte for the controller.
+    pub fn next_byte(&mut self) -> Option<u8> {
+        if self.bytes.is_empty() {
+            self.fill();
+        }
+        self.bytes.pop_front()
+    }
+
+    fn fill(&mut self) {
+        while self.bytes.len() < AHEAD && !self.at_end && !self.stopped {
+            match self.read_line() {
+                Ok(Some(line)) => self.take_line(&line),
+                Ok(None) => self.at_end = true,
+                Err(error) => {
+                    self.failed = Some(error);
+                    self.at_end = true;
+                }
+            }
+        }
+    }
+
+    /// The next line without its end, which is LF, CR LF or CR.
+    fn read_line(&mut self) -> io::Result<Option<Vec<u8>>> {
+        let mut line = Vec::new();
+        loop {
+            let available = match self.reader.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                other => other?,
+            };
+            if available.is_empty() {
+                return Ok((!line.is_empty()).then_some(line));
+            }
+            let skip = usize::from(std::mem::take(&mut self.after_cr) && available[0] == b'\n');
+            let end = available[skip..].iter().position(|byte| matches!(byte, b'\n' | b'\r')).map(|at| at + skip);
+            line.extend_from_slice(&available[skip..end.unwrap_or(available.len())]);
+            let used = end.map_or(available.len(), |end| end + 1);
+            self.after_cr = end.is_some_and(|end| available[end] == b'\r');
+            self.reader.consume(used);
+            self.consumed += used as u64;
+            if end.is_some() {
+                return Ok(Some(line));
+            }
+            if line.len() > LONGEST_LINE {
+                return Err(io::Error::other("a line has more than a million bytes: this is not a G-code file"));
+            }
+        }
+    }
+
+    fn take_line(&mut self, line: &[u8]) {
+        self.lines += 1;
+        let text = String::from_utf8_lossy(line);
+        let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
+        if text.starts_with('%') {
+            self.tape_marks += 1;
+            return;
+        }
+        self.bytes.extend(text.chars().map(plain));
+        self.bytes.push_back(b'\n');
+        let shown: String = text.trim().chars().take(120).collect();
+        self.unanswered.push_back((self.lines, shown));
+    }
+
+    /// A part of what the controller says.
+    pub fn answered(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            match byte {
+                b'\r' => {}
+                b'\n' => {
+                    let line = String::from_utf8_lossy(&std::mem::take(&mut self.reply)).into_owned();
+                    self.reply_line(&line);
+                }
+                _ => self.reply.push(*byte),
+            }
+        }
+    }
+
+    fn reply_line(&mut self, reply: &str) {
+        let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
+        if reply == "ok" || code.is_some() {
+            self.answers += 1;
+            let (line, text) = self.unanswered.pop_front().unwrap_or_default();
+            if let Some(code) = code {
+                self.said.push(Said::Error { line, code, text });
+            }
+        } else if !reply.is_empty() {
+            self.said.push(Said::Message(reply.to_owned()));
+        }
+    }
+}
+
+/// A character as the controller gets it.
+fn plain(character: char) -> u8 {
+    match character {
+        // Blanks of other scripts are blanks.
+        _ if character.is_whitespace() => b' ',
+        _ if character.is_ascii() => character as u8,
+        _ => b'?',
+    }
+}
+
+/// Text from a file, or from standard input if the path is `-`, and its length if that is known.
+pub fn open(path: &std::path::Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
+    if path.as_os_str() == "-" {
+        return Ok((Box::new(io::BufReader::new(io::stdin())), None));
+    }
+    let file = std::fs::File::open(path)?;
+    let about = file.metadata()?;
+    if about.is_dir() {
+        return Err(io::Error::other("it is a folder"));
+    }
+    let length = about.is_file().then(|| about.len());
+    let mut reader = io::BufReader::with_capacity(1 << 16, file);
+    // A file that cannot be read at all is found out before the machine starts.
+    reader.fill_buf()?;
+    Ok((Box::new(reader.take(u64::MAX)), length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drain(job: &mut JobText) -> String {
+        std::iter::from_fn(|| job.next_byte()).map(char::from).collect()
+    }
+
+    #[test]
+    fn all_line_ends_are_one_line_end() {
+        let mut job = JobText::new(&b"\xEF\xBB\xBFG0\r\nG1\n\nG2\rG3"[..]);
+        assert_eq!(drain(&mut job), "G0\nG1\n\nG2\nG3\n");
+        assert_eq!(job.lines(), 5);
+    }
+
+    #[test]
+    fn text_is_text_and_tape_marks_are_left_out() {
+        let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n% end\n";
+        let mut job = JobText::new(text.as_bytes());
+        assert_eq!(drain(&mut job), "G0 X1 (?????? ! ~)\n G?\n");
+        assert_eq!((job.lines(), job.tape_marks()), (4, 2));
+    }
+
+    #[test]
+    fn answers_find_their_lines() {
+        let mut job = JobText::new(&b"%\nG0\nbad\nG1\n"[..]);
+        drain(&mut job);
+        assert!(!job.is_used_up());
+        job.answered(b"ok\r\nerr");
+        job.answered(b"or:20\r\n[MSG:Pgm End]\r\n\r\nok\r\n");
+        assert_eq!(
+            job.said(),
+            [Said::Error { line: 3, code: 20, text: "bad".into() }, Said::Message("[MSG:Pgm End]".into())]
+        );
+        assert!(job.is_used_up());
+        assert_eq!(job.answers(), 3);
+    }
+
+    #[test]
+    fn a_stopped_job_gives_nothing_more() {
+        let mut job = JobText::new(&b"G0\nG1\n"[..]);
+        assert_eq!(job.next_byte(), Some(b'G'));
+        job.stop();
+        assert_eq!((job.next_byte(), job.waiting()), (None, 0));
+        assert!(job.is_used_up());
+    }
+}

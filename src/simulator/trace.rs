@@ -1,0 +1,245 @@
+//! What the step outputs did, step event by step event: digests always, a CSV file or a list in memory on request.
+
+use oxmill_controller::digest::Digest;
+use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use crate::boards::AXES;
+
+/// One step event: the outputs that rose together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepRecord {
+    /// Virtual time in step-clock ticks since power-up.
+    pub at: u64,
+    /// Step-clock ticks for which the step task had been busy: the time of the digest.
+    pub busy: u64,
+    /// Axes that stepped, bit 0 for X.
+    pub steps: u8,
+    /// Axes whose direction is negative, bit 0 for X.
+    pub directions: u8,
+    /// Step counters after the step.
+    pub position: [i32; AXES],
+}
+
+/// Follows the step outputs.
+#[derive(Debug, Default)]
+pub struct Trace {
+    digest: Digest,
+    events: u64,
+    first: Option<StepRecord>,
+    last: Option<StepRecord>,
+    csv: Option<Csv>,
+    list: Option<Vec<StepRecord>>,
+}
+
+impl Trace {
+    /// Also writes a CSV file from here on. `hz` is the step clock, `origin` the virtual time of its `t_s` = 0.
+    pub fn write_csv(&mut self, csv: Csv) {
+        self.csv = Some(csv);
+    }
+
+    /// Also keeps every step event in memory from here on.
+    pub fn keep(&mut self) {
+        self.list = Some(Vec::new());
+    }
+
+    /// The step events kept; empty unless [`Trace::keep`] was called.
+    pub fn kept(&self) -> &[StepRecord] {
+        self.list.as_deref().unwrap_or(&[])
+    }
+
+    /// Forgets what was counted, digested and kept: what follows is a trace of its own.
+    pub fn restart(&mut self) {
+        self.digest = Digest::default();
+        self.events = 0;
+        self.first = None;
+        self.last = None;
+        if let Some(list) = &mut self.list {
+            list.clear();
+        }
+    }
+
+    /// Step outputs rose.
+    #[inline]
+    pub fn step(&mut self, record: StepRecord) {
+        self.digest.add(record.busy, record.steps, record.directions);
+        self.events += 1;
+        if self.first.is_none() {
+            self.first = Some(record);
+        }
+        self.last = Some(record);
+        if let Some(csv) = &mut self.csv {
+            csv.step(&record);
+        }
+        if let Some(list) = &mut self.list {
+            list.push(record);
+        }
+    }
+
+    /// Spindle or coolant outputs are now these; `power` is 0 to 65535.
+    pub fn outputs(&mut self, outputs: &SlowOutputs, power: u16) {
+        if let Some(csv) = &mut self.csv {
+            csv.outputs(outputs, power);
+        }
+    }
+
+    /// Digests over the steps so far.
+    pub fn digest(&self) -> &Digest {
+        &self.digest
+    }
+
+    /// How many step events there were.
+    pub fn events(&self) -> u64 {
+        self.events
+    }
+
+    /// Ticks from the first to the last step event.
+    pub fn duration(&self) -> u64 {
+        match (self.first, self.last) {
+            (Some(first), Some(last)) => last.at - first.at,
+            _ => 0,
+        }
+    }
+
+    /// Closes the CSV file.
+    pub fn finish(&mut self) -> io::Result<()> {
+        self.csv.take().map_or(Ok(()), Csv::finish)
+    }
+}
+
+/// The CSV file. Spindle, power and coolant are written into the first row after they changed and left empty elsewhere.
+#[derive(Debug)]
+pub struct Csv {
+    out: BufWriter<File>,
+    hz: u64,
+    origin: u64,
+    row: Vec<u8>,
+    shown: Option<(SlowOutputs, u16)>,
+    current: Option<(SlowOutputs, u16)>,
+    failed: Option<io::Error>,
+}
+
+impl Csv {
+    /// Creates the file and writes its head. `hz` is the step clock, `origin` the tick at which `t_s` is 0.
+    pub fn create(path: &Path, hz: u32, origin: u64) -> io::Result<Self> {
+        let mut out = BufWriter::with_capacity(1 << 18, File::create(path)?);
+        writeln!(out, "t_s,x,y,z,spindle,power,coolant")?;
+        let row = Vec::with_capacity(64);
+        Ok(Self { out, hz: u64::from(hz), origin, row, shown: None, current: None, failed: None })
+    }
+
+    fn outputs(&mut self, outputs: &SlowOutputs, power: u16) {
+        self.current = Some((*outputs, power));
+    }
+
+    fn step(&mut self, record: &StepRecord) {
+        if self.failed.is_some() {
+            return;
+        }
+        let ticks = record.at.saturating_sub(self.origin);
+        let nanoseconds = (ticks % self.hz) * 1_000_000_000 / self.hz;
+        self.row.clear();
+        push_number(&mut self.row, ticks / self.hz, 1);
+        self.row.push(b'.');
+        push_number(&mut self.row, nanoseconds, 9);
+        for steps in record.position {
+            self.row.push(b',');
+            if steps < 0 {
+                self.row.push(b'-');
+            }
+            push_number(&mut self.row, u64::from(steps.unsigned_abs()), 1);
+        }
+        if self.current == self.shown {
+            self.row.extend_from_slice(b",,,\n");
+        } else if let Some((outputs, power)) = self.current {
+            let spindle = match outputs.spindle {
+                SpindleDirection::Off => "off",
+                SpindleDirection::Clockwise => "cw",
+                SpindleDirection::CounterClockwise => "ccw",
+            };
+            let coolant = match (outputs.coolant.flood, outputs.coolant.mist) {
+                (false, false) => "off",
+                (true, false) => "flood",
+                (false, true) => "mist",
+                (true, true) => "flood+mist",
+            };
+            let power = f64::from(power) / f64::from(u16::MAX);
+            self.row.extend_from_slice(format!(",{spindle},{power:.4},{coolant}\n").as_bytes());
+            self.shown = self.current;
+        }
+        self.failed = self.out.write_all(&self.row).err();
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        match self.failed.take() {
+            Some(error) => Err(error),
+            None => self.out.flush(),
+        }
+    }
+}
+
+/// Appends a whole number with at least `width` digits. Formatting a row is most of the cost of a trace, and `write!`
+/// takes several times as long.
+fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
+    let mut digits = [b'0'; 20];
+    let mut start = digits.len();
+    while value > 0 || digits.len() - start < width {
+        start -= 1;
+        digits[start] = b'0' + (value % 10) as u8;
+        value /= 10;
+    }
+    row.extend_from_slice(&digits[start..]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use oxmill_controller::messages::Coolant;
+
+    fn step(at: u64, position: [i32; AXES]) -> StepRecord {
+        StepRecord { at, busy: at, steps: 1, directions: 0, position }
+    }
+
+    #[test]
+    fn rows_are_times_positions_and_changed_outputs() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.csv");
+        let mut trace = Trace::default();
+        trace.write_csv(Csv::create(&path, 1_000_000, 500).unwrap());
+        trace.step(step(500, [1, 0, 0]));
+        let outputs = SlowOutputs {
+            spindle: SpindleDirection::Clockwise,
+            power: 65535,
+            coolant: Coolant { flood: true, mist: false },
+            drivers: true,
+        };
+        trace.outputs(&outputs, 65535);
+        trace.step(step(1_000_501, [2, -10, 0]));
+        trace.step(step(61_000_500, [-2147483648, 0, 0]));
+        trace.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let rows: Vec<&str> = text.lines().collect();
+        assert_eq!(
+            rows,
+            [
+                "t_s,x,y,z,spindle,power,coolant",
+                "0.000000000,1,0,0,,,",
+                "1.000001000,2,-10,0,cw,1.0000,flood",
+                "61.000000000,-2147483648,0,0,,,",
+            ]
+        );
+        assert_eq!((trace.events(), trace.duration()), (3, 61_000_000));
+    }
+
+    #[test]
+    fn a_restarted_trace_is_as_new() {
+        let mut trace = Trace::default();
+        trace.keep();
+        trace.step(step(1, [1, 0, 0]));
+        trace.restart();
+        assert_eq!((trace.events(), trace.duration(), trace.kept().len()), (0, 0, 0));
+        assert_eq!(*trace.digest(), Digest::default());
+    }
+}
