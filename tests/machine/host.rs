@@ -24,7 +24,7 @@ impl Rig {
 
     /// The answer lines that have come, without their ends.
     pub fn read_lines(&mut self) -> Vec<String> {
-        let text = String::from_utf8(self.take_output()).expect("answers are text");
+        let text = self.take_output();
         assert!(text.is_empty() || text.ends_with("\r\n"), "half a line: {text:?}");
         text.split_terminator("\r\n").map(str::to_string).collect()
     }
@@ -32,15 +32,15 @@ impl Rig {
     /// Sends one line and waits for its `ok` or `error`; everything that came until then.
     pub fn ask(&mut self, line: &str) -> Vec<String> {
         self.send(format!("{line}\n").as_bytes());
-        let mut text = Vec::new();
+        let mut text = String::new();
         let answered = self.run_until(PATIENCE, |rig| {
             if rig.output_len() > 0 {
-                text.append(&mut rig.take_output());
+                text.push_str(&rig.take_output());
             }
             is_answered(&text)
         });
-        assert!(answered, "no answer to {line:?}, only {:?}", String::from_utf8_lossy(&text));
-        String::from_utf8(text).expect("answers are text").lines().map(str::to_string).collect()
+        assert!(answered, "no answer to {line:?}, only {text:?}");
+        text.lines().map(str::to_string).collect()
     }
 
     /// Waits until nothing moves and nothing is owed.
@@ -101,9 +101,8 @@ impl Rig {
 }
 
 /// Whether a text contains an `ok` or an `error` as a whole line.
-fn is_answered(text: &[u8]) -> bool {
-    text.ends_with(b"\n")
-        && text.split(|&b| b == b'\n').any(|line| line.starts_with(b"ok\r") || line.starts_with(b"error:"))
+fn is_answered(text: &str) -> bool {
+    text.ends_with('\n') && text.lines().any(|line| line == "ok" || line.starts_with("error:"))
 }
 
 /// The numbers of a field of a report.

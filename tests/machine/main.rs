@@ -5,6 +5,5 @@ mod examples;
 mod host;
 mod motion_properties;
 mod oracle;
-mod probe;
 mod rig;
 mod seed;
