@@ -413,8 +413,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
+        // A move queued while the last piece of the one before was already on its way to the motors belongs to the same
+        // run: without a start of its own it would never begin.
+        if self.running && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+            self.motion.start();
+            return;
+        }
         let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
-        if self.mode == Mode::Normal && !self.running && !self.motion.is_idle() && self.task.is_none() && no_more {
+        if self.mode == Mode::Normal && !self.motion.is_idle() && self.task.is_none() && no_more {
             self.start_motion();
         }
     }

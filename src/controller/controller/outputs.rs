@@ -22,8 +22,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn line_rules(&self) -> line::Rules {
         match self.dialect() {
-            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false },
-            _ => line::Rules { length: line::LENGTH, merge_crlf: true },
+            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
+            dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
         }
     }
 
