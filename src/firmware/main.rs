@@ -19,7 +19,6 @@ mod boards;
 mod clock;
 mod control;
 mod crossing;
-mod filter;
 mod inputs;
 mod outputs;
 mod panic;
@@ -68,18 +67,18 @@ macro_rules! firmware {
             }
 
             #[init(local = [
-                                        realtime: Channel<Realtime, REALTIME_DEPTH> = Channel::new(),
-                                        lines: Channel<LineByte, LINES_DEPTH> = Channel::new(),
-                                        replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
-                                        segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
-                                        events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
-                                        signals: Channel<Signals, SIGNALS_DEPTH> = Channel::new(),
-                                        // Changed settings; two of them always fit, as the receivers take them within a millisecond.
-                                        step_wiring: Channel<Wiring, 2> = Channel::new(),
-                                        input_wiring: Channel<Wiring, 2> = Channel::new(),
-                                        wake: Signal<()> = Signal::new(),
-                                        controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
-                                    ])]
+                                                realtime: Channel<Realtime, REALTIME_DEPTH> = Channel::new(),
+                                                lines: Channel<LineByte, LINES_DEPTH> = Channel::new(),
+                                                replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
+                                                segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
+                                                events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
+                                                signals: Channel<Signals, SIGNALS_DEPTH> = Channel::new(),
+                                                // Changed settings; two of them always fit, as the receivers take them within a millisecond.
+                                                step_wiring: Channel<Wiring, 2> = Channel::new(),
+                                                input_wiring: Channel<Wiring, 2> = Channel::new(),
+                                                wake: Signal<()> = Signal::new(),
+                                                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
+                                            ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let local = cx.local;
                 let channels = Channels {

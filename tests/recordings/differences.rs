@@ -14,6 +14,5 @@ const fn differs(group: &'static str, n: u64, answers: &'static [&'static str], 
     Difference { group, n, answers: Some(answers), why }
 }
 
-pub const DIFFERENCES: &[Difference] = &[
-    differs("02_settings", 11, &["error:3"], "A22: whole-number settings are checked and do not wrap at 8 bits"),
-];
+pub const DIFFERENCES: &[Difference] =
+    &[differs("02_settings", 11, &["error:3"], "A22: whole-number settings are checked and do not wrap at 8 bits")];

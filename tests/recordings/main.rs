@@ -197,7 +197,8 @@ fn replay(group: &str, text: &str, tally: &mut Tally) {
 #[test]
 fn recordings_answer_as_grbl_did() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/transcripts");
-    let mut files: Vec<_> = std::fs::read_dir(folder).expect("the recordings").map(|e| e.expect("a file").path()).collect();
+    let mut files: Vec<_> =
+        std::fs::read_dir(folder).expect("the recordings").map(|e| e.expect("a file").path()).collect();
     files.sort();
     assert_eq!(files.len(), 31);
     let mut tally = Tally { used: vec![false; differences::DIFFERENCES.len()], ..Tally::default() };

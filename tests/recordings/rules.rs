@@ -10,7 +10,8 @@ pub fn equal(kind: &str, recorded: &[String], answered: &[String]) -> bool {
 
 /// Version and sizes are this controller's own.
 fn build(recorded: &str, answered: &str) -> bool {
-    let user_text = |line: &str| line.strip_prefix("[VER:1.1h.").and_then(|l| l.split_once(':')).map(|(_, t)| t.to_string());
+    let user_text =
+        |line: &str| line.strip_prefix("[VER:1.1h.").and_then(|l| l.split_once(':')).map(|(_, t)| t.to_string());
     match (user_text(recorded), user_text(answered)) {
         (Some(a), Some(b)) => a == b,
         _ => recorded.starts_with("[OPT:") && answered.starts_with("[OPT:"),
