@@ -2,7 +2,7 @@
 //!
 //! TIMER1 counts 25 MHz of virtual time; with `-icount shift=10` an instruction takes 1024 ns, 25.6 of its ticks, so the
 //! difference of two readings is a number of instructions, and exact. Cycles are another matter: this says nothing of
-//! flash wait states or pipeline.
+//! flash wait states or pipeline. The table goes to standard error, as standard output carries the defmt log.
 #![no_std]
 #![no_main]
 
@@ -58,7 +58,7 @@ fn main() -> ! {
 
     let (mut send, mut receive) =
         cortex_m::singleton!(: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new()).expect("main runs once").split();
-    semihosting::println!("instructions of a tick with receive, release build");
+    semihosting::eprintln!("instructions of a tick with receive, release build");
     for (name, steps) in [("three axes", [1000, 1000, 1000]), ("one axis", [1000, 0, 0]), ("mixed", [1000, 333, 77])] {
         let mut stepper: Stepper<3> = Stepper::new();
         let (mut sum, mut ticks, mut worst, mut steady) = (0, 0, 0, u32::MAX);
@@ -84,7 +84,7 @@ fn main() -> ! {
             worst = worst.max(n);
             steady = steady.min(n);
         }
-        semihosting::println!("{name:<12} least {steady:>4}  mean {:>4}  worst {worst:>4}", sum / ticks);
+        semihosting::eprintln!("{name:<12} least {steady:>4}  mean {:>4}  worst {worst:>4}", sum / ticks);
     }
     semihosting::process::exit(0)
 }
