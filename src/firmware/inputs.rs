@@ -6,12 +6,9 @@
 use crate::boards::{InputPins, input_bits};
 use crate::clock;
 use crate::crossing::Wake;
-use crate::filter::Filter;
+use oxmill_controller::machine::filter::Filter;
 use oxmill_controller::messages::{SIGNALS_DEPTH, Signals, Wiring};
 use rtic_sync::channel::{Receiver, Sender};
-
-/// Samples in a second.
-pub const SAMPLE_HZ: u32 = 20_000;
 
 /// Everything the task owns.
 pub struct Inputs {

@@ -3,12 +3,13 @@
 use crate::boards::{self, AXES};
 use crate::control::{BoardController, Control, Ends};
 use crate::crossing::Wake;
-use crate::inputs::{Inputs, SAMPLE_HZ};
+use crate::inputs::Inputs;
 use crate::outputs::Outputs;
 use crate::serial::Serial;
 use crate::step_timer::Step;
 use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use oxmill_controller::machine::filter::SAMPLE_HZ;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
     Signals, StepEvent, ToStep, Wiring,

@@ -60,10 +60,7 @@ mod tests {
         for line in ["limit x 1", "LIMIT Z 1", " probe  1 ", "door 1", "door 0", "hold 1", "start 1", "reset 1"] {
             signals = apply(signals, 3, line).unwrap();
         }
-        assert_eq!(
-            signals,
-            Signals { limits: 0b101, probe: true, door: false, hold: true, start: true, reset: true }
-        );
+        assert_eq!(signals, Signals { limits: 0b101, probe: true, door: false, hold: true, start: true, reset: true });
         assert_eq!(apply(signals, 3, "limit x 0").unwrap().limits, 0b100);
     }
 

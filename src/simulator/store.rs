@@ -39,9 +39,9 @@ impl Store {
 
     /// All records, as they are restored at power-up.
     pub fn records(&self) -> impl Iterator<Item = Record> + '_ {
-        self.records.iter().filter_map(|(key, value)| {
-            Some(Record { key: *key, value: heapless::Vec::from_slice(value).ok()? })
-        })
+        self.records
+            .iter()
+            .filter_map(|(key, value)| Some(Record { key: *key, value: heapless::Vec::from_slice(value).ok()? }))
     }
 
     /// Carries out a change. `Ok` means that it is safe.

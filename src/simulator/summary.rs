@@ -141,7 +141,11 @@ impl fmt::Display for Summary {
         row(
             f,
             "peaks",
-            format!("{:.1} mm/min, {:.1} mm/s2 along the path", self.peak_speed_mm_s * 60.0, self.peak_acceleration_mm_s2),
+            format!(
+                "{:.1} mm/min, {:.1} mm/s2 along the path",
+                self.peak_speed_mm_s * 60.0,
+                self.peak_acceleration_mm_s2
+            ),
         )?;
         row(
             f,
@@ -187,10 +191,10 @@ pub fn clock_time(seconds: f64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    pub fn example() -> Summary {
+    pub(crate) fn example() -> Summary {
         Summary {
             job: "a.nc".into(),
             board: "desk".into(),

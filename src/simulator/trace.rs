@@ -212,6 +212,7 @@ mod tests {
         let outputs = SlowOutputs {
             spindle: SpindleDirection::Clockwise,
             power: 65535,
+            power_from_segments: false,
             coolant: Coolant { flood: true, mist: false },
             drivers: true,
         };

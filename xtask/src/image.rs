@@ -29,10 +29,20 @@ impl fmt::Display for Image {
 
 /// Release build of the firmware for a board.
 pub fn build(board: &str) -> Result<Image, Failure> {
-    run(cargo().args(["build", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", board]))?;
-    let built = root().join("target").join(TARGET).join("release/oxmill-firmware");
+    run(cargo().args([
+        "build",
+        "--profile",
+        "firmware",
+        "--package",
+        "oxmill-firmware",
+        "--target",
+        TARGET,
+        "--features",
+        board,
+    ]))?;
+    let built = root().join("target").join(TARGET).join("firmware/oxmill-firmware");
     // Every board links to the same name; a copy of its own survives the next board.
-    let folder = root().join("target/firmware");
+    let folder = root().join("target/boards");
     let path = folder.join(format!("{board}.elf"));
     let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
     copy.map_err(|error| format!("{}: {error}", built.display()))?;

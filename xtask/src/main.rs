@@ -4,6 +4,7 @@
 
 mod image;
 mod jobs;
+mod programs;
 mod qemu;
 mod suites;
 
@@ -25,6 +26,7 @@ usage:
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
+  cargo xtask job NAME       writes a program of examples/ to standard output
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
 boards: ";
 
@@ -42,6 +44,7 @@ fn main() -> ExitCode {
         ["test-target"] => suites::on_qemu().and_then(|()| jobs::compare_all()),
         ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| jobs::compare_all()),
         ["test-target", board] => known(board).and_then(suites::on_board),
+        ["job", name] => generate(name),
         ["count"] => suites::count(),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
@@ -63,6 +66,15 @@ fn known(board: &str) -> Result<&str, Failure> {
         Ok(board)
     } else {
         Err(format!("there is no board `{board}`; there are {}", boards::BOARDS.join(", ")))
+    }
+}
+
+/// Writes a generated program.
+fn generate(name: &str) -> Result<(), Failure> {
+    match programs::generate(name, &mut std::io::stdout().lock()) {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(format!("there is no program `{name}`; there are {}", programs::NAMES.join(", "))),
+        Err(error) => Err(format!("the program could not be written: {error}")),
     }
 }
 
@@ -100,7 +112,8 @@ fn flash(board: &str) -> Result<(), Failure> {
     }
     run(cargo().args([
         "embed",
-        "--release",
+        "--profile",
+        "firmware",
         "--package",
         "oxmill-firmware",
         "--target",

@@ -8,7 +8,17 @@ const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
 fn suites(board: &str, runner: &str) -> std::process::Command {
     let mut cargo = cargo();
     cargo.env(RUNNER, runner);
-    cargo.args(["test", "--release", "--package", "oxmill-on-target", "--target", TARGET, "--features", board]);
+    cargo.args([
+        "test",
+        "--profile",
+        "firmware",
+        "--package",
+        "oxmill-on-target",
+        "--target",
+        TARGET,
+        "--features",
+        board,
+    ]);
     cargo
 }
 
@@ -38,7 +48,18 @@ pub fn count() -> Result<(), Failure> {
     let mut cargo = cargo();
     let runner = root().join(".cargo/qemu-runner.sh");
     cargo.env(RUNNER, runner.as_os_str()).env("QEMU_ICOUNT", "shift=10,sleep=off");
-    cargo.args(["run", "--release", "--quiet", "--package", "oxmill-on-target", "--bin", "count", "--target", TARGET]);
+    cargo.args([
+        "run",
+        "--profile",
+        "firmware",
+        "--quiet",
+        "--package",
+        "oxmill-on-target",
+        "--bin",
+        "count",
+        "--target",
+        TARGET,
+    ]);
     run(cargo.args(["--features", QEMU_BOARD]))
 }
 

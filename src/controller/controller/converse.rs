@@ -90,7 +90,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.refuse(Error::LineTooLong);
             }
             Pushed::Complete => {
-                let text: heapless::Vec<u8, { line::LENGTH }> = heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
+                let text: heapless::Vec<u8, { line::LENGTH }> =
+                    heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
                 self.line.clear();
                 self.dispatch(&text);
             }
@@ -390,7 +391,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn list_parameter(&mut self, line: usize) -> bool {
         let inches = self.settings.is_on(Key::ReportInches);
-        let systems = if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let systems =
+            if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         let offsets = *self.interpreter.offsets();
         if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
             self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));

@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
-    SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs, SpindleDirection,
+    Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -255,7 +255,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        let moving = (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
+        let moving =
+            (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
@@ -412,8 +413,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
+        // A move queued while the last piece of the one before was already on its way to the motors belongs to the same
+        // run: without a start of its own it would never begin.
+        if self.running && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+            self.motion.start();
+            return;
+        }
         let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
-        if self.mode == Mode::Normal && !self.running && !self.motion.is_idle() && self.task.is_none() && no_more {
+        if self.mode == Mode::Normal && !self.motion.is_idle() && self.task.is_none() && no_more {
             self.start_motion();
         }
     }
@@ -576,7 +583,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.mode == Mode::Home {
             self.home_switch();
-        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
+        {
             self.stop.order = true;
             self.begin_stop(StopReason::Alarm(Alarm::HardLimit));
         }

@@ -5,12 +5,9 @@
 
 use oxmill_on_target as _;
 
-#[path = "../../../src/firmware/filter.rs"]
-mod filter;
-
 #[defmt_test::tests]
 mod suite {
-    use super::filter::Filter;
+    use oxmill_controller::machine::filter::Filter;
     use oxmill_controller::Stepper;
     use oxmill_controller::messages::{LINES_DEPTH, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
     use rtic_sync::channel::Channel;

@@ -54,6 +54,8 @@ pub struct Rig<const N: usize, const B: usize> {
     pub waits: usize,
     pub segments: usize,
     pub last_flags: usize,
+    /// Units of the block handed over.
+    units: u32,
 }
 
 pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
@@ -104,6 +106,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             waits: 0,
             segments: 0,
             last_flags: 0,
+            units: 0,
         }
     }
 
@@ -146,6 +149,14 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                     let end = i64::from(segment.interval) + i64::from(segment.ramp) * (i64::from(segment.ticks) - 1);
                     assert!(end >= 1 << 12, "{segment:?}");
                     self.segments += 1;
+                    if segment.flags & Segment::FLAG_NEW_BLOCK != 0 {
+                        self.units = 0;
+                    }
+                    if segment.flags & Segment::FLAG_WAIT == 0 {
+                        let grain = 16 >> segment.level;
+                        assert_eq!(self.units % grain, 0, "a coarse tick between its places");
+                        self.units += grain * u32::from(segment.ticks);
+                    }
                     if segment.flags & Segment::FLAG_WAIT != 0 {
                         self.waits += 1;
                     }
@@ -234,7 +245,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// What control does with the event of a stop.
     pub fn handle_stop(&mut self, event: StepEvent<N>) {
-        let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else { return };
+        let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else {
+            return;
+        };
         self.motion.stopped(&position);
         self.queue.push_back(ToStep::Resume { stops });
     }

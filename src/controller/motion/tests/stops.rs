@@ -230,6 +230,19 @@ fn overrides_slow_down_and_speed_up_within_a_block() {
     assert_eq!(rig.position, [32_000, 0, 0]);
 }
 
+#[test]
+fn overrides_reach_the_queued_blocks() {
+    let mut rig = Rig::<3, 16>::new(settings(80.0, 500.0, 200.0));
+    rig.motion.set_overrides(0.2, 1.0);
+    rig.moves.push_back(to([20.0, 0.0, 0.0], Speed::Feed(50.0)));
+    rig.moves.push_back(to([40.0, 0.0, 0.0], Speed::Feed(50.0)));
+    rig.pump();
+    rig.motion.set_overrides(1.0, 1.0);
+    rig.run();
+    let whole = 40.0 / 50.0 + 50.0 / 200.0;
+    assert!((rig.seconds() / whole - 1.0).abs() < 1e-3, "{} of {whole}", rig.seconds());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
     #[test]

@@ -1,0 +1,9 @@
+//! Tests of the whole machine: bytes in, pulses out.
+
+mod estimator;
+mod examples;
+mod host;
+mod motion_properties;
+mod oracle;
+mod rig;
+mod seed;
