@@ -10,6 +10,8 @@
 //! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean speed
 //!   of an interval is the speed at its middle while the acceleration is even, and a mean of allowed values otherwise.
 //!   Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping excess is missed.
+//! - A change from one acceleration to the next waits for a whole step of the dominant axis and is then caught up with:
+//!   between two intervals an acceleration may seem to have acted for one step longer than their distance.
 //! - Below one step per millisecond, where an interval says little, the machine may be one step ahead of what the limits
 //!   allow: from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
 //! - At a corner the path speed is bounded by the junction rule: the machine may cut the corner on a circle that passes
@@ -69,6 +71,8 @@ struct Reading {
     /// Middle of the interval, s, and its length.
     at: f64,
     span: f64,
+    /// Mean time of a step in it, s.
+    step: f64,
     /// mm/s.
     speed: f64,
     /// What the rounding to ticks can do to it, mm/s.
@@ -77,9 +81,9 @@ struct Reading {
 
 impl Reading {
     /// For how long an acceleration can act between two mean speeds: from middle to middle, and where one interval is
-    /// longer than the other, from its inside to its outside.
+    /// longer than the other, from its inside to its outside; and one step longer, for a change between them.
     fn apart(&self, other: &Reading) -> f64 {
-        (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0
+        (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
 }
 
@@ -89,8 +93,9 @@ impl Limits {
         (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
     }
 
-    fn place(&self, mm: [f64; AXES]) -> Place {
-        std::array::from_fn(|a| (mm[a] * self.steps_per_mm[a]).round() as i64)
+    /// The steps nearest to a place, a half away from zero (that 2.03 is a little less in binary must not matter).
+    pub fn place(&self, mm: [f64; AXES]) -> Place {
+        std::array::from_fn(|a| ((mm[a] * self.steps_per_mm[a] * 1e6).round() / 1e6).round() as i64)
     }
 
     /// Greatest path speed at the corner between two directions.
@@ -177,9 +182,11 @@ fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
             }
             let (from, to) = (m.times[i - 1], m.times[last]);
             let ticks = (to - from) as f64;
-            let speed = m.pitch * (last + 1 - i) as f64 / (ticks / hz);
+            let steps = (last + 1 - i) as f64;
+            let speed = m.pitch * steps / (ticks / hz);
             let rounding = speed / (ticks - 1.0).max(1.0) + shift * m.pitch / (ticks / hz);
-            (ticks > 0.0).then_some(Reading { at: (from + to) as f64 / 2.0 / hz, span: ticks / hz, speed, rounding })
+            let (at, span) = ((from + to) as f64 / 2.0 / hz, ticks / hz);
+            (ticks > 0.0).then_some(Reading { at, span, step: span / steps, speed, rounding })
         })
         .collect()
 }
@@ -336,8 +343,8 @@ mod tests {
     fn a_jump_of_speed_is_seen() {
         let limits = limits();
         let smooth = trapezoid(LENGTH, 50.0, 400.0);
-        // After half of the way everything happens 5 us later: one interval of 22 us is too long.
-        let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 5e-6 } else { 0.0 });
+        // After half of the way everything happens 9 us later: one interval of 22 us is too long.
+        let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 9e-6 } else { 0.0 });
         assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
         // At speed from the first step on.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| s * LENGTH / 50.0);

@@ -1,5 +1,6 @@
 //! Tests of the whole machine: bytes in, pulses out.
 
+mod conversations;
 mod estimator;
 mod examples;
 mod host;

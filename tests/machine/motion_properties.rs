@@ -3,7 +3,7 @@
 use super::estimator::{Limits, Line, check};
 use super::examples::places;
 use super::host::assert_near;
-use super::oracle::{AXES, Circle, Place};
+use super::oracle::{AXES, Circle};
 use super::rig::{HZ, Rig};
 use proptest::prelude::*;
 use std::fmt::Write;
@@ -160,10 +160,6 @@ impl Job {
     }
 }
 
-fn steps(place: [f64; AXES], limits: &Limits) -> Place {
-    std::array::from_fn(|a| (place[a] * limits.steps_per_mm[a]).round() as i64)
-}
-
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, max_shrink_iters: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -176,7 +172,7 @@ proptest! {
         }
         let mut rig = Rig::with(&settings(&limits));
         rig.run_clean(&job.text);
-        prop_assert_eq!(rig.place, steps(mm(job.at), &limits));
+        prop_assert_eq!(rig.place, limits.place(mm(job.at)));
         if let Err(fault) = check(&rig.trace, HZ as f64, &job.lines, &limits) {
             return Err(TestCaseError::fail(format!("{fault}\n{}", job.text)));
         }
@@ -221,7 +217,7 @@ proptest! {
         );
         let mut rig = Rig::with(&settings(&limits));
         rig.run_clean(&text);
-        prop_assert_eq!(rig.place, steps(mm(to), &limits), "{}", text);
+        prop_assert_eq!(rig.place, limits.place(mm(to)), "{}", text);
 
         let circle = Circle {
             axes,

@@ -7,8 +7,8 @@ use oxmill_on_target as _;
 
 #[defmt_test::tests]
 mod suite {
-    use oxmill_controller::machine::filter::Filter;
     use oxmill_controller::Stepper;
+    use oxmill_controller::machine::filter::Filter;
     use oxmill_controller::messages::{LINES_DEPTH, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
     use rtic_sync::channel::Channel;
 
