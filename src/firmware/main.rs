@@ -19,7 +19,6 @@ mod boards;
 mod clock;
 mod control;
 mod crossing;
-mod filter;
 mod inputs;
 mod outputs;
 mod panic;
