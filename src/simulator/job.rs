@@ -189,7 +189,7 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
             break;
         }
         round += 1;
-        if round % ROUNDS == 0
+        if round.is_multiple_of(ROUNDS)
             && let Some(job) = simulator.job()
         {
             progress.set_position(job.consumed());

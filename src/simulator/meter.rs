@@ -33,6 +33,9 @@ pub struct Measured {
     pub axis_acceleration: [f64; AXES],
 }
 
+/// Unsigned steps of each axis, and the axes that go to negative.
+type BlockSteps = ([u32; AXES], u8);
+
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
     start: [f64; AXES],
@@ -58,8 +61,8 @@ pub struct Meter {
     fresh: bool,
     hz: f64,
     steps_per_mm: [f64; AXES],
-    next_block: Option<([u32; AXES], u8)>,
-    upcoming: VecDeque<(Segment, Option<([u32; AXES], u8)>)>,
+    next_block: Option<BlockSteps>,
+    upcoming: VecDeque<(Segment, Option<BlockSteps>)>,
     block: Block,
     units_done: f64,
     waited: f64,

@@ -106,10 +106,7 @@ impl Device {
             let full = self.simulator.unread() >= UNREAD;
             let happened = match self.speed {
                 _ if full || self.ended => self.wait_without_link(active),
-                Speed::Max if active => match receiver.try_recv() {
-                    Ok(happened) => Some(happened),
-                    Err(_) => None,
-                },
+                Speed::Max if active => receiver.try_recv().ok(),
                 _ => match receiver.recv_timeout(if active || self.kept.is_some() { BUSY } else { QUIET }) {
                     Ok(happened) => Some(happened),
                     Err(RecvTimeoutError::Timeout) => None,

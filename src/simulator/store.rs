@@ -92,7 +92,7 @@ fn parse(text: &str) -> Result<BTreeMap<u16, Vec<u8>>> {
 
 fn bytes(hex: &str) -> Option<Vec<u8>> {
     let limit = Record { key: 0, value: heapless::Vec::new() }.value.capacity();
-    if !hex.is_ascii() || hex.len() % 2 != 0 || hex.len() / 2 > limit {
+    if !hex.is_ascii() || !hex.len().is_multiple_of(2) || hex.len() / 2 > limit {
         return None;
     }
     (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(hex.get(i..i + 2)?, 16).ok()).collect()

@@ -229,7 +229,7 @@ pub fn open(path: &std::path::Path) -> io::Result<(Box<dyn BufRead>, Option<u64>
     if about.is_dir() {
         return Err(io::Error::other("it is a folder"));
     }
-    let length = about.is_file().then(|| about.len());
+    let length = about.is_file().then_some(about.len());
     let mut reader = io::BufReader::with_capacity(1 << 16, file);
     // A file that cannot be read at all is found out before the machine starts.
     reader.fill_buf()?;
@@ -255,7 +255,7 @@ mod tests {
     fn text_is_text_and_tape_marks_are_left_out() {
         let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n% end\n";
         let mut job = JobText::new(text.as_bytes());
-        assert_eq!(drain(&mut job), "G0 X1 (?????? ! ~)\n G?\n");
+        assert_eq!(drain(&mut job), "G0 X1 (????? ! ~)\n G?\n");
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
     }
 

@@ -233,7 +233,9 @@ fn controller_knows_no_firmware_simulator_or_board() {
     report(&root().join("src/controller"), |_, text| {
         source::paths(&source::bare(text))
             .into_iter()
-            .filter(|p| p[0].starts_with("oxmill") || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str()))
+            .filter(|p| {
+                p[0].starts_with("oxmill") || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str())
+            })
             .map(|p| format!("uses `{}`", p.join("::")))
             .collect()
     });

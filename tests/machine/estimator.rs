@@ -374,9 +374,7 @@ mod tests {
             let entry = down(1.0) - corner / a;
             let mut t = trace(&first, &limits, 0.0, |s| down(s * 20.0 / (20.0 + down_length)));
             let second_start = entry - corner / a;
-            t.extend(trace(&second, &limits, second_start, |s| {
-                down((s * 20.0 + down_length) / (20.0 + down_length))
-            }));
+            t.extend(trace(&second, &limits, second_start, |s| down((s * 20.0 + down_length) / (20.0 + down_length))));
             check(&t, HZ, &[first, second], &limits)
         };
         let allowed = limits.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);

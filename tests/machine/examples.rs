@@ -6,7 +6,7 @@ use super::rig::Rig;
 use super::seed::CENTRES;
 use std::path::PathBuf;
 
-#[path = "../../xtask/src/jobs/mod.rs"]
+#[path = "../../xtask/src/programs/mod.rs"]
 mod jobs;
 
 const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;
@@ -34,9 +34,8 @@ pub fn places(trace: &[Pulse], from: [f64; AXES], steps_per_mm: [f64; AXES]) -> 
 
 /// Least and greatest coordinate of each axis.
 fn extents(places: &[[f64; AXES]]) -> [[f64; AXES]; 2] {
-    let fold = |start: f64, pick: fn(f64, f64) -> f64| {
-        std::array::from_fn(|a| places.iter().map(|p| p[a]).fold(start, pick))
-    };
+    let fold =
+        |start: f64, pick: fn(f64, f64) -> f64| std::array::from_fn(|a| places.iter().map(|p| p[a]).fold(start, pick));
     [fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max)]
 }
 

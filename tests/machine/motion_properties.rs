@@ -111,7 +111,12 @@ fn mm(place: Microns) -> [f64; AXES] {
 
 impl Job {
     fn new() -> Job {
-        Job { text: format!("G21 G90 G94 G17\nF{DEFAULT_FEED}\n"), at: [0; AXES], feed: DEFAULT_FEED, lines: Vec::new() }
+        Job {
+            text: format!("G21 G90 G94 G17\nF{DEFAULT_FEED}\n"),
+            at: [0; AXES],
+            feed: DEFAULT_FEED,
+            lines: Vec::new(),
+        }
     }
 
     fn to(&mut self, place: Microns, rapid: bool) {

@@ -44,10 +44,7 @@ fn chapter_2_2_3_example_1_g53_within_g91() {
 #[test]
 fn chapter_2_2_3_example_2_dwell_keeps_g0() {
     let mut rig = Rig::with(CARVER);
-    walk(
-        &mut rig,
-        &[("N1 G90", None), ("N2 G54", None), ("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0]))],
-    );
+    walk(&mut rig, &[("N1 G90", None), ("N2 G54", None), ("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0]))]);
     let before = rig.seconds();
     walk(&mut rig, &[("N20 G4 P2", Some([30.0, 40.0, 0.0]))]);
     let waited = rig.seconds() - before;
@@ -60,10 +57,7 @@ fn chapter_2_2_3_example_2_dwell_keeps_g0() {
 #[test]
 fn chapter_2_2_3_example_3_g10_l20_then_incremental() {
     let mut rig = Rig::with(CARVER);
-    walk(
-        &mut rig,
-        &[("N1 G54 G91", None), ("N2 G10 L20 P1 X-10 Y-8", Some([0.0, 0.0, 0.0]))],
-    );
+    walk(&mut rig, &[("N1 G54 G91", None), ("N2 G10 L20 P1 X-10 Y-8", Some([0.0, 0.0, 0.0]))]);
     assert_near(work(&mut rig), [-10.0, -8.0, 0.0], 0.0);
     walk(&mut rig, &[("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0])), ("N20 G4 P2", None)]);
     assert_near(work(&mut rig), [20.0, 32.0, 0.0], 0.0);
@@ -123,10 +117,7 @@ fn chapter_2_2_5_the_house() {
 #[test]
 fn chapter_2_7_work_is_machine_less_system_less_g92() {
     let mut rig = Rig::with(CARVER);
-    walk(
-        &mut rig,
-        &[("G10 L2 P1 X-100 Y-70", None), ("G53 G0 X-90 Y-60", Some([-90.0, -60.0, 0.0]))],
-    );
+    walk(&mut rig, &[("G10 L2 P1 X-100 Y-70", None), ("G53 G0 X-90 Y-60", Some([-90.0, -60.0, 0.0]))]);
     assert_near(work(&mut rig), [10.0, 10.0, 0.0], 0.0);
     // An offset of (5, 5) on top: the place that reads (10, 10) is to read (5, 5).
     rig.carry_out("G92 X5 Y5");
@@ -248,10 +239,9 @@ fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
 #[test]
 fn chapters_6_and_7_the_steps_of_the_minor_axis() {
     // Y is due when X has come (m - 1/2) × X / Y; exactly there it waits for the next place.
-    for (line, ticks, sixteenths) in [
-        ("G1 X10 Y3 F600", [2, 6, 9], [27, 81, 134]),
-        ("G1 X9 Y3 F600", [2, 5, 8], [25, 73, 121]),
-    ] {
+    for (line, ticks, sixteenths) in
+        [("G1 X10 Y3 F600", [2, 6, 9], [27, 81, 134]), ("G1 X9 Y3 F600", [2, 5, 8], [25, 73, 121])]
+    {
         let mut rig = Rig::with("$100=1\n$101=1\n$102=1\n$110=6000\n$111=6000\n$120=1000000\n$121=1000000\n");
         rig.carry_out(line);
         let times = |bit: u8| -> Vec<f64> {

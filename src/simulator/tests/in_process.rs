@@ -1,0 +1,102 @@
+//! The simulator as tests use it: everything in virtual time, and the same every time.
+
+use oxmill_controller::messages::Realtime;
+use oxmill_simulator::{JobText, Options, Simulator, Store};
+use std::time::Duration;
+
+fn mill() -> Simulator {
+    let mut mill = Simulator::new(Options { keep_steps: true, ..Options::default() });
+    assert_eq!(mill.take_output(), "\r\nGrbl 1.1h ['$' for help]\r\n");
+    mill
+}
+
+#[test]
+fn a_move_is_answered_and_made() {
+    let mut mill = mill();
+    mill.send("G21 G91 G1 X1 Y-2 F100\n");
+    assert_eq!(mill.take_output(), "ok\r\n");
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.machine_position(), [1.0, -2.0, 0.0]);
+    assert_eq!(mill.machine().position(), [250, -500, 0]);
+    assert_eq!(mill.trace().kept().len(), 500);
+    assert_eq!(mill.trace().events(), 500);
+}
+
+#[test]
+fn the_same_bytes_at_the_same_times_give_the_same_steps() {
+    let run = || {
+        let mut mill = mill();
+        mill.send("G21 G91\nG1 X5 F400\nG2 X2 Y2 I2 J0\n");
+        mill.run_for(Duration::from_millis(700));
+        mill.send("!");
+        mill.run_for(Duration::from_millis(900));
+        mill.send("~?");
+        mill.run_until_idle();
+        (*mill.trace().digest(), mill.busy_ticks(), mill.take_output())
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_hold_stops_and_a_start_goes_on() {
+    let mut mill = mill();
+    mill.send("G21 G91 G1 X5 F400\n");
+    mill.run_for(Duration::from_millis(800));
+    mill.send("!");
+    assert!(!mill.run_until_idle(), "it waits for the host");
+    assert!(mill.controller().is_paused());
+    let there = mill.machine().position();
+    mill.run_for(Duration::from_secs(60));
+    assert_eq!(mill.machine().position(), there);
+    mill.press(Realtime::CycleStart);
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.machine_position(), [5.0, 0.0, 0.0]);
+}
+
+#[test]
+fn a_reset_in_motion_stops_the_pulses_at_once() {
+    let mut mill = mill();
+    mill.send("G21 G91 G1 X5 F400\n");
+    mill.run_for(Duration::from_millis(800));
+    let before = mill.trace().events();
+    mill.send([0x18]);
+    mill.run_for(Duration::from_secs(1));
+    assert_eq!(mill.trace().events(), before);
+    assert!(mill.take_output().contains("ALARM:3"));
+}
+
+#[test]
+fn pins_are_moved_by_lines() {
+    let mut mill = mill();
+    assert_eq!(mill.pin_line("limit x 1"), "ok");
+    mill.send("?");
+    assert!(mill.take_output().contains("Pn:X"));
+    assert!(mill.pin_line("lamp 1").starts_with("error: "));
+}
+
+#[test]
+fn settings_outlive_a_power_cycle() {
+    let mut first = mill();
+    first.send("$100=123.5\n");
+    first.run_until_idle();
+    assert_eq!(first.take_output(), "ok\r\n");
+    let store: Store = first.store().clone();
+    let mut second = Simulator::new(Options { store, ..Options::default() });
+    second.run_until_idle();
+    second.send("$$\n");
+    second.run_until_idle();
+    assert!(second.take_output().contains("$100=123.500\r\n"));
+}
+
+#[test]
+fn a_job_is_never_starved() {
+    let mut mill = mill();
+    let text: String = std::iter::once("G21 G91\n".to_owned())
+        .chain((0..2000).map(|i| format!("G1 X0.1 Y{} F400\n", if i % 2 == 0 { 0.05 } else { -0.05 })))
+        .collect();
+    mill.load_job(JobText::new(std::io::Cursor::new(text.into_bytes())));
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.job().unwrap().answers(), 2001);
+    assert_eq!(mill.machine_position()[0], 200.0);
+    assert_eq!(mill.controller().alarm(), None);
+}
