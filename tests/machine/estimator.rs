@@ -12,6 +12,8 @@
 //!   Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping excess is missed.
 //! - A change from one acceleration to the next waits for a whole step of the dominant axis and is then caught up with:
 //!   between two intervals an acceleration may seem to have acted for one step longer than their distance.
+//! - The ends of a move are rounded to steps, so that its length may be taken for half a step more or less than
+//!   programmed, and its speeds with it.
 //! - Below one step per millisecond, where an interval says little, the machine may be one step ahead of what the limits
 //!   allow: from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
 //! - At a corner the path speed is bounded by the junction rule: the machine may cut the corner on a circle that passes
@@ -61,6 +63,8 @@ struct Move {
     acceleration: f64,
     /// mm of path for each step of the dominant axis.
     pitch: f64,
+    /// Share of the length that rounding its ends to steps may make.
+    slack: f64,
     /// Ticks of the dominant steps.
     times: Vec<u64>,
 }
@@ -144,6 +148,7 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
             speed: line.feed.unwrap_or(rate).min(rate),
             acceleration: limits.along(limits.acceleration, unit),
             pitch: (length + carried) / count as f64,
+            slack: 0.5 / count as f64,
             times: follow_line(&mut rest, from, to)?,
         });
         carried = 0.0;
@@ -194,7 +199,7 @@ fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
 fn check_move(m: &Move, hz: f64) -> Result<(), String> {
     let readings = readings(m, hz);
     for reading in readings.iter().flatten() {
-        if reading.speed > m.speed * (1.0 + TOLERANCE) + reading.rounding {
+        if reading.speed > m.speed * (1.0 + TOLERANCE + m.slack) + reading.rounding {
             return Err(format!("{} mm/s where {} are allowed, at {} s", reading.speed, m.speed, reading.at));
         }
     }
@@ -202,7 +207,7 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
     if let [first, .., last] = m.times[..] {
         let seconds = (last - first) as f64 / hz;
         let steps = (m.times.len() - 1) as f64;
-        if (steps - SHIFT) * m.pitch > m.speed * (1.0 + TOLERANCE) * seconds {
+        if (steps - SHIFT) * m.pitch > m.speed * (1.0 + TOLERANCE + m.slack) * seconds {
             return Err(format!("{steps} steps of {} mm in {seconds} s: faster than {} mm/s", m.pitch, m.speed));
         }
     }
@@ -210,7 +215,8 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
     while distance < readings.len() {
         for i in 0..readings.len() - distance {
             if let (Some(a), Some(b)) = (readings[i], readings[i + distance]) {
-                let allowed = m.acceleration * (1.0 + TOLERANCE) * a.apart(&b) + a.rounding + b.rounding;
+                let most = m.acceleration * (1.0 + TOLERANCE + m.slack);
+                let allowed = most * a.apart(&b) + a.rounding + b.rounding;
                 if (b.speed - a.speed).abs() > allowed {
                     return Err(format!(
                         "from {} to {} mm/s in {} s, at {} s: {} mm/s² are allowed",
@@ -234,17 +240,18 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
         return Ok(());
     };
     let time = a.apart(&b);
-    let acceleration = before.acceleration.max(after.acceleration) * (1.0 + TOLERANCE);
+    let slack = before.slack + after.slack;
+    let acceleration = before.acceleration.max(after.acceleration) * (1.0 + TOLERANCE + slack);
     let noise = DIGIT / before.length.min(after.length);
     let straight = (0..AXES).all(|i| (after.unit[i] - before.unit[i]).abs() <= noise.max(1e-4));
     if straight {
-        let allowed = acceleration * time + a.rounding + b.rounding + noise * a.speed.max(b.speed);
+        let allowed = acceleration * time + a.rounding + b.rounding + (noise + slack) * a.speed.max(b.speed);
         if (b.speed - a.speed).abs() > allowed {
             return Err(format!("straight on, but from {} to {} mm/s in {time} s", a.speed, b.speed));
         }
         return Ok(());
     }
-    let junction = limits.junction(before.unit, after.unit) * (1.0 + TOLERANCE);
+    let junction = limits.junction(before.unit, after.unit) * (1.0 + TOLERANCE + slack);
     for reading in [a, b] {
         if reading.speed > junction + acceleration * time + reading.rounding {
             return Err(format!("{} mm/s, {time} s round a corner for {junction} mm/s", reading.speed));

@@ -8,3 +8,4 @@ mod motion_properties;
 mod oracle;
 mod rig;
 mod seed;
+mod stream;

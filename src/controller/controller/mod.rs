@@ -46,6 +46,8 @@ const REPLY_BYTES: usize = 1024;
 const REPLY_RESERVE: usize = 2 * PIECE;
 /// How often the controller wants to be called while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
+/// The same when the queue is full of very short pieces or runs out at the end of a motion.
+const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -256,6 +258,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
 <<<<<<< HEAD
+<<<<<<< HEAD
         let moving =
             (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest()).then(|| self.now + MOVING_WAKEUP);
 =======
@@ -263,11 +266,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let moving = !self.motion.is_at_rest() || self.running && !self.mode.is_suspended();
         let moving = moving.then(|| self.now + MOVING_WAKEUP);
 >>>>>>> simulator
+=======
+        let moving = (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest())
+            .then(|| self.now + self.refill_delay());
+>>>>>>> proofs
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
         [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+    }
+
+    /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
+    /// fill it with a millisecond or two of motion: half of that must not be slept through.
+    fn refill_delay(&self) -> Duration {
+        let queued = match (self.detour.queued_us(), self.motion.queued_us()) {
+            (0, 0) => return MOVING_WAKEUP,
+            (0, queued) | (queued, 0) => queued,
+            (one, other) => one.min(other),
+        };
+        Duration::from_ticks(u64::from(queued / 2)).clamp(LEAST_WAKEUP, MOVING_WAKEUP)
     }
 
     /// Whether nothing is queued, moving, waited for or unanswered.

@@ -543,6 +543,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.is_at_rest() && self.planner.len() == 0 && self.long.is_none()
     }
 
+    /// Time of what has been handed over and not begun, in microseconds.
+    pub fn queued_us(&self) -> u32 {
+        self.flight.queued() / (self.step_clock_hz / 1_000_000).max(1)
+    }
+
     /// Machine position in steps at the end of the segment begun last.
     pub fn machine_steps(&self) -> PerAxis<i32, N> {
         self.flight.current().position
