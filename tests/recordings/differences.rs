@@ -18,14 +18,18 @@ const fn at_its_time(group: &'static str, n: u64, why: &'static str) -> Differen
     Difference { group, n, answers: None, why }
 }
 
-const CHECKED: &str = "whole-number settings and line numbers of $N are checked; Grbl cuts them to 8 bits or writes beyond its area";
-const HELD: &str = "the recording host's way out of a hold: the line is `!`, which holds here until the next `~` or reset";
+const CHECKED: &str =
+    "whole-number settings and line numbers of $N are checked; Grbl cuts them to 8 bits or writes beyond its area";
+const HELD: &str =
+    "the recording host's way out of a hold: the line is `!`, which holds here until the next `~` or reset";
 const REACH: &str = "targets beyond 50 m are refused, so that all arithmetic stays exact";
 const EXACT: &str = "coordinates are integers of 0.1 nm; Grbl's single precision prints an artefact";
 const ALWAYS: &str = "`?` is answered always; Grbl is deaf in a critical alarm and while homing";
 const AT_ONCE: &str = "Grbl waits half a second after `ALARM`, and the recording host had stopped listening";
-const UNSTUCK: &str = "a build without single-axis homing gets stuck in Home at `$HX` until a reset; here it is refused and that is all";
-const BY_HAND: &str = "when the hand moved the probe pin within the recording is not known: here it moved before the end of travel";
+const UNSTUCK: &str =
+    "a build without single-axis homing gets stuck in Home at `$HX` until a reset; here it is refused and that is all";
+const BY_HAND: &str =
+    "when the hand moved the probe pin within the recording is not known: here it moved before the end of travel";
 const TRUE_PLACE: &str = "Grbl counts from zero while homing; here the position stays true when homing is broken off";
 const STOPPED: &str = "the machine was stopped by the hand, at a moment that is the recording host's";
 
