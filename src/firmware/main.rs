@@ -29,6 +29,8 @@ mod step_timer;
 use defmt_rtt as _;
 
 /// The app. RTIC takes vectors as literals and cannot choose one by `cfg`, so each board instantiates it with its own.
+// Without `skip` rustfmt indents the list of channels further at each run.
+#[rustfmt::skip]
 macro_rules! firmware {
     (device: $pac:path, serial: $serial:ident, step: $step:ident, dispatcher: $dispatcher:ident) => {
         /// Calls the step task.
@@ -67,18 +69,18 @@ macro_rules! firmware {
             }
 
             #[init(local = [
-                                                realtime: Channel<Realtime, REALTIME_DEPTH> = Channel::new(),
-                                                lines: Channel<LineByte, LINES_DEPTH> = Channel::new(),
-                                                replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
-                                                segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
-                                                events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
-                                                signals: Channel<Signals, SIGNALS_DEPTH> = Channel::new(),
-                                                // Changed settings; two of them always fit, as the receivers take them within a millisecond.
-                                                step_wiring: Channel<Wiring, 2> = Channel::new(),
-                                                input_wiring: Channel<Wiring, 2> = Channel::new(),
-                                                wake: Signal<()> = Signal::new(),
-                                                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
-                                            ])]
+                realtime: Channel<Realtime, REALTIME_DEPTH> = Channel::new(),
+                lines: Channel<LineByte, LINES_DEPTH> = Channel::new(),
+                replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
+                segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
+                events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
+                signals: Channel<Signals, SIGNALS_DEPTH> = Channel::new(),
+                // Changed settings; two of them always fit, as the receivers take them within a millisecond.
+                step_wiring: Channel<Wiring, 2> = Channel::new(),
+                input_wiring: Channel<Wiring, 2> = Channel::new(),
+                wake: Signal<()> = Signal::new(),
+                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
+            ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let local = cx.local;
                 let channels = Channels {

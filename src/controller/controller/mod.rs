@@ -257,8 +257,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        let moving = (self.running || !self.motion.is_at_rest() || !self.detour.is_at_rest())
-            .then(|| self.now + self.refill_delay());
+        // What a completed hold or a parked door has interrupted goes on with an event, not by itself.
+        let moving =
+            !self.motion.is_at_rest() || !self.detour.is_at_rest() || self.running && !self.mode.is_suspended();
+        let moving = moving.then(|| self.now + self.refill_delay());
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,

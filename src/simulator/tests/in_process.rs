@@ -18,8 +18,9 @@ fn a_move_is_answered_and_made() {
     assert!(mill.run_until_idle());
     assert_eq!(mill.machine_position(), [1.0, -2.0, 0.0]);
     assert_eq!(mill.machine().position(), [250, -500, 0]);
-    assert_eq!(mill.trace().kept().len(), 500);
-    assert_eq!(mill.trace().events(), 500);
+    assert_eq!(mill.machine().pulses(), [250, 500, 0]);
+    assert_eq!(mill.trace().kept().len() as u64, mill.trace().events());
+    assert_eq!(mill.trace().kept().last().unwrap().position, [250, -500, 0]);
 }
 
 #[test]
