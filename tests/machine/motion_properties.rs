@@ -291,8 +291,8 @@ proptest! {
         rig.run_clean(&text);
         let end: [f64; AXES] = step.map(|v| (v * count) as f64 / 10_000.0);
         let half = 1e-9;
-        for axis in 0..AXES {
-            let steps = end[axis] * limits.steps_per_mm[axis];
+        for (axis, end) in end.iter().enumerate() {
+            let steps = end * limits.steps_per_mm[axis];
             prop_assert!((rig.place[axis] as f64 - steps).abs() <= 0.5 + half, "{:?}", rig.place);
         }
         assert_near(rig.place.map(|v| v as f64), rig.place_from_report(limits.steps_per_mm), 0.21);

@@ -143,7 +143,8 @@ impl Circle {
     /// Angle of the whole arc; a full turn when start and end are one.
     pub fn angle(&self) -> f64 {
         let angle = self.progress(self.to);
-        if angle < 1e-6 || angle > std::f64::consts::TAU - 1e-6 { std::f64::consts::TAU } else { angle }
+        let turn = std::f64::consts::TAU;
+        if (1e-6..=turn - 1e-6).contains(&angle) { angle } else { turn }
     }
 
     /// Compares the places of a trace (mm) with the arc.
