@@ -183,9 +183,10 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
             continue;
         }
         if !simulator.advance_once(u64::MAX) {
-            let waits =
-                if outcome.alarm.is_some() { "" } else { "the controller waits for something that will not come" };
-            outcome.notes.extend((!waits.is_empty()).then(|| waits.to_owned()));
+            if outcome.alarm.is_none() {
+                let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
+                outcome.notes.push(format!("line {line} waits for something that will not come"));
+            }
             break;
         }
         round += 1;

@@ -60,8 +60,8 @@ pub struct Simulator {
     splitter: Splitter,
     store: Store,
 
-    /// Sent by the host, not yet seen by the receive interrupt (whose line queue is full).
-    wire: VecDeque<u8>,
+    /// Received and not yet taken. Longer than the board's queue when the host sends more than that: the rest is on its
+    /// way, as in a port with flow control, only that realtime commands overtake it.
     lines: VecDeque<LineByte>,
     realtime: VecDeque<Realtime>,
     step_events: VecDeque<StepEvent<AXES>>,
@@ -125,7 +125,6 @@ impl Simulator {
             stepper: Box::new(Stepper::new()),
             splitter: Splitter::new(),
             store,
-            wire: VecDeque::new(),
             lines: VecDeque::new(),
             realtime: VecDeque::new(),
             step_events: VecDeque::new(),
@@ -159,10 +158,16 @@ impl Simulator {
 
     // The outside world
 
-    /// Bytes from the host, at the present virtual time. Realtime commands act now, unless line bytes before them still
-    /// wait for room in the line queue.
+    /// Bytes from the host, at the present virtual time. Realtime commands act now, whatever stands before them; line
+    /// bytes are taken when the controller wants them.
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
-        self.wire.extend(bytes.as_ref());
+        for byte in bytes.as_ref() {
+            match self.splitter.push(*byte) {
+                Received::Realtime(command) => self.take_realtime(command),
+                Received::Line(byte) => self.lines.push_back(byte),
+                Received::Nothing => {}
+            }
+        }
         self.turn();
     }
 
@@ -212,7 +217,7 @@ impl Simulator {
 
     /// Bytes sent and not yet taken by the controller.
     pub fn unread(&self) -> usize {
-        self.wire.len() + self.lines.len()
+        self.lines.len()
     }
 
     /// Bytes of answers not yet fetched with [`Simulator::take_output`].
@@ -431,7 +436,6 @@ impl Simulator {
     /// One turn of the control task at the present time: see the head of this file.
     fn turn(&mut self) {
         loop {
-            self.receive();
             let now = self.clock.instant();
             let rx_free = self.free_line_bytes();
             self.controller.observe(Observed {
@@ -535,18 +539,6 @@ impl Simulator {
 
     // The receive interrupt
 
-    fn receive(&mut self) {
-        while self.lines.len() < self.board.received_bytes
-            && let Some(byte) = self.wire.pop_front()
-        {
-            match self.splitter.push(byte) {
-                Received::Realtime(command) => self.take_realtime(command),
-                Received::Line(byte) => self.lines.push_back(byte),
-                Received::Nothing => {}
-            }
-        }
-    }
-
     fn take_realtime(&mut self, command: Realtime) {
         if command == Realtime::Reset {
             self.stop();
@@ -558,9 +550,7 @@ impl Simulator {
         if let Some(job) = &mut self.job {
             return job.next_byte().map(|byte| LineByte { byte, epoch: 0 });
         }
-        let byte = self.lines.pop_front();
-        self.receive();
-        byte
+        self.lines.pop_front()
     }
 
     fn free_line_bytes(&mut self) -> u16 {

@@ -9,12 +9,17 @@ use crate::pump::Simulator;
 use anyhow::{Context, Result, anyhow};
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes that the loop takes ahead of the controller. What is beyond waits in the link, as with flow control.
-const UNREAD: usize = 256;
+/// Bytes that are taken ahead of the controller. What is beyond waits in the link, as with flow control, and realtime
+/// commands in it wait too: so this is generous, for senders that pour in a whole file and then want to hold it.
+const UNREAD: usize = 1 << 24;
+/// Bytes that are read at a time.
+const PIECE: usize = 1024;
 /// Pieces of answers that may wait for a slow client.
 const ANSWERS: usize = 64;
 /// How often the loop looks at the clock while the machine is busy.
@@ -50,20 +55,21 @@ pub fn serve(options: &Serve) -> Result<()> {
         thread::spawn(move || serve_pins(&listener, &sender));
     }
     let device = Device::new(simulator, options.speed, options.reset_on_connect);
+    let unread = device.unread.clone();
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
         println!("tcp {}", listener.local_addr()?);
         io::stdout().flush()?;
-        thread::spawn(move || serve_tcp(&listener, &sender));
+        thread::spawn(move || serve_tcp(&listener, &sender, &unread));
     } else if options.link.stdio {
         let (client, written) = writer(io::stdout());
-        thread::spawn(move || serve_stdio(client, &sender));
+        thread::spawn(move || serve_stdio(client, &sender, &unread));
         device.run(&receiver);
         // The device is gone, and so is who could give the writer more: what it still has goes out.
         return written.join().map_err(|_| anyhow!("the answers could not be written"));
     } else {
         #[cfg(unix)]
-        pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender)?;
+        pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender, unread)?;
     }
     device.run(&receiver);
     Ok(())
@@ -86,12 +92,28 @@ struct Device {
     /// The client has said all it will; it may still read.
     leaving: bool,
     ended: bool,
+    /// How many bytes wait for the controller, for those who read the link.
+    unread: Gauge,
 }
+
+/// Bytes that wait for the controller.
+type Gauge = Arc<AtomicUsize>;
 
 impl Device {
     fn new(simulator: Simulator, speed: Speed, reset_on_connect: bool) -> Self {
         let anchor = (Instant::now(), simulator.clock().now());
-        Self { simulator, speed, reset_on_connect, anchor, client: None, kept: None, ended: false, leaving: false }
+        let unread = Gauge::default();
+        Self {
+            simulator,
+            speed,
+            reset_on_connect,
+            anchor,
+            client: None,
+            kept: None,
+            ended: false,
+            leaving: false,
+            unread,
+        }
     }
 
     fn run(mut self, receiver: &Receiver<Happened>) {
@@ -103,13 +125,16 @@ impl Device {
                 // The writer ends when the last answer has been written and its sender is gone.
                 return;
             }
-            let full = self.simulator.unread() >= UNREAD;
+            self.unread.store(self.simulator.unread(), Ordering::Relaxed);
             let happened = match self.speed {
-                _ if full || self.ended => self.wait_without_link(active),
                 Speed::Max if active => receiver.try_recv().ok(),
                 _ => match receiver.recv_timeout(if active || self.kept.is_some() { BUSY } else { QUIET }) {
                     Ok(happened) => Some(happened),
                     Err(RecvTimeoutError::Timeout) => None,
+                    Err(RecvTimeoutError::Disconnected) if self.ended => {
+                        thread::sleep(BUSY);
+                        None
+                    }
                     Err(RecvTimeoutError::Disconnected) => return,
                 },
             };
@@ -128,13 +153,6 @@ impl Device {
                 }
             }
         }
-    }
-
-    fn wait_without_link(&self, active: bool) -> Option<Happened> {
-        if self.speed != Speed::Max || !active {
-            thread::sleep(BUSY);
-        }
-        None
     }
 
     fn connected(&mut self, client: SyncSender<Vec<u8>>) {
@@ -201,10 +219,17 @@ impl Device {
     }
 }
 
+fn wait_for_room(unread: &Gauge) {
+    while unread.load(Ordering::Relaxed) >= UNREAD {
+        thread::sleep(BUSY);
+    }
+}
+
 /// Reads until the other side is done or gone. `false` if the loop has ended.
-fn pass_bytes(reader: &mut impl Read, sender: &SyncSender<Happened>) -> bool {
-    let mut buffer = [0; UNREAD];
+fn pass_bytes(reader: &mut impl Read, sender: &SyncSender<Happened>, unread: &Gauge) -> bool {
+    let mut buffer = [0; PIECE];
     loop {
+        wait_for_room(unread);
         match reader.read(&mut buffer) {
             Ok(0) => return true,
             Ok(length) => {
@@ -231,14 +256,14 @@ fn writer(mut link: impl Write + Send + 'static) -> (SyncSender<Vec<u8>>, thread
     (sender, handle)
 }
 
-fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
+fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>, unread: &Gauge) {
     for stream in listener.incoming() {
         let Ok(mut stream) = stream else { continue };
         // Answers are short and each is waited for.
         let _ = stream.set_nodelay(true);
         let Ok(back) = stream.try_clone() else { continue };
         let (client, _) = writer(back);
-        if sender.send(Happened::Connected(client)).is_err() || !pass_bytes(&mut stream, sender) {
+        if sender.send(Happened::Connected(client)).is_err() || !pass_bytes(&mut stream, sender, unread) {
             return;
         }
         // It may have closed its side only and still wait for answers; the next client does not wait for that.
@@ -248,8 +273,8 @@ fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     }
 }
 
-fn serve_stdio(client: SyncSender<Vec<u8>>, sender: &SyncSender<Happened>) {
-    if sender.send(Happened::Connected(client)).is_ok() && pass_bytes(&mut io::stdin().lock(), sender) {
+fn serve_stdio(client: SyncSender<Vec<u8>>, sender: &SyncSender<Happened>, unread: &Gauge) {
+    if sender.send(Happened::Connected(client)).is_ok() && pass_bytes(&mut io::stdin().lock(), sender, unread) {
         let _ = sender.send(Happened::Ended);
     }
 }
@@ -284,7 +309,7 @@ fn serve_pin_client(stream: &std::net::TcpStream, sender: &SyncSender<Happened>)
 mod pty {
     //! A pseudo terminal that a sender opens like a serial port.
 
-    use super::{Happened, writer};
+    use super::{Gauge, Happened, PIECE, wait_for_room, writer};
     use anyhow::{Context, Result, bail};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
     use nix::pty::openpty;
@@ -300,7 +325,7 @@ mod pty {
     /// How often a port that nobody has open is looked at.
     const CLOSED: Duration = Duration::from_millis(2);
 
-    pub fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<()> {
+    pub fn open(link: Option<&Path>, sender: SyncSender<Happened>, unread: Gauge) -> Result<()> {
         let ends = openpty(None, None).context("cannot make a pseudo terminal")?;
         let path = nix::unistd::ttyname(&ends.slave).context("the pseudo terminal has no name")?;
         let master = File::from(ends.master);
@@ -318,7 +343,7 @@ mod pty {
         }
         println!("pty {}", path.display());
         io::stdout().flush()?;
-        thread::spawn(move || serve(&master, &sender));
+        thread::spawn(move || serve(&master, &sender, &unread));
         Ok(())
     }
 
@@ -329,8 +354,8 @@ mod pty {
         tcsetattr(master, SetArg::TCSANOW, &terminal)
     }
 
-    fn serve(mut master: &File, sender: &SyncSender<Happened>) {
-        let mut buffer = [0; super::UNREAD];
+    fn serve(mut master: &File, sender: &SyncSender<Happened>, unread: &Gauge) {
+        let mut buffer = [0; PIECE];
         let mut open = false;
         loop {
             let mut look = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
@@ -349,6 +374,7 @@ mod pty {
                 }
             }
             if seen.contains(PollFlags::POLLIN) {
+                wait_for_room(unread);
                 if let Ok(length @ 1..) = master.read(&mut buffer)
                     && sender.send(Happened::Bytes(buffer[..length].to_vec())).is_err()
                 {

@@ -177,7 +177,7 @@ impl JobText {
         }
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
-        let shown: String = text.trim().chars().take(120).collect();
+        let shown = text.trim().chars().take(120).map(|c| if c.is_control() { '?' } else { c }).collect();
         self.unanswered.push_back((self.lines, shown));
     }
 
