@@ -7,7 +7,7 @@
 //! | `pac` | the device crate, for RTIC |
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of `profiles.rs`, and the two numbers of it that are types |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the firmware tells the time |
-//! | `CORE_HZ` | clock of SysTick, which samples the inputs |
+//! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
 //! | `BACK_PRESSURE` | whether a byte that is not fetched waits (true) or is overwritten by the next (false) |
 //! | `setup(device) -> Parts` | everything below, set up once; outputs are off |
 //! | `StepTimer` | free-running counter at the step clock with two compare moments: next tick, end of pulse |

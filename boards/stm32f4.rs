@@ -244,6 +244,8 @@ impl StepTimer {
     pub fn new(timer: pac::TIM2, rcc: &mut Rcc) -> Self {
         pac::TIM2::enable(rcc);
         pac::TIM2::reset(rcc);
+        // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
+        assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), super::PROFILE.step_clock_hz);
         timer.arr().write(|w| raw!(w, u32::MAX));
         timer.cr1().write(|w| w.cen().set_bit());
         StepTimer(timer)
@@ -356,6 +358,10 @@ impl<U: Instance> Usart<U> {
             Err(nb::Error::Other(_)) => Incoming::Lost,
         }
     }
+
+    /// For links with back-pressure; here every byte is fetched at once.
+    #[inline]
+    pub fn quiet(&mut self) {}
 
     /// Sends a byte if the data register is free.
     #[inline]

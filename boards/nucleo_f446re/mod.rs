@@ -69,6 +69,8 @@ pub const BLOCKS: usize = profiles::NUCLEO_F446RE.blocks;
 pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 180_000_000;
+/// Samples of the inputs in a second.
+pub const SAMPLE_HZ: u32 = 20_000;
 /// A UART overwrites what is not fetched.
 pub const BACK_PRESSURE: bool = false;
 

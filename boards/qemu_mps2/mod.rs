@@ -38,6 +38,8 @@ pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
 pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 25_000_000;
+/// Samples of the inputs in a second: there are none, only the alarm clock of `control`, and each costs the host time.
+pub const SAMPLE_HZ: u32 = 2_000;
 /// QEMU offers no byte before the last one has been fetched.
 pub const BACK_PRESSURE: bool = true;
 
@@ -236,6 +238,12 @@ impl SerialPort {
     pub fn receive(&mut self) -> Incoming {
         self.0.clear_interrupts(Uart0::RX_INTERRUPT);
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
+    }
+
+    /// A byte may wait unfetched: without this its interrupt would come again for ever. [`SerialPort::receive`] looks at
+    /// the register itself and finds it later.
+    pub fn quiet(&mut self) {
+        self.0.clear_interrupts(Uart0::RX_INTERRUPT);
     }
 
     /// Sends a byte if the data register is free.

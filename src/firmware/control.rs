@@ -104,14 +104,15 @@ impl Control {
         while let Ok(event) = self.ends.events.try_recv() {
             self.controller.event(now, Event::Step(event));
         }
+        let mut made_room = false;
         while let Ok(command) = self.ends.realtime.try_recv() {
+            made_room = true;
             self.controller.event(now, Event::Realtime(command));
         }
         while let Ok(signals) = self.ends.signals.try_recv() {
             self.controller.event(now, Event::Signals(signals));
         }
-        if BYTES_LOST.load(Ordering::Relaxed) {
-            BYTES_LOST.store(false, Ordering::Relaxed);
+        if BYTES_LOST.swap(false, Ordering::Relaxed) {
             self.controller.event(now, Event::Overrun);
         }
         let mut took = false;
@@ -121,7 +122,7 @@ impl Control {
             took = true;
             self.controller.event(now, Event::Line(byte));
         }
-        if took && RX_HELD.load(Ordering::Relaxed) {
+        if (made_room || took) && RX_HELD.load(Ordering::Relaxed) {
             pend_serial();
         }
         self.send_wiring();

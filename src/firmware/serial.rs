@@ -69,6 +69,9 @@ impl Serial {
                 }
             }
         }
+        if self.held.is_some() {
+            self.port.quiet();
+        }
         RX_HELD.store(self.held.is_some(), Ordering::Relaxed);
         news
     }
@@ -92,9 +95,10 @@ impl Serial {
                 self.held = Some(received);
             } else {
                 BYTES_LOST.store(true, Ordering::Relaxed);
+                return true;
             }
         }
-        true
+        queued
     }
 
     /// Sends as much as the port takes. Whether room has come about in the queue of answers.

@@ -9,7 +9,6 @@ use crate::serial::Serial;
 use crate::step_timer::Step;
 use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
-use oxmill_controller::machine::filter::SAMPLE_HZ;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
     Signals, StepEvent, ToStep, Wiring,
@@ -67,7 +66,7 @@ pub fn start(
         control: Control::new(controller, ends, Outputs::new(parts.slow_pins)),
     };
     sampling.set_clock_source(SystClkSource::Core);
-    sampling.set_reload(boards::CORE_HZ / SAMPLE_HZ - 1);
+    sampling.set_reload(boards::CORE_HZ / boards::SAMPLE_HZ - 1);
     sampling.clear_current();
     sampling.enable_counter();
     sampling.enable_interrupt();

@@ -46,6 +46,7 @@ pub struct Step {
     pulse: bool,
     directions: u8,
     directions_shown: u8,
+    segment_power: u16,
     power_shown: u16,
     pulse_ticks: u32,
     setup_ticks: u32,
@@ -78,6 +79,7 @@ impl Step {
             pulse: false,
             directions: 0,
             directions_shown: 0,
+            segment_power: 0,
             power_shown: 0,
             pulse_ticks: 10 * TICKS_PER_US,
             setup_ticks: LOW_TICKS,
@@ -104,6 +106,11 @@ impl Step {
         if !self.running {
             self.rest();
         }
+        let power = Power::wanted();
+        let level = if power.from_segments && self.running { self.segment_power } else { power.level };
+        if level != self.power_shown {
+            self.show_power(level);
+        }
         SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         STEP_AT_REST.store(!self.running, Ordering::Relaxed);
         STEP_WANTS.store(self.stepper.wants(), Ordering::Relaxed);
@@ -121,9 +128,7 @@ impl Step {
             self.timer.pulse_end_at(self.timer.now().wrapping_add(self.pulse_ticks));
         }
         self.directions = tick.directions;
-        if tick.power != self.power_shown && Power::wanted().from_segments {
-            self.show_power(tick.power);
-        }
+        self.segment_power = tick.power;
         if self.stepper.is_watching()
             && let Some(event) = self.stepper.probe(self.pins.probe_low() != self.probe_invert)
         {
@@ -194,13 +199,10 @@ impl Step {
         while let Ok(wiring) = self.wiring.try_recv() {
             self.pins.set_polarity(wiring.step_invert, wiring.direction_invert);
             self.pins.direct(self.directions);
+            self.directions_shown = self.directions;
             self.probe_invert = wiring.probe_invert;
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
-        }
-        let power = Power::wanted().level;
-        if power != self.power_shown {
-            self.show_power(power);
         }
         if !self.stepper.is_idle() {
             self.running = true;

@@ -4,6 +4,7 @@
 
 mod image;
 mod jobs;
+mod live;
 mod programs;
 mod qemu;
 mod suites;
@@ -41,8 +42,8 @@ fn main() -> ExitCode {
         ["flash-board", board] => known(board).and_then(flash),
         ["qemu"] => qemu::serve(),
         ["qemu", "--job", file] => jobs::show(Path::new(file)),
-        ["test-target"] => suites::on_qemu().and_then(|()| jobs::compare_all()),
-        ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| jobs::compare_all()),
+        ["test-target"] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
+        ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", board] => known(board).and_then(suites::on_board),
         ["job", name] => generate(name),
         ["count"] => suites::count(),

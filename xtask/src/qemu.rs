@@ -67,12 +67,23 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
     }
 }
 
-/// A running firmware: the board, the host's line, the test stand's line. Time without work is skipped, so the machine
-/// finishes what it has while the host's next bytes are on their way: a link that starves the look-ahead at every turn.
-pub fn streamed(elf: &Path) -> Result<(Qemu, TcpStream, TcpStream), Failure> {
+/// A running firmware with its two lines. Time without work is skipped, so the machine finishes what it has while the
+/// host's next bytes are on their way: a link that starves the look-ahead at every turn.
+pub fn streamed(elf: &Path) -> Result<Running, Failure> {
+    running(machine(elf, true))
+}
+
+/// The same with time as on a wall clock, so that a host can intervene in a motion.
+pub fn live(elf: &Path) -> Result<Running, Failure> {
+    running(machine(elf, false))
+}
+
+/// The board, the host's line, the test stand's line.
+pub type Running = (Qemu, TcpStream, TcpStream);
+
+fn running(mut qemu: Command) -> Result<Running, Failure> {
     require()?;
     let (host, stand) = free_ports()?;
-    let mut qemu = machine(elf, true);
     on_tcp(&mut qemu, host);
     on_tcp(&mut qemu, stand);
     let qemu = Qemu(qemu.spawn().map_err(|error| error.to_string())?);
