@@ -14,11 +14,16 @@ const PRIME: u64 = 0x0000_0100_0000_01B3;
 
 impl Default for Digest {
     fn default() -> Self {
-        Self { time: BASIS, order: BASIS }
+        Self::new()
     }
 }
 
 impl Digest {
+    /// The digest of no step at all.
+    pub const fn new() -> Self {
+        Self { time: BASIS, order: BASIS }
+    }
+
     /// Adds a step event. `ticks` is the time in step-clock ticks for which the step task has been busy since the first
     /// step; `steps` and `directions` have bit 0 for X.
     #[inline]

@@ -84,6 +84,11 @@ pub enum ToStep {
         /// Bit set = axis moves to negative; bit 0 is X.
         directions: u8,
     },
+    /// The block just sent is entered in its midst, at this many units: it was left for a detour.
+    Reenter {
+        /// Units of the block that have been done.
+        units: u32,
+    },
     /// A piece of the current block.
     Segment(Segment),
     /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer
@@ -102,7 +107,10 @@ pub enum ToStep {
 
 /// Some ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its dominant axis
 /// ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` of them.
+///
+/// Packed, because padding to four bytes would make a [`ToStep`] of 20 bytes; the CPU loads unaligned words as fast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C, packed(2))]
 pub struct Segment {
     /// Step-clock ticks before the first tick of the segment, in fixed point with [`INTERVAL_FRACTION_BITS`]; each
     /// further tick follows after `ramp` more.

@@ -162,7 +162,6 @@ mod tests {
         assert_eq!(eight("-.123456789"), Some((-1_234_567, 11)));
     }
 
-
     proptest! {
         #[test]
         fn written_and_read_again(value in -i64::MAX..=i64::MAX) {

@@ -18,6 +18,8 @@ pub enum Kind {
     Real,
     /// Not negative, printed without decimals.
     Speed,
+    /// Any sign, printed with three decimals.
+    Place,
 }
 
 /// One row of the table.
@@ -67,6 +69,12 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true),
     entry(32, "Laser mode", "", Kind::Switch, 0.0, true),
     entry(40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false),
+    entry(41, "Parking", "", Kind::Switch, 0.0, false),
+    entry(42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false),
+    entry(56, "Parking pull-out", "mm", Kind::Real, 5.0, false),
+    entry(57, "Parking pull-out rate", "mm/min", Kind::Real, 100.0, false),
+    entry(58, "Parking place", "mm", Kind::Place, -5.0, false),
+    entry(59, "Parking fast rate", "mm/min", Kind::Real, 500.0, false),
     entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
     entry(901, "An error stops the job", "", Kind::Switch, 0.0, false),
     entry(902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false),
@@ -109,6 +117,12 @@ pub enum Key {
     SpindleMinimum,
     Laser,
     JogClip,
+    Parking,
+    ParkingAxis,
+    ParkingPullOut,
+    ParkingPullOutRate,
+    ParkingTarget,
+    ParkingFastRate,
     Dialect,
     StopOnError,
     TrustNeeded,
@@ -116,7 +130,7 @@ pub enum Key {
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 27;
+    pub const COUNT: usize = 33;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -205,7 +219,8 @@ impl<const N: usize> Settings<N> {
     /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
     /// of range, [`Error::StepPulseTooShort`] for `$0`, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22`.
     pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
-        if value < Decimal::ZERO {
+        let negative = value < Decimal::ZERO;
+        if negative && number != PARKING_PLACE {
             return Err(Error::NegativeValue);
         }
         let place = Self::find(number).ok_or(Error::InvalidStatement)?;
@@ -230,7 +245,7 @@ impl<const N: usize> Settings<N> {
                 1..=255 => 1.0,
                 _ => return Err(Error::InvalidStatement),
             },
-            Kind::Real | Kind::Speed => value.to_f32(),
+            Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
         };
         if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) {
             return Err(Error::SoftLimitNeedsHoming);
@@ -247,7 +262,7 @@ impl<const N: usize> Settings<N> {
     pub fn restore(&mut self, number: u16, value: f32) {
         if let Some(place) = Self::find(number)
             && value.is_finite()
-            && value >= 0.0
+            && (value >= 0.0 || number == PARKING_PLACE)
         {
             self.put(place, value);
         }
@@ -300,6 +315,8 @@ impl<const N: usize> Settings<N> {
 
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
+/// Number of the one setting that may be negative.
+const PARKING_PLACE: u16 = 58;
 /// Number of the setting that switches homing on.
 const HOMING: u16 = 22;
 
@@ -323,6 +340,7 @@ mod tests {
             (Key::SpindleMinimum, 31),
             (Key::Laser, 32),
             (Key::JogClip, 40),
+            (Key::ParkingTarget, 58),
             (Key::Dialect, 900),
             (Key::TrustNeeded, 902),
         ] {

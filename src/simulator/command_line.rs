@@ -95,6 +95,9 @@ pub struct MachineOptions {
     /// One setting, applied after the file's. May be given more than once.
     #[arg(long, value_name = "N=V")]
     pub set: Vec<String>,
+    /// What is fitted to the machine: switches, a probe plate.
+    #[arg(long, value_name = "FILE")]
+    pub machine: Option<PathBuf>,
     /// The flash image, kept between runs.
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,

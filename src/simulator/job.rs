@@ -1,6 +1,7 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::command_line::{Dialect, MachineOptions, Run};
+use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
 use crate::pump::{Options, Simulator};
@@ -25,7 +26,8 @@ const KEPT_MESSAGES: usize = 50;
 /// A simulator as the options describe it, its settings applied.
 pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
     let store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
-    let mut simulator = Simulator::new(Options { board: options.board(), store, keep_steps: false });
+    let fittings = options.machine.as_deref().map_or_else(|| Ok(Fittings::default()), Fittings::read)?;
+    let mut simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {

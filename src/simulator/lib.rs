@@ -19,6 +19,7 @@ pub mod boards;
 
 pub mod clock;
 pub mod command_line;
+pub mod fittings;
 pub mod job;
 pub mod machine;
 pub mod meter;
@@ -32,6 +33,7 @@ pub mod summary;
 pub mod text;
 pub mod trace;
 
+pub use fittings::Fittings;
 pub use pump::{Options, Simulator};
 pub use store::Store;
 pub use text::JobText;

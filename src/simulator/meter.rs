@@ -57,6 +57,8 @@ struct Window {
 /// Follows the step task segment by segment.
 #[derive(Debug)]
 pub struct Meter {
+    /// The next sample is the first of its block.
+    fresh: bool,
     hz: f64,
     steps_per_mm: [f64; AXES],
     next_block: Option<BlockSteps>,
@@ -77,6 +79,7 @@ impl Meter {
     /// A meter for a step clock of `hz`.
     pub fn new(hz: u32) -> Self {
         Self {
+            fresh: true,
             hz: f64::from(hz.max(1)),
             steps_per_mm: [1.0; AXES],
             next_block: None,
@@ -162,6 +165,8 @@ impl Meter {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
         if let Some((steps, directions)) = block {
             self.new_block(steps, directions, position);
+            // Held until something of the block is drawn: its first segment may be a wait.
+            self.fresh = true;
         }
         let ticks = f64::from(segment.ticks);
         let fixed = ticks * f64::from(segment.interval) + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
@@ -210,7 +215,7 @@ impl Meter {
                 rapid,
                 from: self.block.start,
                 to: std::array::from_fn(|axis| self.block.start[axis] + self.block.delta[axis] * done),
-                new_block: block.is_some(),
+                new_block: std::mem::take(&mut self.fresh),
             });
         }
     }

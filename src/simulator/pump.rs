@@ -13,11 +13,13 @@
 
 use crate::boards::{self, AXES, BLOCKS, Board};
 use crate::clock::Clock;
+use crate::fittings::Fittings;
 use crate::machine::Machine;
 use crate::meter::Meter;
 use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{StepRecord, Trace};
+use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
 use oxmill_controller::messages::{
     Event, LineByte, Observed, Output, Realtime, Room, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent, ToStep, Wiring,
 };
@@ -37,13 +39,15 @@ pub struct Options {
     pub board: Board,
     /// The flash image.
     pub store: Store,
+    /// Switches and plate of the machine.
+    pub fittings: Fittings,
     /// Whether all step events are kept in memory, for [`Trace::kept`].
     pub keep_steps: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { board: boards::DESK, store: Store::in_memory(), keep_steps: false }
+        Self { board: boards::DESK, store: Store::in_memory(), fittings: Fittings::default(), keep_steps: false }
     }
 }
 
@@ -62,6 +66,13 @@ pub struct Simulator {
     realtime: VecDeque<Realtime>,
     step_events: VecDeque<StepEvent<AXES>>,
     stored: VecDeque<bool>,
+    /// Levels that a hand has put on the pins, and what the filter makes of the machine's own contacts.
+    hand: Signals,
+    contacts: Signals,
+    filter: Filter,
+    /// When the inputs task samples next; `None` while nothing can change.
+    sample_due: Option<u64>,
+    /// Levels that the controller was told of last.
     signals: Signals,
     signals_changed: bool,
     connected: bool,
@@ -83,6 +94,7 @@ pub struct Simulator {
     wiring: Option<Wiring>,
 
     machine: Machine,
+    fittings: Fittings,
     meter: Meter,
     trace: Trace,
 }
@@ -90,7 +102,7 @@ pub struct Simulator {
 impl Simulator {
     /// Powers the board up and lets the controller say its welcome.
     pub fn new(options: Options) -> Self {
-        let Options { board, store, keep_steps } = options;
+        let Options { board, store, fittings, keep_steps } = options;
         let mut controller = Box::new(Controller::new(Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
@@ -117,6 +129,10 @@ impl Simulator {
             realtime: VecDeque::new(),
             step_events: VecDeque::new(),
             stored: VecDeque::new(),
+            hand: Signals::default(),
+            contacts: Signals::default(),
+            filter: Filter::new(),
+            sample_due: None,
             signals: Signals::default(),
             signals_changed: false,
             connected: false,
@@ -132,6 +148,7 @@ impl Simulator {
             outputs: None,
             wiring: None,
             machine: Machine::default(),
+            fittings,
             meter: Meter::new(board.step_clock_hz),
             trace,
         };
@@ -176,23 +193,23 @@ impl Simulator {
         String::from_utf8_lossy(&taken).into_owned()
     }
 
-    /// Levels of the input pins.
+    /// Levels that a hand has put on the input pins. A pin at 1 is active unless a setting inverts it.
     pub fn pins(&self) -> Signals {
-        self.signals
+        self.hand
     }
 
-    /// Moves input pins.
+    /// Moves input pins by hand.
     pub fn set_pins(&mut self, signals: Signals) {
-        if signals != self.signals {
-            self.signals = signals;
-            self.signals_changed = true;
+        if signals != self.hand {
+            self.hand = signals;
+            self.update_signals();
             self.turn();
         }
     }
 
     /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong.
     pub fn pin_line(&mut self, line: &str) -> String {
-        match crate::pins::apply(self.signals, self.board.axes, line) {
+        match crate::pins::apply(self.hand, self.board.axes, line) {
             Ok(signals) => {
                 self.set_pins(signals);
                 "ok".into()
@@ -239,10 +256,10 @@ impl Simulator {
     /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
     pub fn advance_once(&mut self, limit: u64) -> bool {
         let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
-        if wake.is_none() && self.step_due.is_none() {
+        if wake.is_none() && self.step_due.is_none() && self.sample_due.is_none() {
             return false;
         }
-        let until = wake.unwrap_or(u64::MAX).min(limit);
+        let until = wake.unwrap_or(u64::MAX).min(limit).min(self.sample_due.unwrap_or(u64::MAX));
         loop {
             match self.step_due {
                 Some(due) if due <= until => {
@@ -256,6 +273,9 @@ impl Simulator {
                     break;
                 }
             }
+        }
+        if self.sample_due.is_some_and(|due| due <= self.clock.now()) {
+            self.sample_contacts();
         }
         self.turn();
         true
@@ -382,6 +402,38 @@ impl Simulator {
         self.job.as_mut()
     }
 
+    // The inputs task
+
+    /// One sample of the machine's contacts; the next follows while the filter or a contact has not settled.
+    fn sample_contacts(&mut self) {
+        let now = self.clock.instant().ticks();
+        let raw = self.fittings.sample(now);
+        let filtered = self.filter.sample(u16::from(raw.limits) | u16::from(raw.probe) << 8);
+        let contacts = Signals { limits: filtered as u8, probe: filtered >> 8 != 0, ..Signals::default() };
+        if contacts != self.contacts {
+            self.contacts = contacts;
+            self.update_signals();
+        }
+        let settled = raw == contacts && !self.fittings.chatter(now);
+        let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
+        self.sample_due = (!settled).then(|| self.clock.now() + period);
+    }
+
+    /// What the controller is told: hand and contacts together, with the polarity of the settings.
+    fn update_signals(&mut self) {
+        let (limit_invert, probe_invert) = self.wiring.map_or((false, false), |w| (w.limit_invert, w.probe_invert));
+        let mask = if limit_invert { (1 << self.board.axes) - 1 } else { 0 };
+        let signals = Signals {
+            limits: (self.hand.limits | self.contacts.limits) ^ mask,
+            probe: (self.hand.probe | self.contacts.probe) != probe_invert,
+            ..self.hand
+        };
+        if signals != self.signals {
+            self.signals = signals;
+            self.signals_changed = true;
+        }
+    }
+
     // The control task
 
     /// One turn of the control task at the present time: see the head of this file.
@@ -469,6 +521,7 @@ impl Simulator {
                 }
                 Some(Output::Wiring(wiring)) => {
                     self.wiring = Some(wiring);
+                    self.update_signals();
                     self.learn_resolution();
                 }
                 Some(Output::Store(change)) => {
@@ -543,6 +596,9 @@ impl Simulator {
         let tick = self.stepper.tick();
         if tick.steps != 0 {
             self.machine.step(tick.steps, self.directions);
+            if !self.fittings.is_empty() && self.fittings.moved(self.machine.position(), self.clock.instant().ticks()) {
+                self.sample_due.get_or_insert(due);
+            }
             self.trace.step(StepRecord {
                 at: due,
                 busy: self.busy,
@@ -587,7 +643,9 @@ impl Simulator {
     }
 
     fn look_at_probe(&mut self) -> bool {
-        let event = self.stepper.probe(self.signals.probe);
+        // The step task looks at the pin itself and not at what the filter has let pass.
+        let touched = (self.hand.probe || self.fittings.touches()) != self.wiring.is_some_and(|w| w.probe_invert);
+        let event = self.stepper.probe(touched);
         self.step_events.extend(event);
         event.is_some()
     }

@@ -6,7 +6,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, LINES_DEPTH, LineByte, Record, SpindleDirection, Store};
+use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -90,7 +90,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.refuse(Error::LineTooLong);
             }
             Pushed::Complete => {
-                let text: heapless::Vec<u8, { line::LENGTH }> = heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
+                let text: heapless::Vec<u8, { line::LENGTH }> =
+                    heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
                 self.line.clear();
                 self.dispatch(&text);
             }
@@ -237,13 +238,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
-                self.spindle = SpindleDirection::Off;
-                self.coolant = Coolant::default();
-                self.drivers_on = false;
-                self.drivers_off_at = None;
-                // Axes can be moved by hand now.
-                self.trusted = false;
-                self.mode = Mode::Sleep;
+                self.fall_asleep();
             }
             System::Set(number, value) => {
                 self.settings.set(number, value)?;
@@ -396,7 +391,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn list_parameter(&mut self, line: usize) -> bool {
         let inches = self.settings.is_on(Key::ReportInches);
-        let systems = if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let systems =
+            if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         let offsets = *self.interpreter.offsets();
         if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
             self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));

@@ -103,7 +103,9 @@ impl<const N: usize> Task<N> {
 
     pub(super) fn wakeup(&self) -> Option<Instant> {
         match self {
-            Task::Job(Job { stage: Stage::Dwell(until), .. }) | Task::Homing(_, HomingWait::Until(until)) => Some(*until),
+            Task::Job(Job { stage: Stage::Dwell(until), .. }) | Task::Homing(_, HomingWait::Until(until)) => {
+                Some(*until)
+            }
             _ => None,
         }
     }

@@ -9,10 +9,12 @@
 //! * [`stops`]: stops, alarms and resets
 //! * [`outputs`]: pins, answers, reports
 //! * [`cycles`]: homing and probing
+//! * [`door`]: the safety door and parking
 //! * [`converse`]: lines are dispatched and `$` commands answered
 
 mod converse;
 mod cycles;
+mod door;
 mod execute;
 mod outputs;
 mod stops;
@@ -23,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs,
-    SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs, SpindleDirection,
+    Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -33,6 +35,7 @@ use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
+use door::DoorState;
 use execute::Task;
 
 /// Longest startup line and build info that is stored.
@@ -43,11 +46,8 @@ const REPLY_BYTES: usize = 1024;
 const REPLY_RESERVE: usize = 2 * PIECE;
 /// How often the controller wants to be called while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
-const SPINDLE_RESTORE: Duration = Duration::from_ticks(4_000_000);
-/// From coolant on until motion goes on (Grbl's 1.0 s).
-const COOLANT_RESTORE: Duration = Duration::from_ticks(1_000_000);
-
+/// The same when the queue is full of very short pieces or runs out at the end of a motion.
+const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -69,6 +69,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     build_info: heapless::Vec<u8, STORED_TEXT>,
     interpreter: Interpreter<N>,
     motion: Motion<N, BLOCKS>,
+    /// Moves of its own while the job is held: parking.
+    detour: Motion<N, 2>,
 
     line: Line,
     /// A byte that came before the realtime command which opened its epoch.
@@ -97,8 +99,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// 0x9E in a hold, or a door: the spindle stands although the program has it on.
     spindle_stopped: bool,
     coolant: Coolant,
-    /// Coolant that comes back when the door is closed.
-    door_coolant: Coolant,
+    door: DoorState<N>,
+    /// A jog was moving when the door opened: it is forgotten at rest.
+    jog_interrupted: bool,
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
     probing: Option<Probing>,
@@ -155,6 +158,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn new(profile: Profile) -> Self {
         let settings = Settings::default();
         let motion = Motion::new(motion_settings(&settings, &profile));
+        let detour = Motion::new(motion_settings(&settings, &profile));
         Self {
             profile,
             settings,
@@ -162,6 +166,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
             motion,
+            detour,
             line: Line::new(),
             held: None,
             epoch: 0,
@@ -179,7 +184,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             spindle_speed: 0.0,
             spindle_stopped: false,
             coolant: Coolant::default(),
-            door_coolant: Coolant::default(),
+            door: DoorState::CLOSED,
+            jog_interrupted: false,
             probed: PerAxis::default(),
             probe_succeeded: false,
             probing: None,
@@ -216,6 +222,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
         self.motion.observe(&observed);
+        self.detour.observe(&observed);
     }
 
     /// Something happened at `now`.
@@ -251,13 +258,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
         // What a completed hold or a parked door has interrupted goes on with an event, not by itself.
-        let moving = !self.motion.is_at_rest() || self.running && !self.mode.is_suspended();
-        let moving = moving.then(|| self.now + MOVING_WAKEUP);
+        let moving =
+            !self.motion.is_at_rest() || !self.detour.is_at_rest() || self.running && !self.mode.is_suspended();
+        let moving = moving.then(|| self.now + self.refill_delay());
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
         [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+    }
+
+    /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
+    /// fill it with a millisecond or two of motion: half of that must not be slept through.
+    fn refill_delay(&self) -> Duration {
+        let queued = match (self.detour.queued_us(), self.motion.queued_us()) {
+            (0, 0) => return MOVING_WAKEUP,
+            (0, queued) | (queued, 0) => queued,
+            (one, other) => one.min(other),
+        };
+        Duration::from_ticks(u64::from(queued / 2)).clamp(LEAST_WAKEUP, MOVING_WAKEUP)
     }
 
     /// Whether nothing is queued, moving, waited for or unanswered.
@@ -267,6 +286,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.stop.order
             && !self.stop.resume
             && self.motion.is_idle()
+            && self.detour.is_idle()
             && self.replies.is_empty()
             && self.unstored == 0
             && !self.status_due
@@ -279,7 +299,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        self.motion.machine_position()
+        // A parked machine is where the detour led.
+        if self.door.is_parking() { self.detour.machine_position() } else { self.motion.machine_position() }
     }
 
     /// Where the machine is in the active coordinate system.
@@ -354,7 +375,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(watch) = self.probe_watch.take() {
             return Some(watch);
         }
-        let message = self.motion.next(&self.observed);
+        let message = self.detour.next(&self.observed).or_else(|| self.motion.next(&self.observed));
         if message.is_some() {
             self.drivers_on = true;
             self.drivers_off_at = None;
@@ -375,21 +396,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.end_jog();
             }
             Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
-            Mode::Door(Door::Braking) if self.motion.is_at_rest() => {
-                self.door_coolant = self.coolant;
-                self.coolant = Coolant::default();
-                self.spindle_stopped = true;
-                self.rare_fields.overrides_changed();
-                self.mode = Mode::Door(Door::Parked);
-            }
-            Mode::Door(Door::SpindleRestoring(until)) if self.now >= until => {
-                self.coolant = self.door_coolant;
-                self.rare_fields.overrides_changed();
-                self.mode = Mode::Door(Door::CoolantRestoring(self.now + COOLANT_RESTORE));
-            }
-            Mode::Door(Door::CoolantRestoring(until)) if self.now >= until => {
-                self.leave_hold();
-            }
+            Mode::Door(door) => self.settle_door(door),
             _ => {}
         }
         if self.drivers_off_at.is_some_and(|at| self.now >= at) {
@@ -421,8 +428,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
+        // A move queued while the last piece of the one before was already on its way to the motors belongs to the same
+        // run: without a start of its own it would never begin.
+        if self.running && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+            self.motion.start();
+            return;
+        }
         let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
-        if self.mode == Mode::Normal && !self.running && !self.motion.is_idle() && self.task.is_none() && no_more {
+        if self.mode == Mode::Normal && !self.motion.is_idle() && self.task.is_none() && no_more {
             self.start_motion();
         }
     }
@@ -502,21 +515,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.mode {
             Mode::Normal => self.start_motion(),
             Mode::Hold if self.motion.is_at_rest() => self.leave_hold(),
-            Mode::Door(Door::Parked) if !self.signals.door => {
-                self.spindle_stopped = false;
-                self.rare_fields.overrides_changed();
-                // Nothing to wait for when the program has neither spindle nor coolant on.
-                if self.spindle == SpindleDirection::Off && self.door_coolant == Coolant::default() {
-                    self.leave_hold();
-                } else {
-                    let delay = if self.spindle == SpindleDirection::Off || self.settings.is_on(Key::Laser) {
-                        Duration::millis(0)
-                    } else {
-                        SPINDLE_RESTORE
-                    };
-                    self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
-                }
-            }
+            Mode::Door(Door::Parked) => self.close_door(),
             _ => {}
         }
     }
@@ -590,31 +589,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Jog { cancelling: true };
     }
 
-    fn open_door(&mut self) {
-        match self.mode {
-            Mode::Jog { .. } => {
-                self.motion.hold();
-                self.task.forget_jog();
-            }
-            Mode::Normal | Mode::Hold | Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => {
-                self.motion.hold();
-                self.task.suspend(self.now);
-            }
-            Mode::Door(_) => {
-                self.say(|out| report::message(out, "Check Door"));
-                return;
-            }
-            Mode::Home => {
-                self.stop.order = true;
-                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
-                return;
-            }
-            _ => return,
-        }
-        self.say(|out| report::message(out, "Check Door"));
-        self.mode = Mode::Door(Door::Braking);
-    }
-
     fn signals_changed(&mut self, signals: Signals) {
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
@@ -624,7 +598,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.mode == Mode::Home {
             self.home_switch();
-        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
+        {
             self.stop.order = true;
             self.begin_stop(StopReason::Alarm(Alarm::HardLimit));
         }

@@ -22,8 +22,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn line_rules(&self) -> line::Rules {
         match self.dialect() {
-            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false },
-            _ => line::Rules { length: line::LENGTH, merge_crlf: true },
+            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
+            dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
         }
     }
 
@@ -37,8 +37,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
     /// with scaled power (M4) is off at no speed.
     pub(super) fn resting_power(&self) -> u16 {
-        let dark = self.settings.is_on(Key::Laser)
-            && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
+        let dark =
+            self.settings.is_on(Key::Laser) && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
         if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
             0
         } else {
@@ -120,7 +120,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn report_status(&mut self) {
-        let busy = self.running || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
+        let busy = self.running
+            || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
         let mask = self.settings.whole(Key::StatusReport);
         let (spindle, speed) = self.spindle_now();
@@ -128,12 +129,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let line = self.motion.line_number();
         let status = report::Status {
             state: self.mode.name(self.motion.is_at_rest(), self.running, self.signals.door),
-            machine: self.motion.machine_position(),
+            machine: self.machine_position(),
             offset: self.interpreter.work_offset(),
             show_machine: mask & 1 != 0,
             buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.observed.rx_free)),
             line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.motion.speed()),
+            feed: per_minute(self.motion.speed().max(self.detour.speed())),
             speed,
             pins: self.signals,
             show_offset,

@@ -1,5 +1,6 @@
 //! Stops, alarms and resets: what ends a motion from outside, and how the controller begins anew.
 
+use super::door::DoorState;
 use super::execute::Task;
 use super::{Controller, StopReason, StopState};
 use crate::axes::PerAxis;
@@ -26,6 +27,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop.seen = stops;
                 self.stop.moving |= moving;
                 self.motion.stopped(&position);
+                self.detour.stopped(&position);
             }
             StepEvent::Probed { position } => {
                 self.probe_contact(&position);
@@ -36,6 +38,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop.expected = self.stop.expected.wrapping_add(1);
                 self.stop.moving = true;
                 self.motion.stopped(&position);
+                self.detour.stopped(&position);
                 if self.stop.awaited.is_none() {
                     self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
                 }
@@ -53,6 +56,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let moving = self.stop.moving;
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
         self.running = false;
+        self.door = DoorState::CLOSED;
+        self.jog_interrupted = false;
         self.probing = None;
         self.probe_watch = None;
         if reason == StopReason::Switch {

@@ -1,13 +1,13 @@
 //! First step: the text of a line to its words, sorted by what they are. Nothing here depends on the modal state.
 
 use super::Dialect;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
 use super::code::Code;
-use crate::number::Digits;
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
 use super::word::{Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
+use crate::number::Digits;
 use crate::units::Decimal;
 
 /// Greatest tool number.

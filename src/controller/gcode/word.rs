@@ -1,12 +1,12 @@
 //! Words: a letter and its number, and what the G and M words of a machine mean.
 
 use super::Dialect;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, ProbeMode, Units};
 use super::code::Code;
-use crate::number::{self, Digits};
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, ProbeMode, Units};
 use super::offsets::StoredOffset;
 use crate::error::Error;
 use crate::messages::SpindleDirection;
+use crate::number::{self, Digits};
 use crate::units::Decimal;
 
 /// A letter and its number.

@@ -48,14 +48,22 @@ pub enum Mode {
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Door {
-    /// Braking; spindle and coolant follow once at rest.
+    /// Braking; what follows begins once at rest.
     Braking,
+    /// Parking: slowly out of the cut, the spindle still turning.
+    PullingOut,
+    /// Parking: fast to the parking place, spindle and coolant off.
+    Parking,
     /// At rest with spindle and coolant off.
     Parked,
-    /// `~` came: the spindle runs up until the given time, then the coolant starts.
+    /// `~` came: fast back towards the cut.
+    Returning,
+    /// The spindle runs up until the given time, then the coolant starts.
     SpindleRestoring(Instant),
     /// The coolant builds up until the given time, then motion goes on.
     CoolantRestoring(Instant),
+    /// Slowly back into the cut.
+    Plunging,
 }
 
 impl Mode {
@@ -80,10 +88,10 @@ impl Mode {
             Mode::Hold => "Hold:1",
             Mode::Home => "Home",
             Mode::Stopping { .. } => "Hold:1",
-            Mode::Door(Door::Braking) => "Door:2",
+            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking) => "Door:2",
             Mode::Door(Door::Parked) if door_open => "Door:1",
             Mode::Door(Door::Parked) => "Door:0",
-            Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => "Door:3",
+            Mode::Door(_) => "Door:3",
             Mode::Alarm | Mode::Critical => "Alarm",
             Mode::Check => "Check",
             Mode::Sleep => "Sleep",

@@ -1,5 +1,7 @@
 //! A block: one straight move with everything that planning and stepping need to know of it, in 64 bytes at most.
 
+use super::profile::lesser;
+
 /// What a block's programmed speed means.
 pub(super) const RAPID: u8 = 1;
 /// Overrides leave the block alone (jog, homing, probing).
@@ -60,14 +62,14 @@ impl<const N: usize> Block<N> {
     /// The speed to run at under overrides.
     #[inline]
     pub(super) fn nominal(&self, overrides: Overrides) -> f32 {
-        if self.flags & NO_OVERRIDE != 0 {
+        let wanted = if self.flags & NO_OVERRIDE != 0 {
             self.programmed
         } else if self.flags & RAPID != 0 {
             self.programmed * overrides.rapid
         } else {
             self.programmed * overrides.feed
-        }
-        .min(self.limit)
+        };
+        lesser(wanted, self.limit)
     }
 
     /// Steps of the axis that has most.

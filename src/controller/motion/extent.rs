@@ -16,10 +16,7 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
     let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
     let from = [-arc.offset_0.to_mm(), -arc.offset_1.to_mm()];
-    let to = [
-        (of(&arc.target, arc.axis_0) - centre[0]).to_mm(),
-        (of(&arc.target, arc.axis_1) - centre[1]).to_mm(),
-    ];
+    let to = [(of(&arc.target, arc.axis_0) - centre[0]).to_mm(), (of(&arc.target, arc.axis_1) - centre[1]).to_mm()];
     let [first, second] = [libm::atan2f(from[1], from[0]), libm::atan2f(to[1], to[0])];
     // The way from one angle to another in the arc's sense, 0 to a turn; the angles are less than two turns apart.
     let forward = |from: f32, to: f32| {

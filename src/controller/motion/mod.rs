@@ -24,11 +24,11 @@ pub use stepper::{Stepper, Tick};
 
 use crate::axes::PerAxis;
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
-use crate::units::{Coordinate, StepsPerMm};
+use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use flight::{Flight, Record};
 use planner::Planner;
-use profile::{Curve, Pace, square_root};
+use profile::{Curve, Pace, greater, lesser, square_root};
 use segment::{Cut, Pacer};
 use stepper::{signed_add, steps_taken};
 
@@ -145,6 +145,8 @@ struct Running<const N: usize> {
 enum Announce {
     Rest,
     Block,
+    /// The block was left in its midst for moves of another kind.
+    Reenter,
     Nothing,
 }
 
@@ -158,6 +160,7 @@ struct Far {
 /// The facade of this room.
 #[derive(Clone, Debug)]
 pub struct Motion<const N: usize, const BLOCKS: usize> {
+    settings: MotionSettings<N>,
     steps_per_mm: PerAxis<StepsPerMm, N>,
     mm_per_step: [f32; N],
     max_rate: [f32; N],
@@ -195,9 +198,18 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     origin: PerAxis<i32, N>,
 }
 
+/// A difference of coordinates in mm. Below 0.2 m the 32-bit conversion of the machine gives the same `f32` as the wide one.
+#[inline]
+fn in_mm(way: Coordinate) -> f32 {
+    match i32::try_from(way.0) {
+        Ok(near) => near as f32 / DECIMAL_ONE as f32,
+        Err(_) => way.to_mm(),
+    }
+}
+
 /// `value` within bounds, the least one for a NaN.
 fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
-    if value > least { value.min(greatest) } else { least }
+    if value > least { lesser(value, greatest) } else { least }
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
@@ -205,6 +217,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
         let mut motion = Self {
+            settings,
             steps_per_mm: settings.steps_per_mm,
             mm_per_step: [1.0; N],
             max_rate: [1.0; N],
@@ -253,6 +266,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
+        self.settings = settings;
         self.steps_per_mm = settings.steps_per_mm;
         self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
@@ -313,7 +327,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         true
     }
 
+    #[inline]
     fn continue_long_move(&mut self) {
+        if self.long.is_some() {
+            self.cut_long_move();
+        }
+    }
+
+    #[inline(never)]
+    fn cut_long_move(&mut self) {
         while let Some(mut long) = self.long {
             if self.planner.free() == 0 {
                 return;
@@ -336,7 +358,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {
-            let way = (*to - *from).to_mm();
+            let way = in_mm(*to - *from);
             square += way * way;
         }
         square_root(square)
@@ -344,9 +366,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) {
-        let own = self.distance(&m.target);
+        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| in_mm(to - from));
+        let mut square = 0.0;
+        for part in way.iter() {
+            square += part * part;
+        }
+        let straight = square_root(square);
+        let own = if self.planned == self.block_end { straight } else { self.distance(&m.target) };
         let path = own + self.carried;
-        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         self.planned = m.target;
 
         let mut block = Block::<N>::EMPTY;
@@ -361,7 +388,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 directions |= 1 << bit;
             }
             if *steps > 0 {
-                least = least.max((*steps as f32 - 0.5) * mm);
+                least = greater((*steps as f32 - 0.5) * mm, least);
             }
             dominant = dominant.max(*steps);
         }
@@ -371,16 +398,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
         // taken as longer, and the next one as shorter by as much.
-        let length = path.max(least);
-        self.carried = (path - length).max(-least);
+        let length = greater(path, least);
+        self.carried = greater(path - length, -least);
         self.block_end = m.target;
         self.planned_steps = *target_steps;
 
-        let mut square = 0.0;
-        for part in way.iter() {
-            square += part * part;
-        }
-        let straight = square_root(square);
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
@@ -430,6 +452,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub fn resume(&mut self) {
         self.hold = Hold::None;
         self.start();
+    }
+
+    /// The step task has done something else meanwhile, and the machine is back at the very place: the running block is
+    /// announced anew. At rest only.
+    pub fn reenter(&mut self) {
+        if self.running.active {
+            self.running.announce = if N > 3 { Announce::Rest } else { Announce::Block };
+            self.running.fresh = true;
+        }
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> MotionSettings<N> {
+        self.settings
     }
 
     /// Whether a hold is in force and what was handed over ends at rest.
@@ -505,6 +541,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Whether the machine is at rest and nothing is queued.
     pub fn is_idle(&self) -> bool {
         self.is_at_rest() && self.planner.len() == 0 && self.long.is_none()
+    }
+
+    /// Time of what has been handed over and not begun, in microseconds.
+    pub fn queued_us(&self) -> u32 {
+        self.flight.queued() / (self.step_clock_hz / 1_000_000).max(1)
     }
 
     /// Machine position in steps at the end of the segment begun last.
@@ -593,12 +634,16 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 Some(ToStep::BlockRest { steps })
             }
             Announce::Block => {
-                self.running.announce = Announce::Nothing;
+                self.running.announce = if self.running.done > 0 { Announce::Reenter } else { Announce::Nothing };
                 let mut steps = [0; 3];
                 for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
                     *out = *own;
                 }
                 Some(ToStep::Block { steps, directions: self.running.directions })
+            }
+            Announce::Reenter => {
+                self.running.announce = Announce::Nothing;
+                Some(ToStep::Reenter { units: self.running.done })
             }
             Announce::Nothing => Some(ToStep::Segment(self.segment())),
         }
@@ -636,17 +681,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let clocks_per_ms = self.step_clock_hz / 1000;
         let far_fixed = u64::from(self.pacer.whole(FAR_MS * clocks_per_ms));
         if self.far.is_none() {
-            match self.cut() {
-                Some(cut) => {
-                    let time = self.pacer.fixed(cut.seconds);
-                    if cut.ticks > 1 || time <= far_fixed {
-                        let time = u32::try_from(time).unwrap_or(u32::MAX);
-                        return self.emit(&cut, time);
-                    }
-                    self.far = Some(Far { cut, time });
-                }
+            let (curve, left) = match self.curve() {
+                Some(curve) => curve,
                 None => return self.rest_here(),
+            };
+            let cut = segment::cut(&curve, self.running.done, left, self.pace);
+            let time = self.pacer.fixed(cut.seconds);
+            if cut.ticks > 1 || time <= far_fixed {
+                let time = u32::try_from(time).unwrap_or(u32::MAX);
+                return self.emit(&cut, time);
             }
+            self.far = Some(Far { cut, time });
         }
         let Some(far) = &mut self.far else { return self.rest_here() };
         if self.hold == Hold::Ramp {
@@ -665,14 +710,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.emit(&cut, time)
     }
 
-    /// The next piece of the running block; `None` if it is a stop at this very place.
-    fn cut(&self) -> Option<Cut> {
+    /// The speed curve of the running block and how many units are left of it; `None` for a stop at this very place.
+    #[inline]
+    fn curve(&self) -> Option<(Curve, u32)> {
         let run = &self.running;
         let left = run.total - run.done;
         if self.hold != Hold::Ramp {
             let exit2 = self.planner.exit2() * (run.scale * run.scale);
             let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.pace));
+            return Some((curve, left));
         }
         if self.pace.speed2 <= 0.0 {
             return None;
@@ -685,7 +731,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             // All of this block brakes, and the next one goes on with what speed is left.
             let exit2 = (self.pace.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
             let curve = Curve { acceleration: run.acceleration, nominal2: self.pace.speed2, exit2 };
-            return Some(segment::cut(&curve, run.done, left, self.pace));
+            return Some((curve, left));
         }
         // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
         let mut stop = way as u32;
@@ -695,10 +741,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let stop = stop.clamp(1, left);
         let curve =
             Curve { acceleration: self.pace.speed2 / (2.0 * stop as f32), nominal2: self.pace.speed2, exit2: 0.0 };
-        Some(segment::cut(&curve, run.done, stop, self.pace))
+        Some((curve, stop))
     }
 
     /// A segment that moves nothing and lets the step task rest.
+    #[inline(never)]
     fn rest_here(&mut self) -> Segment {
         self.far = None;
         self.pace = Pace::REST;

@@ -13,7 +13,7 @@
 //! of the queue; the walk stops at the first that stays.
 
 use super::block::{Block, Overrides};
-use super::profile::square_root;
+use super::profile::{lesser, square_root};
 
 /// Corners with less change of direction than this are straight: |difference of the unit vectors|² of 2 × 10⁻⁶ is the
 /// cosine of -0.999999 at which Grbl stops to compute.
@@ -116,8 +116,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             0 => 0.0,
             len => self.blocks.get(self.slot(len - 1)).map_or(0.0, |before| before.nominal(overrides)),
         };
-        let nominal = block.nominal(overrides).min(previous);
-        block.max_entry2 = block.corner2.min(nominal * nominal);
+        let nominal = lesser(block.nominal(overrides), previous);
+        block.max_entry2 = lesser(block.corner2, nominal * nominal);
         // Nothing that an entry can be: the walk has to set it.
         block.entry2 = -1.0;
         let slot = self.slot(self.len);
@@ -154,7 +154,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
             let reachable2 = exit2 + 2.0 * block.acceleration * block.length;
-            let entry2 = block.max_entry2.min(reachable2);
+            let entry2 = lesser(block.max_entry2, reachable2);
             if entry2 == block.entry2 {
                 return;
             }

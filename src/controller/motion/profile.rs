@@ -15,6 +15,18 @@ pub(super) fn square_root(value: f32) -> f32 {
     libm::sqrtf(value)
 }
 
+/// The lesser of two numbers. `f32::min` is a call of a library function on a Cortex-M4, this three instructions.
+#[inline]
+pub(super) fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// The greater of two numbers.
+#[inline]
+pub(super) fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// Speeds² closer than this (relative) are the same: some 30 roundings of an `f32`.
 const SAME: f32 = 4.0e-6;
 /// A piece meets at most: brake to nominal, cruise, brake; or accelerate, cruise, brake. The rest is for roundings.
@@ -64,7 +76,7 @@ impl Curve {
         if speed2 >= brake2 * (1.0 - SAME) {
             // On the falling edge; or above it, when it is left at the end of the block with what speed remains.
             let end2 = if speed2 > brake2 * 1.001 { speed2 - slope * left } else { self.exit2 };
-            return Phase { sign: -1.0, length: left, end2: end2.max(self.exit2) };
+            return Phase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
         let missing2 = self.nominal2 - speed2;
         if missing2 < -SAME * speed2 {
@@ -83,6 +95,7 @@ impl Curve {
     }
 
     /// Goes on by `distance` of the `left` units: seconds and the pace after it. Exact also from and to rest.
+    #[inline]
     pub(super) fn advance(&self, from: Pace, mut left: f32, mut distance: f32) -> (f32, Pace) {
         let slope = 2.0 * self.acceleration;
         let Pace { mut speed, mut speed2 } = from;

@@ -61,6 +61,7 @@ pub struct Stepper<const N: usize> {
     next_segment: Option<Segment>,
     next_steps: [u32; N],
     next_directions: u8,
+    next_units: u32,
     gate_shut: bool,
     stops: u8,
     begun: u32,
@@ -114,6 +115,7 @@ impl<const N: usize> Stepper<N> {
             next_segment: None,
             next_steps: [0; N],
             next_directions: 0,
+            next_units: 0,
             gate_shut: false,
             stops: 0,
             begun: 0,
@@ -150,6 +152,7 @@ impl<const N: usize> Stepper<N> {
                     *own = new;
                 }
             }
+            ToStep::Reenter { units } => self.next_units = units,
             ToStep::Watch { probe } => self.watch = probe,
             ToStep::Resume { .. } => {}
         }
@@ -229,6 +232,24 @@ impl<const N: usize> Stepper<N> {
         self.threshold = self.dominant.wrapping_mul(UNITS_PER_STEP);
         self.counters = [self.threshold / 2; N];
         self.block_units = 0;
+        if self.next_units != 0 {
+            self.enter_midst();
+        }
+    }
+
+    /// Brings the counters to where they were when the block was left at `next_units`.
+    fn enter_midst(&mut self) {
+        let units = core::mem::take(&mut self.next_units);
+        self.block_units = units;
+        let (half, threshold, dominant, directions) =
+            (self.threshold / 2, u64::from(self.threshold), self.dominant, self.directions);
+        let axes = self.counters.iter_mut().zip(self.base.iter_mut()).zip(self.steps);
+        for (bit, ((counter, base), steps)) in axes.enumerate() {
+            let taken = steps_taken(steps, dominant, units);
+            let sum = u64::from(half) + u64::from(steps) * u64::from(units);
+            *counter = sum.wrapping_sub(u64::from(taken) * threshold) as u32;
+            *base = signed_add(*base, taken, directions >> bit & 1 == 0);
+        }
     }
 
     /// Units of the block advanced by now.
@@ -279,6 +300,7 @@ impl<const N: usize> Stepper<N> {
         self.power = 0;
         self.last = true;
         self.next_segment = None;
+        self.next_units = 0;
         self.gate_shut = true;
         self.stops = self.stops.wrapping_add(1);
     }

@@ -23,6 +23,8 @@ pub struct Rules {
     pub length: usize,
     /// Whether CR LF is one line end (Grbl takes it for two).
     pub merge_crlf: bool,
+    /// Whether a remark may hold parentheses in pairs (to Grbl the first `)` ends it).
+    pub nested_remarks: bool,
 }
 
 /// A line being received.
@@ -37,8 +39,8 @@ pub struct Line {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// Up to `)`.
-    Parentheses,
+    /// Up to `)`, and this many more before that.
+    Parentheses(u8),
     /// Up to the end of the line.
     Semicolon,
 }
@@ -84,9 +86,8 @@ impl Line {
         match byte {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
-            b')' if self.comment == Comment::Parentheses => self.comment = Comment::None,
-            _ if self.comment != Comment::None => {}
-            b'(' => self.comment = Comment::Parentheses,
+            _ if self.comment != Comment::None => self.remark(byte, rules),
+            b'(' => self.comment = Comment::Parentheses(0),
             b';' => self.comment = Comment::Semicolon,
             // Grbl's block delete: the slash goes, the rest of the line is executed.
             0..=b' ' | b'/' => {}
@@ -98,14 +99,27 @@ impl Line {
         }
         Pushed::More
     }
+
+    /// A byte within a remark. One with more than 255 parentheses open ends too soon.
+    fn remark(&mut self, byte: u8, rules: Rules) {
+        self.comment = match (self.comment, byte) {
+            (Comment::Parentheses(depth), b'(') if rules.nested_remarks => {
+                Comment::Parentheses(depth.saturating_add(1))
+            }
+            (Comment::Parentheses(0), b')') => Comment::None,
+            (Comment::Parentheses(depth), b')') => Comment::Parentheses(depth - 1),
+            (comment, _) => comment,
+        };
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const OXMILL: Rules = Rules { length: LENGTH, merge_crlf: true };
-    const GRBL: Rules = Rules { length: GRBL_LENGTH, merge_crlf: false };
+    const OXMILL: Rules = Rules { length: LENGTH, merge_crlf: true, nested_remarks: false };
+    const GRBL: Rules = Rules { length: GRBL_LENGTH, merge_crlf: false, nested_remarks: false };
+    const SEED: Rules = Rules { nested_remarks: true, ..OXMILL };
 
     fn lines(bytes: &[u8], rules: Rules) -> Vec<String> {
         let mut line = Line::new();
@@ -126,6 +140,7 @@ mod tests {
         assert_eq!(lines(b" g0 (in) x0 (a(b) ;y\n", OXMILL), ["G0X0"]);
         assert_eq!(lines(b"G0X0(;)Y0\nG0X0;(Y1\n/G0\nG0 (open X5\n", OXMILL), ["G0X0Y0", "G0X0", "G0", "G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n", OXMILL), ["C)G0"]);
+        assert_eq!(lines(b"(a(b)c) G0\n((G1\nG2 ;(\nX(()))Y\n", SEED), ["G0", "", "G2", "X)Y"]);
     }
 
     #[test]

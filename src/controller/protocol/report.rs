@@ -64,8 +64,11 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, b"$");
     whole(out, u64::from(number));
     put(out, b"=");
-    let places = if matches!(entry.kind, Kind::Real) { 3 } else { 0 };
-    real(out, value, places);
+    if value < 0.0 {
+        put(out, b"-");
+    }
+    let places = if matches!(entry.kind, Kind::Real | Kind::Place) { 3 } else { 0 };
+    real(out, value.abs(), places);
     put(out, END);
 }
 

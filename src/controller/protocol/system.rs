@@ -143,7 +143,8 @@ mod tests {
 
     #[test]
     fn refusals_have_grbls_numbers() {
-        for line in ["$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$RST", "$RST=X", "$N0", "$N2=G0", "$N-1=G0"]
+        for line in
+            ["$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$RST", "$RST=X", "$N0", "$N2=G0", "$N-1=G0"]
         {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }

@@ -30,7 +30,7 @@ fn geometry(
     let [a, b] = at(from);
     start.set(axis_0, mm(a));
     start.set(axis_1, mm(b));
-    let end = if sweep.abs() >= 6.283 { from } else { from + sweep };
+    let end = if sweep.abs() > 6.3 { from } else { from + sweep };
     let [c, d] = at(end);
     target.set(axis_0, mm(c));
     target.set(axis_1, mm(d));
@@ -98,7 +98,10 @@ fn full_circles_in_all_planes() {
             for sweep in [7.0, -7.0] {
                 let chords = check(&geometry(plane, radius, 1.1, sweep, 0.0, 0, [3.0, -4.0]), radius, 0.002);
                 let least = std::f64::consts::PI / (1.0 - 0.002 / radius).acos();
-                assert!(f64::from(chords) < least + 2.0, "{chords} chords, {least} would do");
+                assert!(
+                    f64::from(chords) < least + 2.0 && f64::from(chords) > 0.99 * least.min(4.0),
+                    "{chords} chords, {least} would do"
+                );
             }
         }
     }
@@ -135,7 +138,7 @@ fn degenerate_arcs_end_at_the_target() {
 proptest! {
     #[test]
     fn any_arc_is_round(
-        plane in 0_usize..3, log in -1.0_f64..4.0, from in -3.2_f64..3.2, sweep in 0.001_f64..6.28, left in any::<bool>(),
+        plane in 0_usize..3, log in -1.0_f64..4.0, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
         rise in -30.0_f64..30.0, turns in 0_u32..3, x in -500.0_f64..500.0, y in -500.0_f64..500.0,
     ) {
         let radius = 10.0_f64.powf(log);

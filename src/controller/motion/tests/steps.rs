@@ -243,3 +243,23 @@ fn slow_feeds_are_exact() {
         }
     }
 }
+
+#[test]
+fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
+    // Alternately 0.002 and 1.998 steps long, one step each: no step may come at a hair's time, and all together take
+    // the time of the way.
+    let mut rig = Rig::<3, 64>::new(settings(80.0, 100.0, 5000.0));
+    for k in 0..800 {
+        let x = f64::from(2 * k);
+        rig.moves.push_back(to([(x + 0.499) / 80.0, 0.0, 0.0], Speed::Feed(10.0)));
+        rig.moves.push_back(to([(x + 0.501) / 80.0, 0.0, 0.0], Speed::Feed(10.0)));
+    }
+    rig.run();
+    assert_eq!(rig.position, [1599, 0, 0]);
+    rig.check_limits();
+    let whole = 1599.0 / 80.0 / 10.0;
+    assert!((rig.seconds() / whole - 1.0).abs() < 0.005, "{} of {whole}", rig.seconds());
+    let fastest = rig.trace.iter().map(|r| r.interval << r.level).min().unwrap();
+    // A step takes 120,000 clock ticks at this feed, and half of that at least.
+    assert!(fastest >= 59_000, "{fastest}");
+}

@@ -226,33 +226,49 @@ fn overrides_slow_down_and_speed_up_within_a_block() {
         assert!((seen / speed - 1.0).abs() < 0.01, "{seen} instead of {speed}");
     }
     rig.run();
+    rig.check_acceleration(false);
     assert_eq!(rig.position, [32_000, 0, 0]);
+}
+
+#[test]
+fn overrides_reach_the_queued_blocks() {
+    let mut rig = Rig::<3, 16>::new(settings(80.0, 500.0, 200.0));
+    rig.motion.set_overrides(0.2, 1.0);
+    rig.moves.push_back(to([20.0, 0.0, 0.0], Speed::Feed(50.0)));
+    rig.moves.push_back(to([40.0, 0.0, 0.0], Speed::Feed(50.0)));
+    rig.pump();
+    rig.motion.set_overrides(1.0, 1.0);
+    rig.run();
+    let whole = 40.0 / 50.0 + 50.0 / 200.0;
+    assert!((rig.seconds() / whole - 1.0).abs() < 1e-3, "{} of {whole}", rig.seconds());
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
     #[test]
     fn anything_may_come_at_any_time(
-        events in prop::collection::vec((1_usize..3000, 0_u8..8), 1..40),
+        events in prop::collection::vec((1_usize..3000, 0_u8..30), 1..40),
         accel in prop::sample::select(vec![20.0_f32, 200.0, 5000.0]),
     ) {
         let mut rig = job::<16>(accel);
         let mut whole = true;
+        let mut ramped = true;
         rig.pump();
         rig.motion.start();
         for (ticks, what) in events {
             rig.run_ticks(ticks);
             match what {
-                0 => rig.motion.hold(),
-                1 | 2 => rig.motion.resume(),
-                3 => rig.motion.set_overrides(0.1, 0.25),
-                4 => rig.motion.set_overrides(2.0, 1.0),
-                5 => rig.motion.set_overrides(0.73, 0.5),
+                0 | 8..=13 => rig.motion.hold(),
+                1 | 2 | 14..=20 => rig.motion.resume(),
+                3 | 21..=23 => rig.motion.set_overrides(0.1, 0.25),
+                4 | 24..=26 => rig.motion.set_overrides(2.0, 1.0),
+                5 | 27..=29 => rig.motion.set_overrides(0.73, 0.5),
                 6 => {
                     let event = rig.stop();
                     rig.flush();
                     rig.handle_stop(event);
                     whole = false;
+                    ramped = false;
                 }
                 _ => {
                     whole &= rig.motion.queued_blocks() == 0;
@@ -267,6 +283,9 @@ proptest! {
         let events: Vec<_> = rig.events.iter().filter(|e| matches!(e, StepEvent::Underrun { .. })).collect();
         prop_assert!(events.is_empty());
         prop_assert_eq!(rig.motion.machine_steps().0.map(i64::from), rig.position);
+        if ramped {
+            rig.check_acceleration(true);
+        }
         if whole {
             let mut undisturbed = job::<16>(accel);
             undisturbed.run();

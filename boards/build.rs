@@ -1,0 +1,32 @@
+//! Tells the linker about the chosen board. Included by the build scripts of the packages that end in an image.
+//!
+//! Linker arguments come from here and not from `rustflags`: a `RUSTFLAGS` in someone's environment replaces those
+//! silently, and the image would be empty.
+
+use std::{env, fs, path::PathBuf};
+
+/// Every board; each is also a feature of the packages that end in an image.
+pub const BOARDS: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "qemu_mps2"];
+
+/// Puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts. `root` is the workspace
+/// root as seen from the package, `kind` the kind of target in `cargo:rustc-link-arg-KIND`.
+pub fn link(root: &str, kind: &str) {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed={root}/boards/build.rs");
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
+        return;
+    }
+    let chosen: Vec<&str> =
+        BOARDS.into_iter().filter(|b| env::var_os(format!("CARGO_FEATURE_{}", b.to_uppercase())).is_some()).collect();
+    let [board] = chosen[..] else { panic!("choose exactly one board feature of {BOARDS:?}, not {chosen:?}") };
+    let chip = format!("{root}/boards/{board}/chip.x");
+    println!("cargo:rerun-if-changed={chip}");
+    println!("cargo:rerun-if-changed={root}/memory.x");
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    fs::copy(&chip, out.join("chip.x")).expect("each board has a chip.x");
+    // The linker runs in the workspace root and finds memory.x there.
+    println!("cargo:rustc-link-search={}", out.display());
+    for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+        println!("cargo:rustc-link-arg-{kind}={argument}");
+    }
+}

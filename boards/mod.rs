@@ -1,0 +1,95 @@
+//! Picks the board that the firmware is built for: exactly one, by feature.
+//!
+//! Boards know pins, clocks and registers, and nothing of motion or of what a user types. Each provides these names:
+//!
+//! | name | is |
+//! |---|---|
+//! | `pac` | the device crate, for RTIC |
+//! | `PROFILE`, `AXES`, `BLOCKS` | its row of `profiles.rs`, and the two numbers of it that are types |
+//! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the firmware tells the time |
+//! | `CORE_HZ` | clock of SysTick, which samples the inputs |
+//! | `BACK_PRESSURE` | whether a byte that is not fetched waits (true) or is overwritten by the next (false) |
+//! | `setup(device) -> Parts` | everything below, set up once; outputs are off |
+//! | `StepTimer` | free-running counter at the step clock with two compare moments: next tick, end of pulse |
+//! | `StepPins` | step and direction outputs and the spindle's PWM |
+//! | `SerialPort` | the link to the host |
+//! | `InputPins` | limit switches, probe, buttons, as they are now |
+//! | `SlowPins` | driver enable, spindle, coolant |
+//! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle and coolant off |
+//! | `preloaded_job()` | a job that somebody put into RAM before the reset; no board but QEMU has one |
+//! | `job_done()` | the end of a preloaded job |
+//! | `idle()` | sleeps until the next interrupt |
+//! | `halt(why)` | the end after a panic or a fault; outputs are already safe |
+
+#[allow(dead_code, reason = "the rows of the other boards")]
+#[path = "profiles.rs"]
+pub mod profiles;
+
+#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
+#[path = "stm32f4.rs"]
+mod stm32f4;
+
+#[cfg(feature = "blackpill_f411")]
+#[path = "blackpill_f411/mod.rs"]
+mod chosen;
+#[cfg(feature = "nucleo_f446re")]
+#[path = "nucleo_f446re/mod.rs"]
+mod chosen;
+#[cfg(feature = "qemu_mps2")]
+#[path = "qemu_mps2/mod.rs"]
+mod chosen;
+
+#[cfg(not(any(feature = "blackpill_f411", feature = "nucleo_f446re", feature = "qemu_mps2")))]
+compile_error!("choose a board: `cargo fw BOARD`, or `--features` blackpill_f411, nucleo_f446re or qemu_mps2");
+
+pub use chosen::*;
+
+use oxmill_controller::Profile;
+
+/// What the controller must know of a board. No board has a settings store yet.
+const fn profile(board: &profiles::Board) -> Profile {
+    Profile { name: board.name, step_clock_hz: board.step_clock_hz, safe_step_hz: board.safe_step_hz, has_store: false }
+}
+
+/// Levels of the slow outputs as they appear on the pins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlowLevels {
+    /// The enable input of the motor drivers.
+    pub drivers: bool,
+    /// Spindle on.
+    pub spindle: bool,
+    /// Spindle turns counter-clockwise.
+    pub spindle_reversed: bool,
+    /// Flood coolant.
+    pub flood: bool,
+    /// Mist coolant.
+    pub mist: bool,
+}
+
+/// What `SerialPort::receive` found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Incoming {
+    /// A byte.
+    Byte(u8),
+    /// One or more bytes came and are lost.
+    Lost,
+    /// Nothing new.
+    Nothing,
+}
+
+/// Bits of the word that `InputPins::read` gives. A bit is set while its pin is low: the inputs have pull-ups and their
+/// switches close to ground.
+pub mod input_bits {
+    /// Limit switch of X; Y and Z follow.
+    pub const LIMITS: u32 = 0;
+    /// Touch probe.
+    pub const PROBE: u32 = 8;
+    /// Safety door.
+    pub const DOOR: u32 = 9;
+    /// Feed-hold button.
+    pub const HOLD: u32 = 10;
+    /// Cycle-start (resume) button.
+    pub const START: u32 = 11;
+    /// Reset (abort) button.
+    pub const RESET: u32 = 12;
+}

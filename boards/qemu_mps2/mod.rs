@@ -1,0 +1,355 @@
+//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers and without GPIO. The whole firmware runs here; what it would
+//! write to step pins goes into a digest instead.
+//!
+//! ```text
+//!   ┌───────────────────────────────────────────────────┐
+//!   │ UART0 ── the host (a TCP port of QEMU)            │
+//!   │ UART1 ── test stand: any byte in, one report out  │
+//!   │ TIMER0 ─ next tick and end of pulse               │
+//!   │ TIMER1 ─ step clock and time, 25 MHz              │
+//!   │ SysTick  sampling of inputs (there are none)      │
+//!   │ PSRAM 0x2100_0000  "JOB!", length, text: optional │
+//!   └───────────────────────────────────────────────────┘
+//! ```
+//! A job that QEMU's loader has put into PSRAM runs without the UART: its bytes are always there when the controller
+//! wants one, so the step stream is the same in every run. At its end the report goes to UART1 and QEMU ends.
+//!
+//! Everything with an address here is QEMU's: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
+
+use core::cell::RefCell;
+use core::fmt::Write;
+use core::sync::atomic::{AtomicBool, Ordering};
+use cortex_m::peripheral::NVIC;
+use critical_section::Mutex;
+use mps2_pac::{Interrupt, Timer0, Timer1, Uart0, Uart1};
+use oxmill_controller::{Profile, digest::Digest};
+
+pub use mps2_pac as pac;
+
+use super::{Incoming, SlowLevels, profiles};
+
+/// The row of this board.
+pub const PROFILE: Profile = super::profile(&profiles::QEMU_MPS2);
+/// Axes that are counted.
+pub const AXES: usize = profiles::QEMU_MPS2.axes;
+/// Depth of the look-ahead.
+pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
+/// The clock is the step clock.
+pub const CLOCK_TICKS_PER_US: u32 = 25;
+/// Clock of SysTick.
+pub const CORE_HZ: u32 = 25_000_000;
+/// QEMU offers no byte before the last one has been fetched.
+pub const BACK_PRESSURE: bool = true;
+
+/// What `setup` deals out.
+pub struct Parts {
+    /// For `step`.
+    pub step_timer: StepTimer,
+    /// For `step`.
+    pub step_pins: StepPins,
+    /// For `serial`.
+    pub serial: SerialPort,
+    /// For `inputs`.
+    pub inputs: InputPins,
+    /// For `control`.
+    pub slow_pins: SlowPins,
+}
+
+/// Starts timers and UARTs.
+pub fn setup(mut device: pac::Peripherals) -> Parts {
+    device.UART0.set_divider(16);
+    device
+        .UART0
+        .set_control(Uart0::TX_ENABLE | Uart0::RX_ENABLE | Uart0::TX_INTERRUPT_ENABLE | Uart0::RX_INTERRUPT_ENABLE);
+    device.UART1.set_divider(16);
+    device.UART1.set_control(Uart1::TX_ENABLE | Uart1::RX_ENABLE);
+    device.TIMER1.set_reload(u32::MAX);
+    device.TIMER1.set_value(u32::MAX);
+    device.TIMER1.set_control(Timer1::ENABLE);
+    critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(device.UART1)));
+    // SAFETY: unsafe because an unmasked vector may break a critical section; safe because its handler below only pends
+    // another vector.
+    unsafe { NVIC::unmask(Interrupt::UART0_TX) };
+    Parts {
+        step_timer: StepTimer { timer: device.TIMER0, tick: None, pulse_end: None },
+        step_pins: StepPins,
+        serial: SerialPort(device.UART0),
+        inputs: InputPins,
+        slow_pins: SlowPins,
+    }
+}
+
+/// The sender has become free. It has a vector of its own; the serial task lives in the receiver's.
+#[allow(non_snake_case, reason = "the name of the vector")]
+#[unsafe(no_mangle)]
+// unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
+extern "C" fn UART0_TX() {
+    // SAFETY: unsafe because the serial task owns the UART; safe because clearing this flag is one store that the owner
+    // never makes.
+    let mut device = unsafe { pac::Peripherals::steal() };
+    device.UART0.clear_interrupts(Uart0::TX_INTERRUPT);
+    NVIC::pend(Interrupt::UART0_RX);
+}
+
+/// Ticks of the step clock, wrapping.
+#[inline(always)]
+pub fn clock_ticks() -> u32 {
+    // SAFETY: unsafe because the timer is read without owning it; safe because reading VALUE has no effect.
+    u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
+}
+
+/// Two moments on one timer: it is set for the nearer.
+pub struct StepTimer {
+    timer: Timer0,
+    tick: Option<u32>,
+    pulse_end: Option<u32>,
+}
+
+impl StepTimer {
+    /// The step clock.
+    #[inline(always)]
+    pub fn now(&self) -> u32 {
+        clock_ticks()
+    }
+
+    /// Calls the step task at a moment; at once if the moment is over.
+    pub fn tick_at(&mut self, when: u32) {
+        self.tick = Some(when);
+        self.arm();
+    }
+
+    /// No more ticks.
+    pub fn tick_off(&mut self) {
+        self.tick = None;
+        self.arm();
+    }
+
+    /// Whether the moment of [`StepTimer::tick_at`] has come; true once.
+    pub fn take_tick(&mut self) -> bool {
+        let due = self.over(self.tick);
+        if due {
+            self.tick = None;
+        }
+        due
+    }
+
+    /// Calls the step task at the end of a pulse.
+    pub fn pulse_end_at(&mut self, when: u32) {
+        self.pulse_end = Some(when);
+        self.arm();
+    }
+
+    /// Whether the moment of [`StepTimer::pulse_end_at`] has come; true once.
+    pub fn take_pulse_end(&mut self) -> bool {
+        let due = self.over(self.pulse_end);
+        if due {
+            self.pulse_end = None;
+            self.arm();
+        }
+        due
+    }
+
+    fn over(&self, moment: Option<u32>) -> bool {
+        moment.is_some_and(|when| self.now().wrapping_sub(when) as i32 >= 0)
+    }
+
+    fn arm(&mut self) {
+        self.timer.set_control(0);
+        self.timer.clear_interrupts(1);
+        let now = self.now();
+        let left = |moment: Option<u32>| moment.map(|when| (when.wrapping_sub(now) as i32).max(0) as u32);
+        let nearest = match (left(self.tick), left(self.pulse_end)) {
+            (Some(a), Some(b)) => a.min(b),
+            (Some(a), None) | (None, Some(a)) => a,
+            (None, None) => return,
+        };
+        if nearest == 0 {
+            NVIC::pend(Interrupt::TIMER0);
+            return;
+        }
+        // A reload value keeps the timer going, so that a moment missed by rounding is looked at again soon.
+        self.timer.set_reload(CORE_HZ / 1_000);
+        self.timer.set_value(nearest);
+        self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
+    }
+}
+
+/// What the step task has done, for the test stand.
+struct Record {
+    digest: Digest,
+    /// Step-clock ticks for which the step task has been busy.
+    busy: u64,
+    directions: u8,
+    net: [i32; AXES],
+}
+
+static RECORD: Mutex<RefCell<Record>> =
+    Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, directions: 0, net: [0; AXES] }));
+
+/// Step and direction outputs that end in the [`Digest`].
+pub struct StepPins;
+
+impl StepPins {
+    /// Polarity is a matter of pins.
+    pub fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8) {}
+
+    /// A step of the axes of `steps`.
+    pub fn raise(&mut self, steps: u8) {
+        critical_section::with(|cs| {
+            let record = &mut *RECORD.borrow_ref_mut(cs);
+            record.digest.add(record.busy, steps, record.directions);
+            for (axis, net) in record.net.iter_mut().enumerate() {
+                if steps >> axis & 1 != 0 {
+                    *net += if record.directions >> axis & 1 != 0 { -1 } else { 1 };
+                }
+            }
+        });
+    }
+
+    /// End of the pulses.
+    pub fn lower(&mut self) {}
+
+    /// Directions from here on.
+    pub fn direct(&mut self, directions: u8) {
+        critical_section::with(|cs| RECORD.borrow_ref_mut(cs).directions = directions);
+    }
+
+    /// Power of spindle or laser: not recorded.
+    pub fn set_power(&mut self, _power: u16) {}
+
+    /// There is no probe.
+    pub fn probe_low(&self) -> bool {
+        false
+    }
+
+    /// The step task is busy for this long until the next tick.
+    pub fn pass(&mut self, ticks: u32) {
+        critical_section::with(|cs| RECORD.borrow_ref_mut(cs).busy += u64::from(ticks));
+    }
+}
+
+/// UART0.
+pub struct SerialPort(Uart0);
+
+impl SerialPort {
+    /// The next byte, if one has come.
+    pub fn receive(&mut self) -> Incoming {
+        self.0.clear_interrupts(Uart0::RX_INTERRUPT);
+        if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
+    }
+
+    /// Sends a byte if the data register is free.
+    pub fn send(&mut self, byte: u8) -> bool {
+        let free = self.0.state() & Uart0::TX_FULL == 0;
+        if free {
+            self.0.set_data(u32::from(byte));
+        }
+        free
+    }
+
+    /// The interrupt comes after every byte sent, wanted or not.
+    pub fn call_when_free(&mut self, _wanted: bool) {}
+}
+
+/// No pins: nothing is active.
+pub struct InputPins;
+
+impl InputPins {
+    /// Which pins are low: none.
+    pub fn read(&self) -> u16 {
+        0
+    }
+}
+
+/// No pins.
+pub struct SlowPins;
+
+impl SlowPins {
+    /// There is nothing to write to.
+    pub fn write(&mut self, _levels: SlowLevels) {}
+}
+
+/// There are no pins to make safe.
+pub fn safe_state() {}
+
+/// Where a preloaded job lies: a mark, a length, and the text.
+const JOB: usize = 0x2100_0000;
+const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
+/// What PSRAM can hold behind the two words.
+const JOB_MAXIMUM: usize = 16 * 1024 * 1024 - 8;
+
+/// The job in PSRAM, if there is one.
+pub fn preloaded_job() -> Option<&'static [u8]> {
+    // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
+    // the program, and nobody writes to it after the reset.
+    unsafe {
+        let header = JOB as *const u32;
+        if header.read_volatile() != JOB_MARK {
+            return None;
+        }
+        let length = header.add(1).read_volatile() as usize;
+        (length <= JOB_MAXIMUM).then(|| core::slice::from_raw_parts((JOB + 8) as *const u8, length))
+    }
+}
+
+static REPORTER: Mutex<RefCell<Option<Uart1>>> = Mutex::new(RefCell::new(None));
+
+/// Sends text, waiting for each byte.
+struct Reporter(Uart1);
+
+impl Write for Reporter {
+    fn write_str(&mut self, text: &str) -> core::fmt::Result {
+        for byte in text.bytes() {
+            while self.0.state() & Uart1::TX_FULL != 0 {}
+            self.0.set_data(u32::from(byte));
+        }
+        Ok(())
+    }
+}
+
+/// Tells the test stand what the step task has done so far.
+fn send_record() {
+    let (digest, busy, net) = critical_section::with(|cs| {
+        let record = RECORD.borrow_ref(cs);
+        (record.digest, record.busy, record.net)
+    });
+    let Some(uart) = critical_section::with(|cs| REPORTER.borrow_ref_mut(cs).take()) else { return };
+    let mut reporter = Reporter(uart);
+    let [x, y, z] = net;
+    // Writing to a UART cannot fail.
+    let _ = writeln!(
+        reporter,
+        "time={:016x} order={:016x} steps={x},{y},{z} busy={busy}",
+        digest.time_hash(),
+        digest.order_hash()
+    );
+    critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(reporter.0)));
+}
+
+static DONE: AtomicBool = AtomicBool::new(false);
+
+/// The preloaded job has come to its end: `idle` sends the report and ends QEMU.
+pub fn job_done() {
+    DONE.store(true, Ordering::Relaxed);
+}
+
+/// What to do while nothing else is to be done.
+pub fn idle() {
+    if DONE.load(Ordering::Relaxed) {
+        send_record();
+        semihosting::process::exit(0);
+    }
+    let asked = critical_section::with(|cs| {
+        REPORTER.borrow_ref(cs).as_ref().is_some_and(|uart| uart.state() & Uart1::RX_FULL != 0 && uart.data() != 0)
+    });
+    if asked {
+        send_record();
+    }
+    cortex_m::asm::wfi();
+}
+
+/// The firmware has failed: says why and ends QEMU with a status of its own.
+pub fn halt(why: core::fmt::Arguments<'_>) -> ! {
+    semihosting::eprintln!("{why}");
+    semihosting::process::exit(101)
+}

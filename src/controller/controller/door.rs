@@ -1,0 +1,260 @@
+//! The safety door: brake, park if that is wanted, switch off; and all of it backwards.
+//!
+//! The parking moves belong to a motion of their own, so that the job's look-ahead stays as it was. Afterwards the job's
+//! block is entered again at the very unit where it was left.
+
+use super::{Controller, StopReason};
+use crate::axes::{Axis, PerAxis};
+use crate::error::Alarm;
+use crate::machine::state::{Door, Mode};
+use crate::messages::{Coolant, SpindleDirection};
+use crate::motion::{Move, Speed};
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key};
+use crate::units::{Coordinate, Duration, per_second};
+
+/// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
+const SPINDLE_RESTORE: Duration = Duration::from_ticks(4_000_000);
+/// From coolant on until motion goes on (Grbl's 1.0 s).
+const COOLANT_RESTORE: Duration = Duration::from_ticks(1_000_000);
+
+/// What the door took away and where parking goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DoorState<const N: usize> {
+    /// Coolant that comes back; `None` while nothing has been switched off.
+    coolant: Option<Coolant>,
+    /// The parking moves, if the tool was parked.
+    way: Option<ParkingWay<N>>,
+    /// The door was opened again while things were restored.
+    reopened: bool,
+    /// Sleep: what is done ends asleep.
+    pub(super) asleep: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ParkingWay<const N: usize> {
+    /// Where the job was left.
+    left: PerAxis<Coordinate, N>,
+    /// The end of the slow pull-out.
+    clear: PerAxis<Coordinate, N>,
+    /// Where the tool parks.
+    park: PerAxis<Coordinate, N>,
+}
+
+impl<const N: usize> DoorState<N> {
+    pub(super) const CLOSED: Self = Self { coolant: None, way: None, reopened: false, asleep: false };
+
+    /// Whether the tool has left the job for the parking place.
+    pub(super) fn is_parking(&self) -> bool {
+        self.way.is_some()
+    }
+}
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// The door input or 0x84.
+    pub(super) fn open_door(&mut self) {
+        match self.mode {
+            Mode::Jog { .. } => {
+                self.motion.hold();
+                self.task.forget_jog();
+                self.jog_interrupted = true;
+                self.mode = Mode::Door(Door::Braking);
+            }
+            Mode::Normal | Mode::Hold => {
+                self.motion.hold();
+                self.task.suspend(self.now);
+                self.mode = Mode::Door(Door::Braking);
+            }
+            Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
+            Mode::Door(Door::Returning | Door::Plunging) => self.door.reopened = true,
+            Mode::Door(_) => {}
+            Mode::Home => {
+                self.stop.order = true;
+                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
+                return;
+            }
+            _ => return,
+        }
+        self.say(|out| report::message(out, "Check Door"));
+    }
+
+    /// `$SLP`: as a door that only a reset closes.
+    pub(super) fn fall_asleep(&mut self) {
+        self.door.asleep = true;
+        self.mode = Mode::Door(Door::Braking);
+    }
+
+    /// `~` at a closed door.
+    pub(super) fn close_door(&mut self) {
+        if self.signals.door || self.door.asleep {
+            return;
+        }
+        match self.door.way {
+            Some(way) => {
+                self.detour_to(&way.clear, Key::ParkingFastRate);
+                self.mode = Mode::Door(Door::Returning);
+            }
+            None => self.restore_spindle_for_door(),
+        }
+    }
+
+    /// Goes on with whatever phase has come to its end.
+    pub(super) fn settle_door(&mut self, door: Door) {
+        match door {
+            Door::Braking if self.motion.is_at_rest() => {
+                if core::mem::take(&mut self.jog_interrupted) {
+                    self.motion.discard();
+                    self.running = false;
+                    self.interpreter.set_position(self.motion.machine_position());
+                }
+                self.begin_parking();
+            }
+            Door::PullingOut if self.detour_ended() => self.switch_off_and_park(),
+            Door::Parking if self.detour_ended() => self.parked(),
+            Door::Returning if self.detour_ended() => {
+                if core::mem::take(&mut self.door.reopened) {
+                    self.switch_off_and_park();
+                } else {
+                    self.restore_spindle_for_door();
+                }
+            }
+            Door::SpindleRestoring(until) if self.now >= until => {
+                self.coolant = self.door.coolant.unwrap_or_default();
+                self.rare_fields.overrides_changed();
+                let delay = if self.coolant == Coolant::default() { Duration::millis(0) } else { COOLANT_RESTORE };
+                self.mode = Mode::Door(Door::CoolantRestoring(self.now + delay));
+            }
+            Door::CoolantRestoring(until) if self.now >= until => match self.door.way {
+                Some(way) => {
+                    self.detour_to(&way.left, Key::ParkingPullOutRate);
+                    self.mode = Mode::Door(Door::Plunging);
+                }
+                None => self.leave_door(),
+            },
+            Door::Plunging if self.detour_ended() => {
+                if core::mem::take(&mut self.door.reopened) {
+                    self.door.way = None;
+                    self.begin_parking();
+                } else {
+                    self.leave_door();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn leave_door(&mut self) {
+        if self.door.way.is_some() {
+            self.motion.reenter();
+        }
+        self.door = DoorState::CLOSED;
+        self.leave_hold();
+    }
+
+    /// The first move of parking, or straight to switching off where there is no parking.
+    fn begin_parking(&mut self) {
+        self.door.way = self.parking_way();
+        match self.door.way {
+            Some(way) => {
+                let here = self.motion.machine_position();
+                self.detour.configure(self.motion.settings());
+                self.detour.set_machine_position(&here);
+                self.detour_to(&way.clear, Key::ParkingPullOutRate);
+                self.mode = Mode::Door(Door::PullingOut);
+            }
+            None => self.switch_off_and_park(),
+        }
+    }
+
+    /// Where parking leads. None with homing off, with a laser, with an untrusted position, where a program holds it off
+    /// (M56), and where the tool is beyond the parking place already.
+    fn parking_way(&self) -> Option<ParkingWay<N>> {
+        let modal = self.interpreter.modal();
+        if !self.settings.is_on(Key::Parking)
+            || !self.settings.is_on(Key::Homing)
+            || self.settings.is_on(Key::Laser)
+            || !self.trusted
+            || modal.parking_override
+        {
+            return None;
+        }
+        let axis = Axis::ALL.get(self.settings.whole(Key::ParkingAxis) as usize).copied()?;
+        let left = self.motion.machine_position();
+        let here = left.get(axis)?;
+        let travel = Coordinate::from_mm_f32(self.settings.axes(AxisKey::Travel).get(axis)?);
+        let park = Coordinate::from_mm_f32(self.settings.value(Key::ParkingTarget)).clamp(-travel, Coordinate::ZERO);
+        if here >= park {
+            return None;
+        }
+        let clear = (here + Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut))).min(park);
+        let at = |place: Coordinate| {
+            let mut whole = left;
+            whole.set(axis, place);
+            whole
+        };
+        Some(ParkingWay { left, clear: at(clear), park: at(park) })
+    }
+
+    fn switch_off_and_park(&mut self) {
+        // What was switched off before, by an opening of the same door, is not forgotten.
+        self.door.coolant.get_or_insert(self.coolant);
+        self.coolant = Coolant::default();
+        self.spindle_stopped = true;
+        self.rare_fields.overrides_changed();
+        match self.door.way {
+            Some(way) => {
+                self.detour_to(&way.park, Key::ParkingFastRate);
+                self.mode = Mode::Door(Door::Parking);
+            }
+            None => self.parked(),
+        }
+    }
+
+    fn parked(&mut self) {
+        if self.door.asleep {
+            self.spindle = SpindleDirection::Off;
+            self.drivers_on = false;
+            self.drivers_off_at = None;
+            // Axes can be moved by hand now.
+            self.trusted = false;
+            self.mode = Mode::Sleep;
+        } else {
+            self.mode = Mode::Door(Door::Parked);
+        }
+    }
+
+    fn restore_spindle_for_door(&mut self) {
+        self.spindle_stopped = false;
+        self.rare_fields.overrides_changed();
+        let at_once = self.spindle == SpindleDirection::Off || self.settings.is_on(Key::Laser);
+        let delay = if at_once { Duration::millis(0) } else { SPINDLE_RESTORE };
+        self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
+        // Nothing to wait for: the same call goes on.
+        if at_once {
+            self.settle_door(Door::SpindleRestoring(self.now));
+            if let Mode::Door(Door::CoolantRestoring(until)) = self.mode
+                && self.now >= until
+            {
+                self.settle_door(Door::CoolantRestoring(until));
+            }
+        }
+    }
+
+    fn detour_to(&mut self, target: &PerAxis<Coordinate, N>, rate: Key) {
+        self.detour.line(&Move {
+            target: *target,
+            speed: Speed::Feed(per_second(self.settings.value(rate))),
+            power: 0,
+            scale_power: false,
+            line_number: 0,
+            no_feed_override: true,
+        });
+        self.detour.start();
+        self.drivers_on = true;
+        self.drivers_off_at = None;
+    }
+
+    fn detour_ended(&self) -> bool {
+        self.detour.is_idle()
+    }
+}

@@ -1,0 +1,72 @@
+//! Keeps the noise of switches and long wires away from the controller: a level changes after eight samples in a row
+//! that contradict it. Lives in the inputs task.
+
+/// Samples in a second that the inputs task takes: a change passes after 0.4 ms.
+pub const SAMPLE_HZ: u32 = 20_000;
+
+/// Up to 16 inputs, each with a counter of the samples that contradict its level. The counters stand upright: bit n of
+/// `count[k]` is bit k of the counter of input n, so all are counted at once in a dozen instructions.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Filter {
+    level: u16,
+    count: [u16; 3],
+}
+
+impl Filter {
+    /// All inputs inactive.
+    pub const fn new() -> Filter {
+        Filter { level: 0, count: [0; 3] }
+    }
+
+    /// Takes a sample and gives the filtered levels.
+    pub fn sample(&mut self, raw: u16) -> u16 {
+        let differs = raw ^ self.level;
+        let [a, b, c] = self.count;
+        // Seven samples have differed before, and this one does too.
+        let enough = a & b & c & differs;
+        let carry = a & b;
+        self.count = [!a & differs & !enough, (b ^ a) & differs & !enough, (c ^ carry) & differs & !enough];
+        self.level ^= enough;
+        self.level
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eight_samples_change_a_level_and_seven_do_not() {
+        let mut filter = Filter::new();
+        for _ in 0..7 {
+            assert_eq!(filter.sample(0b101), 0);
+        }
+        assert_eq!(filter.sample(0b001), 0b001);
+        for _ in 0..7 {
+            assert_eq!(filter.sample(0b100), 0b001);
+        }
+        assert_eq!(filter.sample(0b100), 0b100);
+    }
+
+    /// The upright counters against one plain counter for each input.
+    #[test]
+    fn agrees_with_plain_counters() {
+        let mut filter = Filter::new();
+        let (mut level, mut count) = (0_u16, [0; 16]);
+        let mut noise = 0x1234_5678_u32;
+        for _ in 0..100_000 {
+            noise ^= noise << 13;
+            noise ^= noise >> 17;
+            noise ^= noise << 5;
+            let raw = (noise & noise >> 16) as u16 | 0x00F0;
+            for (n, count) in count.iter_mut().enumerate() {
+                *count = if (raw ^ level) >> n & 1 == 0 { 0 } else { *count + 1 };
+                if *count == 8 {
+                    level ^= 1 << n;
+                    *count = 0;
+                }
+            }
+            assert_eq!(filter.sample(raw), level);
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! The pump: brings the controller what has happened, and carries away what it wants done.
+//!
+//! The order in which it does so is a rule, and the simulator follows the same one, so that both make the same steps of
+//! the same bytes:
+//! 1. what the step task has done; 2. everything that has happened; 3. bytes of lines, as many as the controller wants;
+//! 4. what the controller puts out. After each message to the step task it begins again with 1, so the look-ahead is as
+//!    full as the bytes allow before each segment, and the steps do not depend on the speed of the CPU.
+
+use crate::boards::{self, AXES, BLOCKS};
+use crate::clock::Clock;
+use crate::crossing::{self, BYTES_LOST, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
+use crate::outputs::Outputs;
+use crate::{pend_serial, pend_step};
+use core::sync::atomic::Ordering;
+use oxmill_controller::Controller;
+use oxmill_controller::messages::{
+    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Room,
+    SEGMENTS_DEPTH, SIGNALS_DEPTH, Signals, StepEvent, ToStep, Wiring,
+};
+use oxmill_controller::units::Duration;
+use rtic_sync::channel::{Receiver, Sender};
+
+/// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
+/// own wake-up expects.
+const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
+
+/// The controller of this board.
+pub type BoardController = Controller<AXES, BLOCKS>;
+
+/// The ends of the channels that `control` holds.
+pub struct Ends {
+    /// From `serial`.
+    pub realtime: Receiver<'static, Realtime, REALTIME_DEPTH>,
+    /// From `serial`.
+    pub lines: Receiver<'static, LineByte, LINES_DEPTH>,
+    /// From `step`.
+    pub events: Receiver<'static, StepEvent<AXES>, EVENTS_DEPTH>,
+    /// From `inputs`.
+    pub signals: Receiver<'static, Signals, SIGNALS_DEPTH>,
+    /// To `step`.
+    pub segments: Sender<'static, ToStep, SEGMENTS_DEPTH>,
+    /// To `serial`.
+    pub replies: Sender<'static, Chunk, REPLIES_DEPTH>,
+    /// To `step`.
+    pub step_wiring: Sender<'static, Wiring, 2>,
+    /// To `inputs`.
+    pub input_wiring: Sender<'static, Wiring, 2>,
+}
+
+/// Everything the task owns.
+pub struct Control {
+    controller: &'static mut BoardController,
+    ends: Ends,
+    outputs: Outputs,
+    clock: Clock,
+    /// Bytes taken out of the line queue since power-up (wrapping).
+    line_bytes_out: u32,
+    job: Option<Job>,
+    /// Wiring facts for which there was no room.
+    unsent_wiring: Option<Wiring>,
+}
+
+/// A preloaded job and how far it has been read.
+struct Job {
+    text: &'static [u8],
+    next: usize,
+}
+
+impl Control {
+    /// Ready to start.
+    pub fn new(controller: &'static mut BoardController, ends: Ends, outputs: Outputs) -> Control {
+        let job = boards::preloaded_job().map(|text| Job { text, next: 0 });
+        Control { controller, ends, outputs, clock: Clock::new(), line_bytes_out: 0, job, unsent_wiring: None }
+    }
+
+    /// Power-up is complete.
+    pub fn start(&mut self) {
+        let now = self.clock.now();
+        self.controller.start(now);
+    }
+
+    /// Pumps until there is nothing to do, and sets the alarm for the next time.
+    pub fn turn(&mut self) {
+        while self.pass() {}
+        if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
+            && self.controller.is_idle()
+            && self.observed().step_idle
+        {
+            boards::job_done();
+        }
+        let mut wakeup = self.controller.next_wakeup();
+        if self.ends.segments.is_full() || self.unsent_wiring.is_some() {
+            let soon = self.clock.now() + FULL_QUEUE_WAKEUP;
+            wakeup = Some(wakeup.map_or(soon, |at| at.min(soon)));
+        }
+        self.clock.set_alarm(wakeup);
+    }
+
+    /// One round of the rule; whether another may find more to do.
+    fn pass(&mut self) -> bool {
+        let now = self.clock.now();
+        let observed = self.observed();
+        self.controller.observe(observed);
+        while let Ok(event) = self.ends.events.try_recv() {
+            self.controller.event(now, Event::Step(event));
+        }
+        while let Ok(command) = self.ends.realtime.try_recv() {
+            self.controller.event(now, Event::Realtime(command));
+        }
+        while let Ok(signals) = self.ends.signals.try_recv() {
+            self.controller.event(now, Event::Signals(signals));
+        }
+        if BYTES_LOST.load(Ordering::Relaxed) {
+            BYTES_LOST.store(false, Ordering::Relaxed);
+            self.controller.event(now, Event::Overrun);
+        }
+        let mut took = false;
+        while self.controller.wants_line()
+            && let Some(byte) = self.next_byte()
+        {
+            took = true;
+            self.controller.event(now, Event::Line(byte));
+        }
+        if took && RX_HELD.load(Ordering::Relaxed) {
+            pend_serial();
+        }
+        self.send_wiring();
+        loop {
+            let room = Room { step: !self.ends.segments.is_full(), reply: !self.ends.replies.is_full() };
+            let Some(output) = self.controller.output(now, room) else { return took };
+            match output {
+                Output::Step(message) => {
+                    // There is room, and nobody else sends.
+                    let _ = self.ends.segments.try_send(message);
+                    if STEP_WANTS.load(Ordering::Relaxed) {
+                        pend_step();
+                    }
+                    return true;
+                }
+                Output::Reply(chunk) => {
+                    let _ = self.ends.replies.try_send(chunk);
+                    pend_serial();
+                }
+                Output::Pins(levels) => {
+                    self.outputs.show(levels);
+                    Power { level: levels.power, from_segments: levels.power_from_segments }.want();
+                    pend_step();
+                }
+                Output::Wiring(wiring) => {
+                    self.outputs.set_enable_invert(wiring.enable_invert);
+                    self.unsent_wiring = Some(wiring);
+                    self.send_wiring();
+                }
+                Output::Stop => {
+                    crossing::ask_for_stop();
+                    pend_step();
+                }
+                // The profile says that there is no store, so nothing is handed to it.
+                Output::Store(_) => self.controller.event(now, Event::StoreFailed),
+                Output::Worked => {}
+            }
+        }
+    }
+
+    /// Hands the wiring facts to the tasks that own the pins; both queues are emptied within a millisecond at rest.
+    fn send_wiring(&mut self) {
+        if let Some(wiring) = self.unsent_wiring
+            && !self.ends.step_wiring.is_full()
+            && !self.ends.input_wiring.is_full()
+        {
+            let _ = self.ends.step_wiring.try_send(wiring);
+            let _ = self.ends.input_wiring.try_send(wiring);
+            self.unsent_wiring = None;
+            pend_step();
+        }
+    }
+
+    fn observed(&self) -> Observed {
+        // The order matters: what leaves the queue shows up in the step task in the same handler.
+        let queue_empty = self.ends.segments.is_empty();
+        let step_idle = queue_empty && STEP_AT_REST.load(Ordering::Relaxed);
+        let used = LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
+        // A job has its next bytes ready until its end.
+        let waiting = if self.job.as_ref().is_some_and(|job| job.next < job.text.len()) { LINES_DEPTH } else { used };
+        Observed {
+            segments_begun: SEGMENTS_BEGUN.load(Ordering::Relaxed),
+            step_idle,
+            rx_free: LINES_DEPTH.saturating_sub(waiting) as u16,
+        }
+    }
+
+    fn next_byte(&mut self) -> Option<LineByte> {
+        if let Some(job) = &mut self.job {
+            let byte = *job.text.get(job.next)?;
+            job.next += 1;
+            if job.next == job.text.len() {
+                self.controller.input_ended();
+            }
+            return Some(LineByte { byte, epoch: 0 });
+        }
+        let byte = self.ends.lines.try_recv().ok()?;
+        self.line_bytes_out = self.line_bytes_out.wrapping_add(1);
+        Some(byte)
+    }
+}

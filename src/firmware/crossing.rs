@@ -1,0 +1,60 @@
+//! What crosses between tasks without a queue, because a message would lie or cost too much. Each name has one writer,
+//! unless it says otherwise; all else goes through the channels that `main` declares.
+
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+
+/// The flag that wakes `control`; anyone may raise it.
+pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
+
+/// `step`: segments begun since power-up (wrapping).
+pub static SEGMENTS_BEGUN: AtomicU32 = AtomicU32::new(0);
+/// `step`: nothing moves and nothing is loaded.
+pub static STEP_AT_REST: AtomicBool = AtomicBool::new(true);
+/// `step`: there is room for a message ahead of its time; whoever queues one then pends the step vector, for the next tick
+/// may be too late.
+pub static STEP_WANTS: AtomicBool = AtomicBool::new(true);
+/// `serial`: bytes put into the line queue since power-up (wrapping).
+pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
+/// `serial` raises it, `control` lowers it: received bytes have been lost.
+pub static BYTES_LOST: AtomicBool = AtomicBool::new(false);
+/// `serial`: it holds a byte for which there was no room, and wants to be called when there is.
+pub static RX_HELD: AtomicBool = AtomicBool::new(false);
+/// `control`: see [`Power`].
+static POWER: AtomicU32 = AtomicU32::new(0);
+/// Stops asked for since power-up (wrapping). A count and not a flag, so that each is answered.
+static STOPS_ASKED: AtomicU8 = AtomicU8::new(0);
+
+/// Asks the step task to stop at once. The caller pends the step vector right after it; the mark stays until the step
+/// task has obeyed, so it can neither be lost nor be overtaken by what is queued.
+pub fn ask_for_stop() {
+    STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
+}
+
+/// How many stops have been asked for.
+#[inline(always)]
+pub fn stops_asked() -> u8 {
+    STOPS_ASKED.load(Ordering::Relaxed)
+}
+
+/// What the spindle's PWM shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Power {
+    /// The power itself.
+    pub level: u16,
+    /// Laser: while something moves, the segments carry the power.
+    pub from_segments: bool,
+}
+
+impl Power {
+    /// What `control` has set last.
+    #[inline(always)]
+    pub fn wanted() -> Power {
+        let word = POWER.load(Ordering::Relaxed);
+        Power { level: word as u16, from_segments: word >> 16 != 0 }
+    }
+
+    /// For `control`; and for `step`, which preempts it, to switch a beam off at a stop.
+    pub fn want(self) {
+        POWER.store(u32::from(self.level) | u32::from(self.from_segments) << 16, Ordering::Relaxed);
+    }
+}

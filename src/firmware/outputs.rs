@@ -1,0 +1,42 @@
+//! Writes the outputs that change slowly: driver enable, spindle, coolant.
+
+use crate::boards::{SlowLevels, SlowPins};
+use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
+
+/// The slow pins and what they show.
+pub struct Outputs {
+    pins: SlowPins,
+    wanted: Option<SlowOutputs>,
+    enable_invert: bool,
+}
+
+impl Outputs {
+    /// Outputs are off, as `setup` left them.
+    pub fn new(pins: SlowPins) -> Outputs {
+        Outputs { pins, wanted: None, enable_invert: false }
+    }
+
+    /// Takes over the levels wanted.
+    pub fn show(&mut self, wanted: SlowOutputs) {
+        self.wanted = Some(wanted);
+        self.write();
+    }
+
+    /// Takes over the polarity of the enable output.
+    pub fn set_enable_invert(&mut self, invert: bool) {
+        self.enable_invert = invert;
+        self.write();
+    }
+
+    fn write(&mut self) {
+        let Some(wanted) = self.wanted else { return };
+        self.pins.write(SlowLevels {
+            // Step-stick drivers are enabled by a low level.
+            drivers: wanted.drivers == self.enable_invert,
+            spindle: wanted.spindle != SpindleDirection::Off,
+            spindle_reversed: wanted.spindle == SpindleDirection::CounterClockwise,
+            flood: wanted.coolant.flood,
+            mist: wanted.coolant.mist,
+        });
+    }
+}

@@ -1,0 +1,82 @@
+//! From reset to running tasks: the board is set up, and what each task owns is put together.
+
+use crate::boards::{self, AXES};
+use crate::control::{BoardController, Control, Ends};
+use crate::crossing::Wake;
+use crate::inputs::Inputs;
+use crate::outputs::Outputs;
+use crate::serial::Serial;
+use crate::step_timer::Step;
+use core::mem::MaybeUninit;
+use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use oxmill_controller::machine::filter::SAMPLE_HZ;
+use oxmill_controller::messages::{
+    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
+    Signals, StepEvent, ToStep, Wiring,
+};
+use rtic_sync::channel::Channel;
+use rtic_sync::signal::Signal;
+
+/// The channels between the tasks, as `main` declares them.
+#[allow(missing_docs, reason = "named and described in `main`")]
+pub struct Channels {
+    pub realtime: &'static mut Channel<Realtime, REALTIME_DEPTH>,
+    pub lines: &'static mut Channel<LineByte, LINES_DEPTH>,
+    pub replies: &'static mut Channel<Chunk, REPLIES_DEPTH>,
+    pub segments: &'static mut Channel<ToStep, SEGMENTS_DEPTH>,
+    pub events: &'static mut Channel<StepEvent<AXES>, EVENTS_DEPTH>,
+    pub signals: &'static mut Channel<Signals, SIGNALS_DEPTH>,
+    pub step_wiring: &'static mut Channel<Wiring, 2>,
+    pub input_wiring: &'static mut Channel<Wiring, 2>,
+    pub wake: &'static Signal<()>,
+}
+
+/// What the tasks own.
+#[allow(missing_docs, reason = "one for each task")]
+pub struct Tasks {
+    pub step: Step,
+    pub serial: Serial,
+    pub inputs: Inputs,
+    pub control: Control,
+}
+
+/// Sets the board up and deals everything out. `controller` is where the controller lives: it is too big for a stack.
+pub fn start(
+    device: boards::pac::Peripherals,
+    mut sampling: SYST,
+    channels: Channels,
+    controller: &'static mut MaybeUninit<BoardController>,
+) -> Tasks {
+    let parts = boards::setup(device);
+    let (realtime_in, realtime) = channels.realtime.split();
+    let (lines_in, lines) = channels.lines.split();
+    let (replies, replies_out) = channels.replies.split();
+    let (segments, segments_out) = channels.segments.split();
+    let (events_in, events) = channels.events.split();
+    let (signals_in, signals) = channels.signals.split();
+    let (step_wiring, step_wiring_out) = channels.step_wiring.split();
+    let (input_wiring, input_wiring_out) = channels.input_wiring.split();
+    let wake: Wake = channels.wake.writer();
+
+    let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
+    let controller = build(controller);
+    let tasks = Tasks {
+        step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
+        serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
+        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake),
+        control: Control::new(controller, ends, Outputs::new(parts.slow_pins)),
+    };
+    sampling.set_clock_source(SystClkSource::Core);
+    sampling.set_reload(boards::CORE_HZ / SAMPLE_HZ - 1);
+    sampling.clear_current();
+    sampling.enable_counter();
+    sampling.enable_interrupt();
+    tasks
+}
+
+/// Builds the controller in its place. On the way there it lies on the stack; not inlined, so that this part of the stack
+/// is free again afterwards instead of belonging to `main` for ever.
+#[inline(never)]
+fn build(place: &'static mut MaybeUninit<BoardController>) -> &'static mut BoardController {
+    place.write(BoardController::new(boards::PROFILE))
+}

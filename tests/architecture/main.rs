@@ -1,0 +1,335 @@
+//! Who may know whom. Reads the sources, so that a shortcut between rooms fails here and not in somebody's head.
+
+mod source;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The rooms of the controller and the rooms that each may name besides itself. A new room must be entered here.
+const ROOMS: &[(&str, &[&str])] = &[
+    ("units", &[]),
+    ("axes", &[]),
+    ("error", &[]),
+    ("digest", &[]),
+    ("number", &["units"]),
+    ("messages", &["axes", "units"]),
+    ("settings", &["units", "axes", "error", "number"]),
+    ("protocol", &["units", "axes", "error", "messages", "number", "settings"]),
+    ("gcode", &["units", "axes", "error", "messages", "number"]),
+    ("motion", &["units", "axes", "error", "messages"]),
+    ("machine", &["units", "axes", "error", "messages", "settings", "motion"]),
+    (
+        "controller",
+        &[
+            "units", "axes", "error", "messages", "number", "settings", "protocol", "gcode", "motion", "machine",
+            "digest",
+        ],
+    ),
+];
+
+/// Crates that the controller may build on.
+const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm"];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// All Rust files below a folder, with their path from there. `tests` (folder or file) is left out: no rule is for it, and
+/// [`faults`] sees to it that it belongs to test builds only.
+fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next).unwrap_or_else(|e| panic!("{}: {e}", next.display())) {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                if path.file_name().is_some_and(|n| n != "target" && n != "tests") {
+                    folders.push(path);
+                }
+            } else if path.extension().is_some_and(|e| e == "rs") && path.file_name().is_some_and(|n| n != "tests.rs") {
+                let text = fs::read_to_string(&path).unwrap();
+                found.push((path.strip_prefix(folder).unwrap().to_path_buf(), text));
+            }
+        }
+    }
+    found.sort();
+    assert!(!found.is_empty(), "no sources in {}", folder.display());
+    found
+}
+
+/// Names of the modules that lead to a file: `protocol/line.rs` is [protocol, line], `gcode/mod.rs` is [gcode].
+fn module_of(file: &Path) -> Vec<String> {
+    let mut parts: Vec<String> =
+        file.with_extension("").components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+    if parts.last().is_some_and(|last| last == "mod" || last == "lib") {
+        parts.pop();
+    }
+    parts
+}
+
+/// The room that a path leads to, if it is one: `crate::x::..`, or `super::..` as far up as the root.
+fn room_of(path: &[String], module: &[String]) -> Option<String> {
+    let mut base = module.to_vec();
+    let mut rest = path;
+    match rest.first()?.as_str() {
+        "crate" => base.clear(),
+        "self" => {}
+        "super" => {}
+        _ => return None,
+    }
+    while let Some(first) = rest.first() {
+        match first.as_str() {
+            "super" => {
+                base.pop();
+            }
+            "crate" | "self" => {}
+            _ => break,
+        }
+        rest = &rest[1..];
+    }
+    base.extend(rest.iter().cloned());
+    base.first().cloned()
+}
+
+/// What a file of the controller does against the rules.
+fn faults(file: &Path, text: &str) -> Vec<String> {
+    let text = source::bare(text);
+    let module = module_of(file);
+    let mut faults = Vec::new();
+    // What `#[cfg(test)]` marks is gone from the text by now.
+    if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
+        faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
+    }
+    for word in source::words(&text) {
+        if ["f64", "mul_add", "unsafe", "extern"].contains(&word.as_str()) {
+            faults.push(format!("says `{word}`"));
+        }
+    }
+    let Some(room) = module.first() else {
+        return faults;
+    };
+    let Some((_, allowed)) = ROOMS.iter().find(|(name, _)| name == room) else {
+        return vec![format!("room `{room}` is not in the table of rooms")];
+    };
+    for path in source::paths(&text) {
+        if ["std", "alloc"].contains(&path[0].as_str()) {
+            faults.push(format!("uses `{}`", path.join("::")));
+        }
+        // An inline module puts `super` one level higher than the file; the rooms have none outside tests.
+        // Names that the crate's root re-exports would be a way round the table, so they are refused as well.
+        if let Some(other) = room_of(&path, &module)
+            && other != *room
+            && !allowed.contains(&other.as_str())
+        {
+            faults.push(format!("`{room}` uses `{other}`: {}", path.join("::")));
+        }
+    }
+    faults
+}
+
+fn report(folder: &Path, faults: impl Fn(&Path, &str) -> Vec<String>) {
+    let found: Vec<String> = sources(folder)
+        .iter()
+        .flat_map(|(file, text)| {
+            faults(file, text).into_iter().map(|f| format!("{}: {f}", folder.join(file).display())).collect::<Vec<_>>()
+        })
+        .collect();
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn rooms_of_the_controller_keep_their_directions() {
+    report(&root().join("src/controller"), faults);
+}
+
+#[test]
+fn every_room_of_the_table_exists() {
+    let existing: BTreeSet<String> =
+        sources(&root().join("src/controller")).iter().filter_map(|(f, _)| module_of(f).first().cloned()).collect();
+    for (room, _) in ROOMS {
+        assert!(existing.contains(*room), "no room `{room}`");
+    }
+}
+
+#[test]
+fn the_controller_is_no_std_without_unsafe_and_cannot_panic_by_lint() {
+    let text = source::bare(&fs::read_to_string(root().join("src/controller/lib.rs")).unwrap());
+    let dense: String = text.split_whitespace().collect();
+    assert!(dense.contains("#![no_std]") || dense.contains("#![cfg_attr(not(test),no_std)]"), "std");
+    assert!(dense.contains("forbid(unsafe_code)"), "unsafe");
+    for lint in ["unwrap_used", "expect_used", "panic", "indexing_slicing"] {
+        assert!(dense.contains(&format!("clippy::{lint}")), "{lint}");
+    }
+}
+
+/// Names of the `[dependencies]` of a manifest.
+fn dependencies(manifest: &str) -> Vec<String> {
+    let mut inside = false;
+    let mut found = Vec::new();
+    for line in manifest.lines().map(str::trim) {
+        if line.starts_with('[') {
+            inside = line == "[dependencies]";
+            // Also `[dependencies.x]` and target tables.
+            if let Some(name) = line.trim_matches(['[', ']']).split("dependencies.").nth(1)
+                && !line.contains("dev-dependencies")
+            {
+                found.push(name.to_string());
+            }
+            if line.starts_with("[target") && line.ends_with("dependencies]") && !line.contains("dev-dependencies") {
+                inside = true;
+            }
+        } else if inside && !line.is_empty() && !line.starts_with('#') {
+            found.push(line.split(['=', '.', ' ']).next().unwrap_or_default().to_string());
+        }
+    }
+    found
+}
+
+#[test]
+fn the_controller_builds_on_nothing_with_hardware_queues_or_clocks() {
+    let manifest = fs::read_to_string(root().join("src/controller/Cargo.toml")).unwrap();
+    let found = dependencies(&manifest);
+    assert!(!found.is_empty());
+    for name in found {
+        assert!(CONTROLLER_CRATES.contains(&name.as_str()), "the controller depends on `{name}`");
+    }
+}
+
+fn simulator_faults(_: &Path, text: &str) -> Vec<String> {
+    let text = source::bare(text);
+    let mut faults: Vec<String> =
+        source::words(&text).filter(|w| w == "unsafe").map(|_| "says `unsafe`".to_string()).collect();
+    // The simulator pumps; what it makes of the controller's rooms beyond their types would be a second controller.
+    for path in source::paths(&text) {
+        if ["rtic", "rtic_sync", "cortex_m", "stm32f4xx_hal", "defmt"].contains(&path[0].as_str()) {
+            faults.push(format!("uses `{}`", path.join("::")));
+        }
+    }
+    faults
+}
+
+#[test]
+fn the_simulator_is_safe_and_knows_no_hardware() {
+    report(&root().join("src/simulator"), simulator_faults);
+    let text = source::bare(&fs::read_to_string(root().join("src/simulator/lib.rs")).unwrap());
+    assert!(text.contains("forbid(unsafe_code)"));
+}
+
+/// Boards know pins: of the controller they may fill in the profile, and digest steps where there are no pins; of the
+/// tasks they know nothing.
+fn board_faults(_: &Path, text: &str) -> Vec<String> {
+    let mut faults = Vec::new();
+    for path in source::paths(&source::bare(text)) {
+        let known = match path[0].as_str() {
+            "oxmill_controller" => path.get(1).is_some_and(|name| name == "Profile" || name == "digest"),
+            "rtic" | "rtic_sync" | "oxmill_simulator" => false,
+            _ => true,
+        };
+        if !known {
+            faults.push(format!("uses `{}`", path.join("::")));
+        }
+    }
+    faults
+}
+
+#[test]
+fn boards_know_pins_only() {
+    report(&root().join("boards"), board_faults);
+}
+
+#[test]
+fn controller_knows_no_firmware_simulator_or_board() {
+    report(&root().join("src/controller"), |_, text| {
+        source::paths(&source::bare(text))
+            .into_iter()
+            .filter(|p| {
+                p[0].starts_with("oxmill") || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str())
+            })
+            .map(|p| format!("uses `{}`", p.join("::")))
+            .collect()
+    });
+}
+
+mod the_reader_itself {
+    use super::*;
+
+    fn found(file: &str, text: &str) -> Vec<String> {
+        faults(Path::new(file), text)
+    }
+
+    #[test]
+    fn finds_forbidden_directions_in_every_form() {
+        for (file, text) in [
+            ("gcode/check.rs", "use crate::motion::Move;"),
+            ("gcode/check.rs", "use crate::{axes::Axis, motion::{Move, Speed}};"),
+            ("gcode/check.rs", "use crate::motion as m;"),
+            ("gcode/check.rs", "fn f() { let m = crate::motion::Move::new(); }"),
+            ("gcode/check.rs", "use super::super::protocol::line;"),
+            ("gcode/mod.rs", "use super::protocol;"),
+            ("gcode/mod.rs", "pub use super::{units::Decimal, controller::Controller};"),
+            ("units.rs", "use crate::axes::Axis;"),
+            ("motion/planner.rs", "use crate::settings::Settings;"),
+            ("machine/hold.rs", "use crate::gcode::Checked;"),
+            ("settings.rs", "use super::protocol::text;"),
+            ("protocol/report.rs", "struct A(crate::motion::Motion);"),
+            ("protocol/report.rs", "use crate::Stepper;"),
+        ] {
+            assert!(!found(file, text).is_empty(), "{file}: {text}");
+        }
+    }
+
+    #[test]
+    fn finds_forbidden_words() {
+        for text in [
+            "fn f(x: f64) {}",
+            "let y = x.mul_add(a, b);",
+            "unsafe { core::hint::unreachable_unchecked() }",
+            "use std::vec::Vec;",
+            "let x = std::f32::consts::PI;",
+            "extern crate std;",
+            "mod tests;",
+        ] {
+            assert!(!found("motion/planner.rs", text).is_empty(), "{text}");
+        }
+        assert!(!simulator_faults(Path::new("lib.rs"), "unsafe fn f() {}").is_empty());
+        assert!(!board_faults(Path::new("mod.rs"), "use oxmill_controller::{Profile, Controller};").is_empty());
+        assert!(!board_faults(Path::new("mod.rs"), "use rtic_sync::channel::Sender;").is_empty());
+    }
+
+    #[test]
+    fn takes_no_offence_at_comments_strings_tests_and_allowed_directions() {
+        for (file, text) in [
+            ("gcode/check.rs", "// use crate::motion::Move; f64 unsafe\n/* std::vec /* nested */ f64 */"),
+            ("gcode/check.rs", "const A: &str = \"unsafe f64 crate::motion::Move\";"),
+            ("gcode/check.rs", "const A: &str = r#\"crate::motion::\"Move\" f64\"#; const B: &[u8] = br\"f64\";"),
+            ("gcode/check.rs", "const Q: char = '\"'; const R: u8 = b'\\''; // f64\nfn f<'a>(x: &'a str) {}"),
+            ("gcode/check.rs", "#[cfg(test)]\nmod tests { use std::vec::Vec; fn f(x: f64) { { } } }"),
+            ("gcode/check.rs", "#[cfg(test)]\nuse std::vec::Vec;\nfn g() {}"),
+            ("gcode/check.rs", "use super::modal::Modal; use super::{word, arc::Vector};"),
+            ("machine/jog.rs", "use crate::motion::Move;"),
+            ("controller/execute.rs", "use crate::{gcode, motion, protocol, machine, settings};"),
+        ] {
+            assert_eq!(found(file, text), Vec::<String>::new(), "{file}: {text}");
+        }
+    }
+
+    #[test]
+    fn sees_what_follows_a_test_module() {
+        let text = "#[cfg(test)]\nmod tests { fn f() {} }\nuse crate::motion::Move;";
+        assert_eq!(found("gcode/check.rs", text).len(), 1);
+    }
+
+    #[test]
+    fn refuses_rooms_that_are_not_in_the_table() {
+        assert_eq!(found("helpers/mod.rs", "").len(), 1);
+    }
+
+    #[test]
+    fn reads_dependencies_of_a_manifest() {
+        let manifest = "[package]\nname = \"x\"\n[dependencies]\nlibm.workspace = true\nrtic = \"2\"\n\
+                        [dev-dependencies]\nproptest = \"1\"\n[dependencies.defmt]\nversion = \"1\"\n\
+                        [target.'cfg(target_os = \"none\")'.dependencies]\ncortex-m = \"0.7\"\n";
+        assert_eq!(dependencies(manifest), ["libm", "rtic", "defmt", "cortex-m"]);
+    }
+}

@@ -1,0 +1,12 @@
+(arcs in three planes, full circle, helix)
+G21 G90 G17
+G0 X5 Y0
+G2 X0 Y5 I-5 J0 F500
+G3 X5 Y0 I0 J-5
+G2 X5 Y0 I-5 J0 Z-1
+G18
+G2 X7 Z1 I1 K1
+G19
+G3 Y2 Z3 J1 K1 F800
+G17
+G1 X0 Y0 Z0 F1000

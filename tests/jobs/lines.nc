@@ -1,0 +1,18 @@
+(straight moves of all lengths and directions, short ones among them)
+G21 G90 G94
+G1 X10 Y5 F1200
+X10.5 Y5.1
+X10.6 Y5.3
+X10.62 Y5.31
+X10.622 Y5.313
+G0 Z2
+X0 Y0
+G1 Z0 F300
+G91 X0.1 Y-0.1 F500
+X0.1 Y-0.1
+X0.1 Y-0.1
+X-7.3
+Y0.0013
+X0.0017 Y0.0011 Z0.0007
+G90 X1 Y2 Z3
+M30

@@ -1,0 +1,403 @@
+//! Measures speed and acceleration on a step trace, and compares them with the machine's limits.
+//!
+//! How limits are measured, and every allowance that is made:
+//! - Path speed comes from the intervals between steps of a block's dominant axis, once they are shorter than 1 ms. A
+//!   step time is rounded to a tick of the step clock, so a speed may be off by one tick of its interval. Beyond that a
+//!   limit may be exceeded by 1 % ([`TOLERANCE`]).
+//! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
+//!   than above; where the grid changes, an interval is longer or shorter by that. There a speed is measured over 16
+//!   steps, and these 7/16 are allowed for.
+//! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean speed
+//!   of an interval is the speed at its middle while the acceleration is even, and a mean of allowed values otherwise.
+//!   Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping excess is missed.
+//! - A change from one acceleration to the next waits for a whole step of the dominant axis and is then caught up with:
+//!   between two intervals an acceleration may seem to have acted for one step longer than their distance.
+//! - The ends of a move are rounded to steps, so that its length may be taken for half a step more or less than
+//!   programmed, and its speeds with it.
+//! - Below one step per millisecond, where an interval says little, the machine may be one step ahead of what the limits
+//!   allow: from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
+//! - At a corner the path speed is bounded by the junction rule: the machine may cut the corner on a circle that passes
+//!   within the junction deviation of it, at the acceleration that the axes allow across. Between the interval before
+//!   the corner and the corner itself the block's acceleration acts for less than the time to the interval after it.
+//! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
+//!   of the shorter one count as straight on.
+
+use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
+
+/// Share by which a limit may be exceeded.
+pub const TOLERANCE: f64 = 0.01;
+/// Last digit of the programs in these tests, mm.
+pub const DIGIT: f64 = 0.001;
+
+/// Steps per second below which steps are placed on a finer grid; by how much of a step that may move them; and over how
+/// many steps a speed is measured there.
+const SMOOTHED: f64 = 8000.0;
+const SHIFT: f64 = 7.0 / 16.0;
+const WINDOW: usize = 16;
+
+/// The limits of a machine, each axis in mm, mm/s and mm/s².
+#[derive(Clone, Debug)]
+pub struct Limits {
+    pub steps_per_mm: [f64; AXES],
+    pub rate: [f64; AXES],
+    pub acceleration: [f64; AXES],
+    pub junction_deviation: f64,
+}
+
+/// A straight move of a program.
+#[derive(Clone, Copy, Debug)]
+pub struct Line {
+    /// Ends in mm.
+    pub from: [f64; AXES],
+    /// See `from`.
+    pub to: [f64; AXES],
+    /// Programmed speed in mm/s; `None` for a rapid.
+    pub feed: Option<f64>,
+}
+
+/// A move with what the limits make of it.
+struct Move {
+    unit: [f64; AXES],
+    length: f64,
+    speed: f64,
+    acceleration: f64,
+    /// mm of path for each step of the dominant axis.
+    pitch: f64,
+    /// Share of the length that rounding its ends to steps may make.
+    slack: f64,
+    /// Ticks of the dominant steps.
+    times: Vec<u64>,
+}
+
+/// The mean speed between two dominant steps.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    /// Middle of the interval, s, and its length.
+    at: f64,
+    span: f64,
+    /// Mean time of a step in it, s.
+    step: f64,
+    /// mm/s.
+    speed: f64,
+    /// What the rounding to ticks can do to it, mm/s.
+    rounding: f64,
+}
+
+impl Reading {
+    /// For how long an acceleration can act between two mean speeds: from middle to middle, and where one interval is
+    /// longer than the other, from its inside to its outside; and one step longer, for a change between them.
+    fn apart(&self, other: &Reading) -> f64 {
+        (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
+    }
+}
+
+impl Limits {
+    /// Greatest value along a direction that no axis' own value forbids.
+    fn along(&self, values: [f64; AXES], unit: [f64; AXES]) -> f64 {
+        (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The steps nearest to a place, a half away from zero (that 2.03 is a little less in binary must not matter).
+    pub fn place(&self, mm: [f64; AXES]) -> Place {
+        std::array::from_fn(|a| ((mm[a] * self.steps_per_mm[a] * 1e6).round() / 1e6).round() as i64)
+    }
+
+    /// Greatest path speed at the corner between two directions.
+    fn junction(&self, before: [f64; AXES], after: [f64; AXES]) -> f64 {
+        let turn: [f64; AXES] = std::array::from_fn(|a| after[a] - before[a]);
+        let size = norm(turn);
+        if size < 1e-4 {
+            return f64::INFINITY;
+        }
+        // Half of the angle between the reversed first and the second direction: π/2 straight on, 0 for a reversal.
+        let cosine = -(0..AXES).map(|a| before[a] * after[a]).sum::<f64>();
+        let half = ((1.0 - cosine) / 2.0).sqrt();
+        let acceleration = self.along(self.acceleration, turn.map(|t| t / size));
+        (acceleration * self.junction_deviation * half / (1.0 - half)).sqrt()
+    }
+}
+
+fn norm(v: [f64; AXES]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Compares a trace that begins and ends at rest, of nothing but straight moves, with the moves and the limits: the path
+/// step for step, speeds and accelerations as the head of this file says.
+///
+/// # Errors
+/// The first thing that is wrong.
+pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Result<(), String> {
+    let mut rest = trace;
+    let mut moves = Vec::new();
+    // Moves of no steps pass their length on to the next one.
+    let mut carried = 0.0;
+    for line in lines {
+        let delta: [f64; AXES] = std::array::from_fn(|a| line.to[a] - line.from[a]);
+        let length = norm(delta);
+        let (from, to) = (limits.place(line.from), limits.place(line.to));
+        let (_, count) = dominant(from, to);
+        if count == 0 {
+            carried += length;
+            continue;
+        }
+        let unit = delta.map(|d| d / length);
+        let rate = limits.along(limits.rate, unit);
+        moves.push(Move {
+            unit,
+            length,
+            speed: line.feed.unwrap_or(rate).min(rate),
+            acceleration: limits.along(limits.acceleration, unit),
+            pitch: (length + carried) / count as f64,
+            slack: 0.5 / count as f64,
+            times: follow_line(&mut rest, from, to)?,
+        });
+        carried = 0.0;
+    }
+    if let Some(pulse) = rest.first() {
+        return Err(format!("{} pulses after the end of the last move, the first at {}", rest.len(), pulse.at));
+    }
+    for (index, m) in moves.iter().enumerate() {
+        check_move(m, hz).map_err(|e| format!("move {index}: {e}"))?;
+    }
+    for (index, pair) in moves.windows(2).enumerate() {
+        check_corner(&pair[0], &pair[1], hz, limits).map_err(|e| format!("corner after move {index}: {e}"))?;
+    }
+    if let Some(first) = moves.first() {
+        check_rest(first, first.times.iter().map(|t| (t - first.times[0]) as f64 / hz))
+            .map_err(|e| format!("start: {e}"))?;
+    }
+    if let Some(last) = moves.last() {
+        let end = last.times[last.times.len() - 1];
+        check_rest(last, last.times.iter().rev().map(|t| (end - t) as f64 / hz)).map_err(|e| format!("end: {e}"))?;
+    }
+    Ok(())
+}
+
+/// A reading for each interval, `None` for those longer than a millisecond. That of a slow interval covers the following
+/// steps as well, as far as there are any and none of their intervals is longer than a millisecond.
+fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
+    (1..m.times.len())
+        .map(|i| {
+            let interval = |i: usize| (m.times[i] - m.times[i - 1]) as f64;
+            let (mut last, mut shift) = (i, 0.0);
+            if interval(i) > hz / SMOOTHED {
+                shift = SHIFT;
+                let end = m.times.len().min(i + WINDOW);
+                last = (i..end).take_while(|&k| interval(k) < hz / 1000.0).last()?;
+            }
+            let (from, to) = (m.times[i - 1], m.times[last]);
+            let ticks = (to - from) as f64;
+            let steps = (last + 1 - i) as f64;
+            let speed = m.pitch * steps / (ticks / hz);
+            let rounding = speed / (ticks - 1.0).max(1.0) + shift * m.pitch / (ticks / hz);
+            let (at, span) = ((from + to) as f64 / 2.0 / hz, ticks / hz);
+            (ticks > 0.0).then_some(Reading { at, span, step: span / steps, speed, rounding })
+        })
+        .collect()
+}
+
+fn check_move(m: &Move, hz: f64) -> Result<(), String> {
+    let readings = readings(m, hz);
+    for reading in readings.iter().flatten() {
+        if reading.speed > m.speed * (1.0 + TOLERANCE + m.slack) + reading.rounding {
+            return Err(format!("{} mm/s where {} are allowed, at {} s", reading.speed, m.speed, reading.at));
+        }
+    }
+    // Feeds slower than a step per millisecond have no readings: the whole move, but for one step.
+    if let [first, .., last] = m.times[..] {
+        let seconds = (last - first) as f64 / hz;
+        let steps = (m.times.len() - 1) as f64;
+        if (steps - SHIFT) * m.pitch > m.speed * (1.0 + TOLERANCE + m.slack) * seconds {
+            return Err(format!("{steps} steps of {} mm in {seconds} s: faster than {} mm/s", m.pitch, m.speed));
+        }
+    }
+    let mut distance = 1;
+    while distance < readings.len() {
+        for i in 0..readings.len() - distance {
+            if let (Some(a), Some(b)) = (readings[i], readings[i + distance]) {
+                let most = m.acceleration * (1.0 + TOLERANCE + m.slack);
+                let allowed = most * a.apart(&b) + a.rounding + b.rounding;
+                if (b.speed - a.speed).abs() > allowed {
+                    return Err(format!(
+                        "from {} to {} mm/s in {} s, at {} s: {} mm/s² are allowed",
+                        a.speed,
+                        b.speed,
+                        a.apart(&b),
+                        a.at,
+                        m.acceleration
+                    ));
+                }
+            }
+        }
+        distance *= 2;
+    }
+    Ok(())
+}
+
+fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result<(), String> {
+    let (Some(Some(a)), Some(Some(b))) = (readings(before, hz).last().copied(), readings(after, hz).first().copied())
+    else {
+        return Ok(());
+    };
+    let time = a.apart(&b);
+    let slack = before.slack + after.slack;
+    let acceleration = before.acceleration.max(after.acceleration) * (1.0 + TOLERANCE + slack);
+    let noise = DIGIT / before.length.min(after.length);
+    let straight = (0..AXES).all(|i| (after.unit[i] - before.unit[i]).abs() <= noise.max(1e-4));
+    if straight {
+        let allowed = acceleration * time + a.rounding + b.rounding + (noise + slack) * a.speed.max(b.speed);
+        if (b.speed - a.speed).abs() > allowed {
+            return Err(format!("straight on, but from {} to {} mm/s in {time} s", a.speed, b.speed));
+        }
+        return Ok(());
+    }
+    let junction = limits.junction(before.unit, after.unit) * (1.0 + TOLERANCE + slack);
+    for reading in [a, b] {
+        if reading.speed > junction + acceleration * time + reading.rounding {
+            return Err(format!("{} mm/s, {time} s round a corner for {junction} mm/s", reading.speed));
+        }
+    }
+    Ok(())
+}
+
+/// At rest before the first of `times` (seconds since the first step): one step ahead at most.
+fn check_rest(m: &Move, times: impl Iterator<Item = f64>) -> Result<(), String> {
+    let acceleration = m.acceleration * (1.0 + TOLERANCE);
+    let first = (2.0 * acceleration * m.pitch).sqrt();
+    for (steps, seconds) in times.enumerate() {
+        let made = steps as f64 * m.pitch;
+        if made > first * seconds + acceleration * seconds * seconds / 2.0 + m.pitch {
+            return Err(format!("{made} mm within {seconds} s of rest"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::oracle;
+    use super::*;
+
+    const HZ: f64 = 1e8;
+
+    fn limits() -> Limits {
+        Limits {
+            steps_per_mm: [800.0, 640.0, 1600.0],
+            rate: [100.0, 100.0, 20.0],
+            acceleration: [500.0, 400.0, 100.0],
+            junction_deviation: 0.01,
+        }
+    }
+
+    /// A trace of a straight move whose path is at `travelled(share of the path)` seconds.
+    fn trace(line: &Line, limits: &Limits, start: f64, when: impl Fn(f64) -> f64) -> Vec<Pulse> {
+        let (from, to) = (limits.place(line.from), limits.place(line.to));
+        let places = oracle::line(from, to);
+        let count = places.len() as f64;
+        let mut before = from;
+        places
+            .iter()
+            .enumerate()
+            .map(|(i, place)| {
+                let at = start + when((i as f64 + 1.0) / count);
+                let mut pulse = Pulse { at: (at * HZ).round() as u64, steps: 0, directions: 0 };
+                for a in 0..AXES {
+                    pulse.steps |= u8::from(place[a] != before[a]) << a;
+                    pulse.directions |= u8::from(to[a] < from[a]) << a;
+                }
+                before = *place;
+                pulse
+            })
+            .collect()
+    }
+
+    /// Time at which a trapezoid from rest to rest has covered `s` of `length`.
+    fn trapezoid(length: f64, speed: f64, acceleration: f64) -> impl Fn(f64) -> f64 {
+        let ramp = (speed * speed / 2.0 / acceleration).min(length / 2.0);
+        let top = (2.0 * acceleration * ramp).sqrt();
+        let total = 2.0 * top / acceleration + (length - 2.0 * ramp) / top;
+        move |share| {
+            let s = share * length;
+            if s <= ramp {
+                (2.0 * s / acceleration).sqrt()
+            } else if s <= length - ramp {
+                top / acceleration + (s - ramp) / top
+            } else {
+                total - (2.0 * (length - s).max(0.0) / acceleration).sqrt()
+            }
+        }
+    }
+
+    const STRAIGHT: Line = Line { from: [0.0; 3], to: [30.0, 12.0, 0.0], feed: Some(50.0) };
+    const LENGTH: f64 = 32.310_988_842_807_02;
+
+    #[test]
+    fn an_ideal_move_passes_and_faster_ones_do_not() {
+        let limits = limits();
+        // X is the tighter axis: 500 / (30 / length).
+        let a = 500.0 * LENGTH / 30.0;
+        let run = |speed, acceleration| {
+            let t = trace(&STRAIGHT, &limits, 1.0, trapezoid(LENGTH, speed, acceleration));
+            check(&t, HZ, &[STRAIGHT], &limits)
+        };
+        run(50.0, a).unwrap();
+        run(10.0, a / 3.0).unwrap();
+        assert!(run(51.0, a).unwrap_err().contains("are allowed"));
+        assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
+    }
+
+    #[test]
+    fn a_jump_of_speed_is_seen() {
+        let limits = limits();
+        let smooth = trapezoid(LENGTH, 50.0, 400.0);
+        // After half of the way everything happens 9 us later: one interval of 22 us is too long.
+        let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 9e-6 } else { 0.0 });
+        assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
+        // At speed from the first step on.
+        let t = trace(&STRAIGHT, &limits, 0.0, |s| s * LENGTH / 50.0);
+        assert!(check(&t, HZ, &[STRAIGHT], &limits).unwrap_err().contains("of rest"));
+    }
+
+    #[test]
+    fn slow_feeds_are_measured_over_the_move() {
+        let limits = Limits { steps_per_mm: [100.0, 80.0, 160.0], ..limits() };
+        let slow = Line { feed: Some(1.0), ..STRAIGHT };
+        let t = trace(&slow, &limits, 0.0, trapezoid(LENGTH, 1.0, 100.0));
+        check(&t, HZ, &[slow], &limits).unwrap();
+        let t = trace(&slow, &limits, 0.0, trapezoid(LENGTH, 1.05, 100.0));
+        assert!(check(&t, HZ, &[slow], &limits).is_err());
+    }
+
+    #[test]
+    fn a_corner_has_its_own_limit() {
+        let limits = limits();
+        let first = Line { from: [0.0; 3], to: [20.0, 0.0, 0.0], feed: Some(50.0) };
+        let second = Line { from: [20.0, 0.0, 0.0], to: [20.0, 20.0, 0.0], feed: Some(50.0) };
+        // Rounds the corner at `corner` mm/s: a ramp up, a ramp down to that, and the same backwards.
+        let run = |corner: f64| {
+            let a = 400.0;
+            let down_length = corner * corner / 2.0 / a;
+            let down = trapezoid(20.0 + down_length, 50.0, a);
+            let entry = down(1.0) - corner / a;
+            let mut t = trace(&first, &limits, 0.0, |s| down(s * 20.0 / (20.0 + down_length)));
+            let second_start = entry - corner / a;
+            t.extend(trace(&second, &limits, second_start, |s| down((s * 20.0 + down_length) / (20.0 + down_length))));
+            check(&t, HZ, &[first, second], &limits)
+        };
+        let allowed = limits.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+        assert!((allowed - 3.6).abs() < 0.5, "{allowed}");
+        run(allowed).unwrap();
+        assert!(run(allowed * 4.0).unwrap_err().contains("corner"));
+    }
+
+    #[test]
+    fn extra_and_missing_pulses_are_seen() {
+        let limits = limits();
+        let mut t = trace(&STRAIGHT, &limits, 0.0, trapezoid(LENGTH, 50.0, 400.0));
+        let last = t[t.len() - 1];
+        t.push(Pulse { at: last.at + 5000, ..last });
+        assert!(check(&t, HZ, &[STRAIGHT], &limits).unwrap_err().contains("after the end"));
+        t.truncate(t.len() - 2);
+        assert!(check(&t, HZ, &[STRAIGHT], &limits).unwrap_err().contains("ends at"));
+    }
+}

@@ -1,0 +1,121 @@
+//! The other end of the line: what a sender program does, and what it makes of the answers.
+
+use super::oracle::AXES;
+use super::rig::Rig;
+
+/// Virtual seconds after which an answer is missed.
+const PATIENCE: f64 = 3600.0;
+
+/// Settings of a machine that carves: 80 steps/mm, 6000 mm/min, 500 mm/s².
+pub const CARVER: &str = "$100=80\n$101=80\n$102=80\n$110=6000\n$111=6000\n$112=6000\n$120=500\n$121=500\n$122=500\n";
+/// Steps per mm of [`CARVER`].
+pub const CARVER_STEPS: f64 = 80.0;
+
+impl Rig {
+    /// A machine whose greeting has been read and whose settings are these `$n=v` lines.
+    pub fn with(settings: &str) -> Rig {
+        let mut rig = Rig::new();
+        assert_eq!(rig.read_lines(), ["", "Grbl 1.1h ['$' for help]"]);
+        for line in settings.lines() {
+            assert_eq!(rig.ask(line), ["ok"], "{line}");
+        }
+        rig
+    }
+
+    /// The answer lines that have come, without their ends.
+    pub fn read_lines(&mut self) -> Vec<String> {
+        let text = self.take_output();
+        assert!(text.is_empty() || text.ends_with("\r\n"), "half a line: {text:?}");
+        text.split_terminator("\r\n").map(str::to_string).collect()
+    }
+
+    /// Sends one line and waits for its `ok` or `error`; everything that came until then.
+    pub fn ask(&mut self, line: &str) -> Vec<String> {
+        self.send(format!("{line}\n").as_bytes());
+        let mut text = String::new();
+        let answered = self.run_until(PATIENCE, |rig| {
+            if rig.output_len() > 0 {
+                text.push_str(&rig.take_output());
+            }
+            is_answered(&text)
+        });
+        assert!(answered, "no answer to {line:?}, only {text:?}");
+        text.lines().map(str::to_string).collect()
+    }
+
+    /// Waits until nothing moves and nothing is owed.
+    pub fn settle(&mut self) {
+        assert!(self.run_until(PATIENCE, |rig| rig.is_idle()), "never idle");
+    }
+
+    /// Sends one line, expects `ok` and waits for the end of what it does.
+    pub fn carry_out(&mut self, line: &str) {
+        assert_eq!(self.ask(line), ["ok"], "{line}");
+        self.settle();
+    }
+
+    /// Streams a whole program and waits for its end. Gives the answer to each line.
+    pub fn run_program(&mut self, text: &str) -> Vec<String> {
+        let mut answers: Vec<String> = Vec::new();
+        for line in text.lines() {
+            self.send(format!("{line}\n").as_bytes());
+            // Keep a few lines on the way, as a sender that counts characters does.
+            if self.output_len() > 0 {
+                answers.extend(self.read_lines());
+            }
+            self.run_until(PATIENCE, |rig| rig.waiting() < 200);
+        }
+        self.settle();
+        answers.extend(self.read_lines());
+        answers.retain(|line| line == "ok" || line.starts_with("error:"));
+        answers
+    }
+
+    /// Streams a program in which every line must be accepted.
+    pub fn run_clean(&mut self, text: &str) {
+        let answers = self.run_program(text);
+        for (number, (line, answer)) in text.lines().zip(&answers).enumerate() {
+            assert_eq!(answer, "ok", "line {}: {line}", number + 1);
+        }
+        assert_eq!(answers.len(), text.lines().count());
+    }
+
+    /// The status report, field by field, as its text.
+    pub fn status(&mut self) -> String {
+        self.send(b"?");
+        let lines = self.read_lines();
+        let report = lines.iter().find(|line| line.starts_with('<')).unwrap_or_else(|| panic!("no report: {lines:?}"));
+        report.clone()
+    }
+
+    /// A position of the status report, `MPos` or `WPos`.
+    pub fn reported(&mut self, name: &str) -> [f64; AXES] {
+        let report = self.status();
+        numbers(&report, name).unwrap_or_else(|| panic!("no {name} in {report}"))
+    }
+
+    /// Where the counted pulses have brought the machine, mm.
+    pub fn place_mm(&self, steps_per_mm: f64) -> [f64; AXES] {
+        self.place.map(|steps| steps as f64 / steps_per_mm)
+    }
+}
+
+/// Whether a text contains an `ok` or an `error` as a whole line.
+fn is_answered(text: &str) -> bool {
+    text.ends_with('\n') && text.lines().any(|line| line == "ok" || line.starts_with("error:"))
+}
+
+/// The numbers of a field of a report.
+pub fn numbers(report: &str, name: &str) -> Option<[f64; AXES]> {
+    let field = report.trim_matches(['<', '>']).split('|').find_map(|f| f.strip_prefix(name)?.strip_prefix(':'))?;
+    let mut values = field.split(',').map(|n| n.parse().expect("a number"));
+    Some(std::array::from_fn(|_| values.next().expect("three numbers")))
+}
+
+/// Asserts that places agree within half of the last digit of a report, or `slack`.
+#[track_caller]
+pub fn assert_near(found: [f64; AXES], expected: [f64; AXES], slack: f64) {
+    for axis in 0..AXES {
+        assert!((found[axis] - expected[axis]).abs() <= slack, "{found:?} instead of {expected:?}");
+    }
+}

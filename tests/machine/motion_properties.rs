@@ -1,0 +1,308 @@
+//! What must hold for any job: limits kept, the end exact, no jump of speed, the path within its bounds.
+
+use super::estimator::{Limits, Line, check};
+use super::examples::places;
+use super::host::assert_near;
+use super::oracle::{AXES, Circle};
+use super::rig::{HZ, Rig};
+use proptest::prelude::*;
+use std::fmt::Write;
+
+/// Coordinates of the generated programs are whole thousandths of a millimetre.
+type Microns = [i64; AXES];
+
+const DEFAULT_FEED: f64 = 600.0;
+
+/// Three machines: a slow mill with fine screws and unequal axes, a router with coarse belts, and one with limits far
+/// above what the moves reach.
+fn machines() -> impl Strategy<Value = Limits> {
+    prop_oneof![
+        Just(Limits {
+            steps_per_mm: [400.0, 320.0, 800.0],
+            rate: [40.0, 60.0, 15.0],
+            acceleration: [150.0, 250.0, 80.0],
+            junction_deviation: 0.02,
+        }),
+        Just(Limits {
+            steps_per_mm: [40.0, 40.0, 200.0],
+            rate: [300.0, 250.0, 50.0],
+            acceleration: [1500.0, 1200.0, 300.0],
+            junction_deviation: 0.01,
+        }),
+        Just(Limits {
+            steps_per_mm: [250.0, 250.0, 250.0],
+            rate: [500.0, 500.0, 500.0],
+            acceleration: [4000.0, 4000.0, 4000.0],
+            junction_deviation: 0.05,
+        }),
+    ]
+}
+
+fn settings(limits: &Limits) -> String {
+    let mut text = format!("$11={}\n", limits.junction_deviation);
+    for axis in 0..AXES {
+        writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
+        writeln!(text, "$11{axis}={}", limits.rate[axis] * 60.0).unwrap();
+        writeln!(text, "$12{axis}={}", limits.acceleration[axis]).unwrap();
+    }
+    text
+}
+
+/// A piece of a program, relative to where the one before ended.
+#[derive(Clone, Debug)]
+enum Piece {
+    /// Straight, feed or rapid.
+    Straight(Microns, bool),
+    /// To and fro between two places.
+    Zigzag { to: Microns, times: usize },
+    /// Very many short moves on a growing circle.
+    Spiral { chord: i64, growth: i64, count: usize },
+    /// Short moves straight on.
+    Crumbs { step: Microns, count: usize },
+    /// Another feed, mm/min.
+    Feed(u32),
+}
+
+fn pieces() -> impl Strategy<Value = Vec<Piece>> {
+    let far = || [-30_000_i64..30_000, -30_000_i64..30_000, -5_000_i64..5_000];
+    let near = || [-2_000_i64..2_000, -2_000_i64..2_000, -500_i64..500];
+    let one_axis = (0..AXES, -20_000_i64..20_000).prop_map(|(axis, by)| {
+        let mut delta = [0; AXES];
+        delta[axis] = by;
+        delta
+    });
+    let piece = prop_oneof![
+        4 => (far(), any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
+        4 => (near(), any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
+        2 => (one_axis, any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
+        2 => (near(), 2_usize..8).prop_map(|(to, times)| Piece::Zigzag { to, times }),
+        2 => (20_i64..400, 1_i64..30, 20_usize..150)
+            .prop_map(|(chord, growth, count)| Piece::Spiral { chord, growth, count }),
+        2 => ([-40_i64..40, -40_i64..40, -3_i64..3], 5_usize..200)
+            .prop_map(|(step, count)| Piece::Crumbs { step, count }),
+        3 => (10_u32..12_000).prop_map(Piece::Feed),
+    ];
+    prop::collection::vec(piece, 1..12)
+}
+
+/// Directions at 15 degrees from each other, × 1000.
+fn direction(index: i64) -> (i64, i64) {
+    const QUARTER: [(i64, i64); 6] = [(1000, 0), (966, 259), (866, 500), (707, 707), (500, 866), (259, 966)];
+    let (x, y) = QUARTER[index.rem_euclid(6) as usize];
+    match index.div_euclid(6).rem_euclid(4) {
+        0 => (x, y),
+        1 => (-y, x),
+        2 => (-x, -y),
+        _ => (y, -x),
+    }
+}
+
+/// A program under construction: its text, and what it should do.
+struct Job {
+    text: String,
+    at: Microns,
+    feed: f64,
+    lines: Vec<Line>,
+}
+
+fn mm(place: Microns) -> [f64; AXES] {
+    place.map(|v| v as f64 / 1000.0)
+}
+
+impl Job {
+    fn new() -> Job {
+        Job {
+            text: format!("G21 G90 G94 G17\nF{DEFAULT_FEED}\n"),
+            at: [0; AXES],
+            feed: DEFAULT_FEED,
+            lines: Vec::new(),
+        }
+    }
+
+    fn to(&mut self, place: Microns, rapid: bool) {
+        let [x, y, z] = mm(place);
+        let word = if rapid { "G0" } else { "G1" };
+        writeln!(self.text, "{word} X{x:.3} Y{y:.3} Z{z:.3}").unwrap();
+        self.lines.push(Line { from: mm(self.at), to: mm(place), feed: (!rapid).then_some(self.feed / 60.0) });
+        self.at = place;
+    }
+
+    fn by(&mut self, delta: Microns, rapid: bool) {
+        self.to(std::array::from_fn(|a| self.at[a] + delta[a]), rapid);
+    }
+
+    fn add(&mut self, piece: &Piece) {
+        match *piece {
+            Piece::Straight(delta, rapid) => self.by(delta, rapid),
+            Piece::Zigzag { to, times } => {
+                for _ in 0..times {
+                    self.by(to, false);
+                    self.by(to.map(|v| -v), false);
+                }
+            }
+            Piece::Spiral { chord, growth, count } => {
+                for i in 0..count as i64 {
+                    let (x, y) = direction(i);
+                    let length = chord + i * growth;
+                    self.by([x * length / 1000, y * length / 1000, 0], false);
+                }
+            }
+            Piece::Crumbs { step, count } => {
+                for _ in 0..count {
+                    self.by(step, false);
+                }
+            }
+            Piece::Feed(feed) => {
+                writeln!(self.text, "F{feed}").unwrap();
+                self.feed = f64::from(feed);
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, max_shrink_iters: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Jobs of straight moves, compared step for step and interval for interval.
+    #[test]
+    fn straight_moves_keep_path_and_limits(limits in machines(), pieces in pieces()) {
+        let mut job = Job::new();
+        for piece in &pieces {
+            job.add(piece);
+        }
+        let mut rig = Rig::with(&settings(&limits));
+        rig.run_clean(&job.text);
+        prop_assert_eq!(rig.place, limits.place(mm(job.at)));
+        if let Err(fault) = check(&rig.trace, HZ as f64, &job.lines, &limits) {
+            return Err(TestCaseError::fail(format!("{fault}\n{}", job.text)));
+        }
+    }
+
+    /// Arcs in three planes, plain and helical, partial and full: on the circle, in the right direction, to the very end,
+    /// and not faster than programmed.
+    #[test]
+    fn arcs_stay_on_their_circle(
+        limits in machines(),
+        plane in 0_usize..3,
+        radius in 300_i64..40_000,
+        start in 0_i64..24,
+        turn in 0_i64..24,
+        rise in prop_oneof![Just(0_i64), -3_000_i64..3_000],
+        clockwise in any::<bool>(),
+        feed in 60_u32..6_000,
+    ) {
+        let axes = [[0, 1, 2], [2, 0, 1], [1, 2, 0]][plane];
+        let word = ["G17", "G18", "G19"][plane];
+        let (from_x, from_y) = direction(start);
+        let (to_x, to_y) = direction(start + turn);
+        // From the origin: the centre lies opposite to the start.
+        let centre = [-from_x * radius / 1000, -from_y * radius / 1000];
+        let mut to: Microns = [0; AXES];
+        to[axes[0]] = centre[0] + to_x * radius / 1000;
+        to[axes[1]] = centre[1] + to_y * radius / 1000;
+        to[axes[2]] = rise;
+        if turn == 0 {
+            to[axes[0]] = 0;
+            to[axes[1]] = 0;
+        }
+        let letters = ['I', 'J', 'K'];
+        let [x, y, z] = mm(to);
+        let text = format!(
+            "G21 G90 {word}\n{} X{x:.3} Y{y:.3} Z{z:.3} {}{:.3} {}{:.3} F{feed}\n",
+            if clockwise { "G2" } else { "G3" },
+            letters[axes[0]],
+            centre[0] as f64 / 1000.0,
+            letters[axes[1]],
+            centre[1] as f64 / 1000.0,
+        );
+        let mut rig = Rig::with(&settings(&limits));
+        rig.run_clean(&text);
+        prop_assert_eq!(rig.place, limits.place(mm(to)), "{}", text);
+
+        let circle = Circle {
+            axes,
+            centre: centre.map(|v| v as f64 / 1000.0),
+            from: [0.0; AXES],
+            to: mm(to),
+            clockwise,
+        };
+        let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
+        let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
+        // The arc tolerance, and the last digit of start and end. Each axis is rounded to half a step at the ends of a
+        // chord, and again within it: a whole step in either axis, were both at their worst at once.
+        let radial = 0.002 + std::f64::consts::SQRT_2 * step + 0.001;
+        if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
+            return Err(TestCaseError::fail(format!("{fault}\n{text}")));
+        }
+        if let (Some(first), Some(last)) = (rig.trace.first(), rig.trace.last()) {
+            let seconds = (last.at - first.at) as f64 / HZ as f64;
+            let length = (circle.angle() * radius as f64 / 1000.0).hypot(rise as f64 / 1000.0);
+            let least = (length - 3.0 * step) / (f64::from(feed) / 60.0) / 1.01;
+            prop_assert!(seconds >= least, "{length} mm in {seconds} s\n{text}");
+        }
+    }
+
+    /// A single move takes the time of the ideal trapezoid.
+    #[test]
+    fn a_single_move_takes_no_longer_than_it_must(
+        limits in machines(),
+        delta in [-30_000_i64..30_000, -30_000_i64..30_000, -5_000_i64..5_000],
+        feed in 100_u32..12_000,
+    ) {
+        let mut job = Job::new();
+        job.add(&Piece::Feed(feed));
+        job.by(delta, false);
+        let mut rig = Rig::with(&settings(&limits));
+        rig.run_clean(&job.text);
+        let line = job.lines[0];
+        let length = (0..AXES).map(|a| (line.to[a] - line.from[a]).powi(2)).sum::<f64>().sqrt();
+        prop_assume!(length > 0.1);
+        let along = |values: [f64; AXES]| {
+            (0..AXES).map(|a| values[a] * length / (line.to[a] - line.from[a]).abs()).fold(f64::INFINITY, f64::min)
+        };
+        let acceleration = along(limits.acceleration);
+        let speed = along(limits.rate).min(f64::from(feed) / 60.0);
+        let ramp = speed * speed / 2.0 / acceleration;
+        let ideal = if 2.0 * ramp > length {
+            2.0 * (length / acceleration).sqrt()
+        } else {
+            length / speed + speed / acceleration
+        };
+        let seconds = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
+        prop_assert!(seconds <= ideal * 1.01 + 0.002, "{seconds} s instead of {ideal}\n{}", job.text);
+    }
+
+    /// Incremental moves of any digits add up without drift.
+    #[test]
+    fn increments_add_up_exactly(step in [-9_999_i64..9_999, -9_999_i64..9_999, -99_i64..99], count in 1_i64..400) {
+        // Units of 0.0001 mm.
+        let [x, y, z] = step.map(|v| v as f64 / 10_000.0);
+        let mut text = String::from("G21 G91\nF60000\n");
+        for _ in 0..count {
+            writeln!(text, "G1 X{x:.4} Y{y:.4} Z{z:.4}").unwrap();
+        }
+        let limits = Limits {
+            steps_per_mm: [80.0, 250.0, 400.0],
+            rate: [200.0; AXES],
+            acceleration: [5000.0; AXES],
+            junction_deviation: 0.01,
+        };
+        let mut rig = Rig::with(&settings(&limits));
+        rig.run_clean(&text);
+        let end: [f64; AXES] = step.map(|v| (v * count) as f64 / 10_000.0);
+        let half = 1e-9;
+        for (axis, end) in end.iter().enumerate() {
+            let steps = end * limits.steps_per_mm[axis];
+            prop_assert!((rig.place[axis] as f64 - steps).abs() <= 0.5 + half, "{:?}", rig.place);
+        }
+        assert_near(rig.place.map(|v| v as f64), rig.place_from_report(limits.steps_per_mm), 0.21);
+    }
+}
+
+impl Rig {
+    /// The machine position of the status report in steps, as far as its three decimals tell.
+    fn place_from_report(&mut self, steps_per_mm: [f64; AXES]) -> [f64; AXES] {
+        let place = self.reported("MPos");
+        std::array::from_fn(|a| place[a] * steps_per_mm[a])
+    }
+}

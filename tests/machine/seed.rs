@@ -1,0 +1,261 @@
+//! The worked examples of the document that this controller began with (S. Tajima's analysis of Grbl, 2020): the places
+//! that the machine passes through, by the pulses counted. Where the text leaves a feed out, one is added.
+
+use super::host::{CARVER, CARVER_STEPS, assert_near};
+use super::oracle::{AXES, Circle};
+use super::rig::Rig;
+
+/// Half a step of the machine.
+const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;
+
+/// Carries out each line and compares the place where the machine then rests; `None`: not looked at.
+fn walk(rig: &mut Rig, steps: &[(&str, Option<[f64; AXES]>)]) {
+    for (line, expected) in steps {
+        rig.carry_out(line);
+        if let Some(expected) = expected {
+            println!("{line}");
+            assert_near(rig.place_mm(CARVER_STEPS), *expected, HALF_STEP);
+        }
+    }
+}
+
+fn work(rig: &mut Rig) -> [f64; AXES] {
+    rig.carry_out("$10=0");
+    let place = rig.reported("WPos");
+    rig.carry_out("$10=1");
+    place
+}
+
+#[test]
+fn chapter_2_2_3_example_1_g53_within_g91() {
+    let mut rig = Rig::with(CARVER);
+    walk(
+        &mut rig,
+        &[
+            ("N1 G54", None),
+            ("N10 G91", None),
+            ("N11 G1 X10 Y20 F600", Some([10.0, 20.0, 0.0])),
+            ("N12 G53 X0", Some([0.0, 20.0, 0.0])),
+            ("N13 X30", Some([30.0, 20.0, 0.0])),
+        ],
+    );
+}
+
+#[test]
+fn chapter_2_2_3_example_2_dwell_keeps_g0() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("N1 G90", None), ("N2 G54", None), ("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0]))]);
+    let before = rig.seconds();
+    walk(&mut rig, &[("N20 G4 P2", Some([30.0, 40.0, 0.0]))]);
+    let waited = rig.seconds() - before;
+    // The controller's clock counts whole microseconds.
+    assert!((1.999_99..2.1).contains(&waited), "{waited}");
+    walk(&mut rig, &[("N30 X20 Y50", Some([20.0, 50.0, 0.0]))]);
+    assert!(rig.ask("$G").iter().any(|line| line.starts_with("[GC:G0 ")));
+}
+
+#[test]
+fn chapter_2_2_3_example_3_g10_l20_then_incremental() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("N1 G54 G91", None), ("N2 G10 L20 P1 X-10 Y-8", Some([0.0, 0.0, 0.0]))]);
+    assert_near(work(&mut rig), [-10.0, -8.0, 0.0], 0.0);
+    walk(&mut rig, &[("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0])), ("N20 G4 P2", None)]);
+    assert_near(work(&mut rig), [20.0, 32.0, 0.0], 0.0);
+    walk(&mut rig, &[("N30 X20 Y50", Some([50.0, 90.0, 0.0]))]);
+    assert_near(work(&mut rig), [40.0, 82.0, 0.0], 0.0);
+}
+
+/// The document takes the second G92 for the opposite of the first. It sets the place to its values, as Grbl does; G92.1
+/// is what undoes both.
+#[test]
+fn chapter_2_2_3_example_4_g92_sets_the_place() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("N1 G54 G91", None), ("N2 G92 X-10 Y-8", Some([0.0, 0.0, 0.0]))]);
+    assert_near(work(&mut rig), [-10.0, -8.0, 0.0], 0.0);
+    walk(&mut rig, &[("N10 G0 X30 Y40", Some([30.0, 40.0, 0.0]))]);
+    assert_near(work(&mut rig), [20.0, 32.0, 0.0], 0.0);
+    walk(&mut rig, &[("N20 G92 X10 Y8", Some([30.0, 40.0, 0.0]))]);
+    assert_near(work(&mut rig), [10.0, 8.0, 0.0], 0.0);
+    walk(&mut rig, &[("G92.1", Some([30.0, 40.0, 0.0]))]);
+    assert_near(work(&mut rig), [30.0, 40.0, 0.0], 0.0);
+}
+
+#[test]
+fn chapter_2_2_5_incremental_with_g53_between() {
+    let mut rig = Rig::with(CARVER);
+    walk(
+        &mut rig,
+        &[
+            ("N1 G54 G91", None),
+            ("N2 G1 X-10 Y-8 F50", Some([-10.0, -8.0, 0.0])),
+            ("N10 G53 X0 Y0", Some([0.0, 0.0, 0.0])),
+            ("N20 Z10", Some([0.0, 0.0, 10.0])),
+            ("N30 X20 Y50", Some([20.0, 50.0, 10.0])),
+        ],
+    );
+}
+
+#[test]
+fn chapter_2_2_5_the_house() {
+    let mut rig = Rig::with(CARVER);
+    walk(
+        &mut rig,
+        &[
+            ("N1 G90", None),
+            ("N2 G54", None),
+            ("N10 G1 X20.0 Y20.0 Z0 F10", Some([20.0, 20.0, 0.0])),
+            ("N11 X20 Y0.0 Z0", Some([20.0, 0.0, 0.0])),
+            ("N12 X0 Y0", Some([0.0, 0.0, 0.0])),
+            ("N13 X0.0 Y20 Z0", Some([0.0, 20.0, 0.0])),
+            ("N14 X20 Y20.0 Z0 F20", Some([20.0, 20.0, 0.0])),
+            ("N15 X10.0 Y25.0 Z0", Some([10.0, 25.0, 0.0])),
+            ("N16 X0.0 Y20.0 Z0", Some([0.0, 20.0, 0.0])),
+        ],
+    );
+}
+
+#[test]
+fn chapter_2_7_work_is_machine_less_system_less_g92() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("G10 L2 P1 X-100 Y-70", None), ("G53 G0 X-90 Y-60", Some([-90.0, -60.0, 0.0]))]);
+    assert_near(work(&mut rig), [10.0, 10.0, 0.0], 0.0);
+    // An offset of (5, 5) on top: the place that reads (10, 10) is to read (5, 5).
+    rig.carry_out("G92 X5 Y5");
+    assert!(rig.ask("$#").contains(&"[G92:5.000,5.000,0.000]".to_string()));
+    assert_near(work(&mut rig), [5.0, 5.0, 0.0], 0.0);
+    walk(&mut rig, &[("G0 X0 Y0", Some([-95.0, -65.0, 0.0])), ("G92.1", None)]);
+
+    rig.carry_out("G10 L2 P1 X3.5 Y17.2");
+    walk(&mut rig, &[("G0 X0 Y0", Some([3.5, 17.2, 0.0]))]);
+    rig.carry_out("G10 L2 P1 X0 Y0 Z0");
+    assert_near(work(&mut rig), [3.5, 17.2, 0.0], 0.0);
+    // System = machine - value - G92: from machine 3.5 with G92 of 2, the value 1.5 leaves nothing.
+    rig.carry_out("G92 X1.5");
+    rig.carry_out("G10 L20 P1 X1.5");
+    assert!(rig.ask("$#").contains(&"[G54:0.000,0.000,0.000]".to_string()));
+    assert_near(work(&mut rig), [1.5, 17.2, 0.0], 0.0);
+}
+
+/// The document calls G10 L2 void in G91; Grbl and the NIST standard carry it out.
+#[test]
+fn chapter_2_7_g10_l2_works_in_g91() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("G91", None), ("G10 L2 P1 X4", None), ("G90 G0 X1", Some([5.0, 0.0, 0.0]))]);
+}
+
+#[test]
+fn chapter_2_3_14_after_g92_the_place_reads_its_values() {
+    let mut rig = Rig::with(CARVER);
+    rig.carry_out("G92 X10 Y25 Z0");
+    assert_near(work(&mut rig), [10.0, 25.0, 0.0], 0.0);
+    assert_eq!(rig.ask("G92 G0 X0 Y0 Z0"), ["error:24"]);
+}
+
+/// The listing of 2.10.1 as printed, with its remarks in Japanese; the feed is raised from 1 mm/min.
+const FIVE_CIRCLES: &str = "G10 L2 P1 X0 Y0 Z0 (座標 G54 の原点をマシン原点に設定)
+G10 L2 P2 X10 (G55 を X=10mm オフセット)
+G10 L2 P3 X-10 (G56 を X= -10mm オフセット)
+G10 L2 P4 Y10 (G57 を Y=10mm オフセット)
+G10 L2 P5 Y-10 (G58 を Y= -10mm オフセット)
+";
+const ONE_CIRCLE: &str = " G0 X-2.0 Y0 Z0
+G1 F120 Z-1.00(Z 軸を下に 1mm 移動)
+G3 X-10.0 Y0 I1.0 J0(座標 (-10, 0) の点に 1mm の深さで円を描画)
+G0 Z0 (Z 軸を Z=0 に移動)
+";
+
+/// Centres of the five circles: one of 1 mm radius beginning at X-2 of each system.
+pub const CENTRES: [[f64; 2]; 5] = [[-1.0, 0.0], [9.0, 0.0], [-11.0, 0.0], [-1.0, 10.0], [-1.0, -10.0]];
+
+/// The document's listings are files, so their remarks never meet the realtime commands of a wire: the bytes of UTF-8
+/// beyond ASCII are left out, as the reader of a file does.
+fn as_file(text: &str) -> String {
+    text.chars().filter(char::is_ascii).collect()
+}
+
+#[test]
+fn chapter_2_10_1_five_circles_as_printed() {
+    let mut rig = Rig::with(CARVER);
+    rig.carry_out("$900=2");
+    rig.run_clean(&as_file(FIVE_CIRCLES));
+    for (system, centre) in ["G54", "G55", "G56", "G57", "G58"].iter().zip(CENTRES) {
+        let text = as_file(&format!("{system}{ONE_CIRCLE}"));
+        let mut lines = text.lines();
+        for line in lines.by_ref().take(2) {
+            rig.carry_out(line);
+        }
+        let from = rig.place_mm(CARVER_STEPS);
+        assert_near(from, [centre[0] - 1.0, centre[1], -1.0], HALF_STEP);
+        rig.trace.clear();
+        rig.carry_out(lines.next().expect("the arc"));
+        let places = super::examples::places(&rig.trace, from, [CARVER_STEPS; AXES]);
+        Circle { axes: [0, 1, 2], centre, from, to: from, clockwise: false }
+            .follows(&places, 0.002 + 1.25 / CARVER_STEPS, 3.0 / CARVER_STEPS)
+            .unwrap();
+        assert_near(rig.place_mm(CARVER_STEPS), from, 0.0);
+        rig.carry_out(lines.next().expect("up"));
+    }
+    assert_eq!(rig.ask("M2"), ["[MSG:Pgm End]", "ok"]);
+}
+
+#[test]
+fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
+    for dialect in ["$900=0", "$900=1"] {
+        let mut rig = Rig::with(CARVER);
+        rig.carry_out(dialect);
+        // Without its remarks, which hold parentheses within parentheses.
+        let text: String = format!("{FIVE_CIRCLES}G54{ONE_CIRCLE}")
+            .lines()
+            .map(|line| line.split('(').next().unwrap_or_default().to_string() + "\n")
+            .collect();
+        let answers = rig.run_program(&text);
+        let errors: Vec<_> = answers.iter().filter(|a| *a != "ok").collect();
+        assert_eq!(errors, ["error:33"], "{dialect}");
+        assert_eq!(rig.place, [-160, 0, 0]);
+    }
+}
+
+/// 2.3.4 (2): the arc ends where the line from its centre to the given point crosses it.
+#[test]
+fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
+    let line = "G02 X-30 Y-40 I-10 J-15 F500";
+    let mut rig = Rig::with(CARVER);
+    assert_eq!(rig.ask(line), ["error:33"]);
+    rig.carry_out("$900=2");
+    rig.carry_out(line);
+    let radius = 325.0_f64.sqrt();
+    let ray = [-20.0, -25.0];
+    let length = 1025.0_f64.sqrt();
+    let end = [-10.0 + ray[0] / length * radius, -15.0 + ray[1] / length * radius, 0.0];
+    assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP + 0.001);
+    let places = super::examples::places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
+    Circle { axes: [0, 1, 2], centre: [-10.0, -15.0], from: [0.0; AXES], to: end, clockwise: true }
+        .follows(&places, 0.002 + 1.25 / CARVER_STEPS, 3.0 / CARVER_STEPS)
+        .unwrap();
+}
+
+/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step to the millimetre. So slow an axis
+/// is smoothed: a step of Y comes at the first sixteenth of a step of X after it is due, in the tick of the figure.
+#[test]
+fn chapters_6_and_7_the_steps_of_the_minor_axis() {
+    // Y is due when X has come (m - 1/2) × X / Y; exactly there it waits for the next place.
+    for (line, ticks, sixteenths) in
+        [("G1 X10 Y3 F600", [2, 6, 9], [27, 81, 134]), ("G1 X9 Y3 F600", [2, 5, 8], [25, 73, 121])]
+    {
+        let mut rig = Rig::with("$100=1\n$101=1\n$102=1\n$110=6000\n$111=6000\n$120=1000000\n$121=1000000\n");
+        rig.carry_out(line);
+        let times = |bit: u8| -> Vec<f64> {
+            let stepping = rig.trace.iter().filter(|p| p.steps & bit != 0);
+            stepping.map(|p| p.at as f64).collect()
+        };
+        let (x, y) = (times(1), times(2));
+        // X steps at the sixteenth after each half.
+        let step = (x[7] - x[1]) / 6.0;
+        let places: Vec<f64> = y.iter().map(|t| (t - x[1]) / step * 16.0 + 25.0).collect();
+        for ((place, sixteenth), tick) in places.iter().zip(sixteenths).zip(ticks) {
+            assert!((place - f64::from(sixteenth)).abs() < 0.1, "{line}: {places:?}");
+            assert_eq!((place / 16.0 - 0.01).ceil() as i32, tick, "{line}: {places:?}");
+        }
+        assert_eq!(y.len(), 3);
+    }
+}

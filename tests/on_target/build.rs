@@ -1,0 +1,9 @@
+//! Tells the linker about the board.
+
+#[path = "../../boards/build.rs"]
+mod boards;
+
+fn main() {
+    boards::link("../..", "tests");
+    boards::link("../..", "bins");
+}

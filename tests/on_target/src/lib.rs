@@ -1,0 +1,39 @@
+//! What the suites need on the target: a log, an end after a failure, and a controller with a step generator in a loop.
+//!
+//! In QEMU the log goes through semihosting, on a board through RTT; a failure ends the run with a status of its own.
+#![cfg_attr(target_os = "none", no_std)]
+#![cfg(target_os = "none")]
+
+#[cfg(feature = "board")]
+use cortex_m as _;
+#[cfg(not(feature = "qemu_mps2"))]
+use defmt_rtt as _;
+#[cfg(feature = "qemu_mps2")]
+use defmt_semihosting as _;
+#[cfg(feature = "qemu_mps2")]
+use mps2_pac as _;
+#[cfg(not(feature = "qemu_mps2"))]
+use stm32f4xx_hal as _;
+
+pub mod rig;
+
+use core::panic::PanicInfo;
+use cortex_m_rt::{ExceptionFrame, exception};
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    defmt::error!("{}", defmt::Display2Format(info));
+    semihosting::process::exit(101)
+}
+
+#[defmt::panic_handler]
+fn defmt_panic() -> ! {
+    semihosting::process::exit(101)
+}
+
+// SAFETY: unsafe because a fault may strike anywhere; safe because it only reports and ends the run.
+#[exception]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    defmt::error!("hard fault at {=u32:#010x}", frame.pc());
+    semihosting::process::exit(102)
+}

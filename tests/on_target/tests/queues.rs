@@ -1,0 +1,102 @@
+//! What crosses between tasks: the channels and the input filter, as the firmware uses them.
+#![no_std]
+#![no_main]
+#![allow(missing_docs, reason = "code that defmt-test generates")]
+
+use oxmill_on_target as _;
+
+#[defmt_test::tests]
+mod suite {
+    use oxmill_controller::Stepper;
+    use oxmill_controller::machine::filter::Filter;
+    use oxmill_controller::messages::{LINES_DEPTH, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
+    use rtic_sync::channel::Channel;
+
+    #[test]
+    fn a_message_to_the_step_task_fits_16_bytes() {
+        defmt::assert!(size_of::<ToStep>() <= 16, "{} bytes", size_of::<ToStep>());
+    }
+
+    #[test]
+    fn the_line_queue_keeps_order_and_refuses_when_full() {
+        let mut channel: Channel<LineByte, LINES_DEPTH> = Channel::new();
+        let (mut send, mut receive) = channel.split();
+        for round in 0..3_u8 {
+            for byte in 0..LINES_DEPTH as u8 {
+                defmt::assert!(send.try_send(LineByte { byte, epoch: round }).is_ok());
+            }
+            defmt::assert!(send.is_full());
+            defmt::assert!(send.try_send(LineByte { byte: 0, epoch: 99 }).is_err());
+            for byte in 0..LINES_DEPTH as u8 {
+                let got = receive.try_recv().ok();
+                defmt::assert!(got == Some(LineByte { byte, epoch: round }));
+            }
+            defmt::assert!(receive.try_recv().is_err());
+        }
+    }
+
+    /// A stop wins over everything that is queued, before and after it, until it is answered.
+    #[test]
+    fn nothing_queued_survives_a_stop() {
+        let mut channel: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new();
+        let (mut send, mut receive) = channel.split();
+        let segment =
+            Segment { interval: 100 << 12, ramp: 0, ticks: 5, power: 9, level: 0, flags: Segment::FLAG_NEW_BLOCK };
+        for _ in 0..8 {
+            let block = ToStep::Block { steps: [10, 5, 0], directions: 0 };
+            defmt::assert!(send.try_send(block).is_ok());
+            defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
+        }
+        let mut stepper: Stepper<3> = Stepper::new();
+        let load = |stepper: &mut Stepper<3>,
+                    receive: &mut rtic_sync::channel::Receiver<'_, ToStep, SEGMENTS_DEPTH>| {
+            while stepper.wants()
+                && let Ok(message) = receive.try_recv()
+            {
+                stepper.load(message);
+            }
+        };
+        load(&mut stepper, &mut receive);
+        for _ in 0..3 {
+            stepper.tick();
+        }
+        let StepEvent::Stopped { stops, moving, position } = stepper.stop() else { defmt::panic!("no stop") };
+        defmt::assert!(moving);
+        defmt::assert_eq!(position.0, [2, 1, 0]);
+        // A second stop before the first is answered: the answer to the first opens nothing.
+        stepper.stop();
+        defmt::assert!(send.try_send(ToStep::Resume { stops }).is_ok());
+        load(&mut stepper, &mut receive);
+        defmt::assert!(stepper.is_idle());
+        defmt::assert_eq!(stepper.tick().interval, 0);
+        defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
+        load(&mut stepper, &mut receive);
+        defmt::assert!(stepper.is_idle());
+        let resume = ToStep::Resume { stops: stops.wrapping_add(1) };
+        defmt::assert!(send.try_send(resume).is_ok());
+        defmt::assert!(send.try_send(ToStep::Block { steps: [10, 5, 0], directions: 1 }).is_ok());
+        defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
+        load(&mut stepper, &mut receive);
+        defmt::assert!(!stepper.is_idle());
+        stepper.tick();
+        defmt::assert_eq!(stepper.tick().steps, 1);
+    }
+
+    #[test]
+    fn an_input_changes_after_eight_equal_samples() {
+        let mut filter = Filter::new();
+        for _ in 0..7 {
+            defmt::assert_eq!(filter.sample(0b101), 0);
+        }
+        defmt::assert_eq!(filter.sample(0b001), 0b001);
+        // Bit 2 was disturbed by one sample: its count begins anew.
+        for _ in 0..7 {
+            defmt::assert_eq!(filter.sample(0b101), 0b001);
+        }
+        defmt::assert_eq!(filter.sample(0b101), 0b101);
+        for _ in 0..7 {
+            defmt::assert_eq!(filter.sample(0), 0b101);
+        }
+        defmt::assert_eq!(filter.sample(0), 0);
+    }
+}

@@ -1,0 +1,88 @@
+//! Every recorded exchange that this controller answers otherwise, and why.
+
+/// A record that is answered otherwise.
+pub struct Difference {
+    pub group: &'static str,
+    pub n: u64,
+    /// What is answered; `None` where that depends on the moment.
+    pub answers: Option<&'static [&'static str]>,
+    #[allow(dead_code, reason = "for the reader")]
+    pub why: &'static str,
+}
+
+const fn differs(group: &'static str, n: u64, answers: &'static [&'static str], why: &'static str) -> Difference {
+    Difference { group, n, answers: Some(answers), why }
+}
+
+const fn at_its_time(group: &'static str, n: u64, why: &'static str) -> Difference {
+    Difference { group, n, answers: None, why }
+}
+
+const CHECKED: &str =
+    "whole-number settings and line numbers of $N are checked; Grbl cuts them to 8 bits or writes beyond its area";
+const HELD: &str =
+    "the recording host's way out of a hold: the line is `!`, which holds here until the next `~` or reset";
+const REACH: &str = "targets beyond 50 m are refused, so that all arithmetic stays exact";
+const EXACT: &str = "coordinates are integers of 0.1 nm; Grbl's single precision prints an artefact";
+const ALWAYS: &str = "`?` is answered always; Grbl is deaf in a critical alarm and while homing";
+const AT_ONCE: &str = "Grbl waits half a second after `ALARM`, and the recording host had stopped listening";
+const UNSTUCK: &str =
+    "a build without single-axis homing gets stuck in Home at `$HX` until a reset; here it is refused and that is all";
+const BY_HAND: &str =
+    "when the hand moved the probe pin within the recording is not known: here it moved before the end of travel";
+const TRUE_PLACE: &str = "Grbl counts from zero while homing; here the position stays true when homing is broken off";
+const STOPPED: &str = "the machine was stopped by the hand, at a moment that is the recording host's";
+
+pub const DIFFERENCES: &[Difference] = &[
+    differs("02_settings", 10, &["error:3"], CHECKED),
+    differs("03_startup_build", 9, &["error:3"], CHECKED),
+    differs("03_startup_build", 11, &["error:3"], CHECKED),
+    differs("07_modal_bad", 104, &[], HELD),
+    differs("07_modal_bad", 105, &[], HELD),
+    differs("07_modal_bad", 106, &[], HELD),
+    differs("07_modal_bad", 107, &[], HELD),
+    differs("07_modal_bad", 108, &[], HELD),
+    differs("07_modal_bad", 109, &[], HELD),
+    differs("09_arcs", 83, &["error:33"], REACH),
+    at_its_time("12_numbers", 25, EXACT),
+    at_its_time("12_numbers", 27, EXACT),
+    at_its_time("12_numbers", 35, EXACT),
+    differs(
+        "13_text",
+        51,
+        &["error:2", "<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>"],
+        "the line was complete before the report was due: both answers, in the other order",
+    ),
+    differs("15_jog", 12, &["<Idle|MPos:0.256,0.000,0.000|FS:0,0>"], EXACT),
+    at_its_time("15_jog", 68, STOPPED),
+    at_its_time("15_jog", 75, STOPPED),
+    at_its_time("16_soft_limits", 14, ALWAYS),
+    at_its_time("17_hold_resume", 7, STOPPED),
+    at_its_time("17_hold_resume", 10, STOPPED),
+    at_its_time("25_probe_contact", 22, BY_HAND),
+    at_its_time("25_probe_contact", 24, BY_HAND),
+    at_its_time("25_probe_contact", 25, BY_HAND),
+    differs("26_pins", 18, &["ALARM:1", "[MSG:Reset to continue]"], AT_ONCE),
+    at_its_time("26_pins", 20, ALWAYS),
+    differs("26_pins", 46, &["ALARM:3", "Grbl 1.1h ['$' for help]", "[MSG:'$H'|'$X' to unlock]"], AT_ONCE),
+    at_its_time("26_pins", 48, AT_ONCE),
+    at_its_time("26_pins", 53, STOPPED),
+    at_its_time("27_homing_ok", 37, UNSTUCK),
+    at_its_time("27_homing_ok", 39, UNSTUCK),
+    at_its_time("27_homing_ok", 42, UNSTUCK),
+    at_its_time("27_homing_ok", 47, ALWAYS),
+    at_its_time("28_homing_fail", 14, ALWAYS),
+    at_its_time("28_homing_fail", 21, TRUE_PLACE),
+    differs(
+        "29_laser_spindle_reports",
+        18,
+        &["<Idle|MPos:0.000,0.000,0.000|FS:0,1|WCO:0.000,0.000,0.000>"],
+        "the speed is worked out of the finer power of 16 bits, not of 8",
+    ),
+    differs(
+        "31_blank_eeprom",
+        0,
+        &["Grbl 1.1h ['$' for help]"],
+        "a blank store is a new controller and no fault: settings are never lost to a checksum",
+    ),
+];

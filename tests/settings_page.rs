@@ -1,0 +1,44 @@
+//! `docs/settings.md` is made from the table of settings; this holds the two together.
+
+use oxmill_controller::settings::{Entry, Kind, PER_AXIS, SCALARS};
+use std::fmt::Write;
+
+const HEAD: &str = "# Settings
+
+`$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
+(no steps/mm, rate or acceleration, or a rate times steps/mm beyond the board's safe step rate), motion is locked with a message that names
+the setting, until it is mended. Nothing is clamped silently.
+
+In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only. This page is made from the table in `src/controller/settings.rs`.
+
+| $ | setting | unit | values | default | Grbl 1.1 |
+|---|---|---|---|---|---|
+";
+
+fn row(page: &mut String, number: &str, entry: &Entry) {
+    let values = match entry.kind {
+        Kind::Whole(least, greatest) => format!("{least} to {greatest}"),
+        Kind::Switch => "0 or 1".into(),
+        Kind::Real | Kind::Speed => "0 and above".into(),
+        Kind::Place => "any".into(),
+    };
+    let known = if entry.grbl { "yes" } else { "" };
+    let _ = writeln!(page, "| {number} | {} | {} | {values} | {} | {known} |", entry.name, entry.unit, entry.default);
+}
+
+#[test]
+fn the_page_is_the_table() {
+    let mut page = HEAD.to_string();
+    for entry in SCALARS {
+        row(&mut page, &entry.number.to_string(), &entry);
+    }
+    for entry in PER_AXIS {
+        row(&mut page, &format!("{}, {}, {}", entry.number, entry.number + 1, entry.number + 2), &entry);
+    }
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/settings.md");
+    if std::env::var_os("OXMILL_WRITE_DOCS").is_some() {
+        std::fs::write(&path, &page).expect("docs/settings.md is written");
+    }
+    let written = std::fs::read_to_string(&path).expect("docs/settings.md");
+    assert!(written == page, "docs/settings.md is out of date: run this test with OXMILL_WRITE_DOCS=1");
+}

@@ -1,0 +1,220 @@
+//! Builds an image and looks into it: an image without a vector table or without code links just as well.
+
+use crate::{Failure, TARGET, cargo, root, run};
+use std::fmt;
+use std::fs;
+use std::path::PathBuf;
+
+/// Less code than this is no controller.
+const LEAST_CODE: u32 = 16 * 1024;
+
+/// A checked image.
+pub struct Image {
+    /// The ELF file.
+    pub path: PathBuf,
+    flash: (u32, u32),
+    ram: (u32, u32),
+    stack: u32,
+}
+
+impl fmt::Display for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (flash, of_flash) = self.flash;
+        let (ram, of_ram) = self.ram;
+        writeln!(f, "{}", self.path.display())?;
+        writeln!(f, "flash  {flash:>7} bytes used, {:>7} left", of_flash - flash)?;
+        write!(f, "RAM    {ram:>7} bytes used, {:>7} left, beside a stack of {}", of_ram - ram, self.stack)
+    }
+}
+
+/// Release build of the firmware for a board.
+pub fn build(board: &str) -> Result<Image, Failure> {
+    run(cargo().args([
+        "build",
+        "--profile",
+        "firmware",
+        "--package",
+        "oxmill-firmware",
+        "--target",
+        TARGET,
+        "--features",
+        board,
+    ]))?;
+    let built = root().join("target").join(TARGET).join("firmware/oxmill-firmware");
+    // Every board links to the same name; a copy of its own survives the next board.
+    let folder = root().join("target/boards");
+    let path = folder.join(format!("{board}.elf"));
+    let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
+    copy.map_err(|error| format!("{}: {error}", built.display()))?;
+    let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    check(board, &bytes, path)
+}
+
+fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
+    let chip = Chip::read(board)?;
+    let elf = Elf { bytes };
+    let sections = elf.sections().ok_or("the image is no 32-bit ELF file")?;
+    let section = |name: &str| sections.iter().find(|s| s.name == name);
+    let fail = |why: &str| Err(format!("the image of {board} {why}"));
+
+    let Some(vectors) = section(".vector_table") else { return fail("has no vector table") };
+    if vectors.address != chip.flash {
+        return fail("does not have its vector table at the start of flash");
+    }
+    let stack_pointer = elf.word(vectors.offset).ok_or("the vector table is cut off")?;
+    if !(chip.ram..=chip.ram + chip.ram_size).contains(&stack_pointer) {
+        return fail("starts with a stack outside RAM");
+    }
+    match section(".text") {
+        Some(text) if text.size >= LEAST_CODE && text.address == chip.code => {}
+        Some(_) => return fail("has too little code, or it is not where the plan wants it"),
+        None => return fail("has no code"),
+    }
+    let in_flash =
+        |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
+    if sections.iter().filter(in_flash).any(|s| s.stored < chip.code && s.stored + s.size > chip.settings) {
+        return fail("reaches into the settings sectors");
+    }
+    let flash = sections.iter().filter(in_flash).map(|s| s.size).sum();
+    let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
+    let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
+    let stack = stack_pointer - chip.ram;
+    let for_program = chip.flash_size - (chip.code - chip.settings);
+    Ok(Image { path, flash: (flash, for_program), ram: (ram, chip.ram_size - stack), stack })
+}
+
+/// The numbers of a board's `chip.x`.
+struct Chip {
+    flash: u32,
+    flash_size: u32,
+    settings: u32,
+    code: u32,
+    ram: u32,
+    ram_size: u32,
+}
+
+impl Chip {
+    fn read(board: &str) -> Result<Chip, Failure> {
+        let path = root().join("boards").join(board).join("chip.x");
+        let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let value = |name: &str| {
+            text.lines()
+                .find_map(|line| line.strip_prefix(name)?.trim_start().strip_prefix('=')?.split(';').next())
+                .and_then(|value| number(value.trim()))
+                .ok_or_else(|| format!("{} does not say {name}", path.display()))
+        };
+        Ok(Chip {
+            flash: value("CHIP_FLASH")?,
+            flash_size: value("CHIP_FLASH_SIZE")?,
+            settings: value("CHIP_SETTINGS")?,
+            code: value("CHIP_CODE")?,
+            ram: value("CHIP_RAM")?,
+            ram_size: value("CHIP_RAM_SIZE")?,
+        })
+    }
+}
+
+/// A number as the linker takes it.
+fn number(text: &str) -> Option<u32> {
+    if let Some(hex) = text.strip_prefix("0x") {
+        u32::from_str_radix(hex, 16).ok()
+    } else if let Some(k) = text.strip_suffix('K') {
+        Some(k.parse::<u32>().ok()? * 1024)
+    } else if let Some(m) = text.strip_suffix('M') {
+        Some(m.parse::<u32>().ok()? * 1024 * 1024)
+    } else {
+        text.parse().ok()
+    }
+}
+
+struct Section {
+    name: String,
+    address: u32,
+    /// Where its bytes lie in flash; for what is copied to RAM at the start this is not the address.
+    stored: u32,
+    offset: u32,
+    size: u32,
+    allocated: bool,
+    /// It has bytes in the file.
+    loaded: bool,
+}
+
+/// As much of ELF as is needed: section headers and load addresses of a 32-bit little-endian file.
+struct Elf<'a> {
+    bytes: &'a [u8],
+}
+
+impl Elf<'_> {
+    fn word(&self, at: u32) -> Option<u32> {
+        let at = at as usize;
+        Some(u32::from_le_bytes(self.bytes.get(at..at + 4)?.try_into().ok()?))
+    }
+
+    fn half(&self, at: u32) -> Option<u32> {
+        let at = at as usize;
+        Some(u32::from(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?)))
+    }
+
+    fn sections(&self) -> Option<Vec<Section>> {
+        if self.bytes.get(..6)? != b"\x7FELF\x01\x01" {
+            return None;
+        }
+        let (programs, headers) = (self.word(28)?, self.word(32)?);
+        let (program_size, program_count) = (self.half(42)?, self.half(44)?);
+        let (size, count, names) = (self.half(46)?, self.half(48)?, self.half(50)?);
+        let names = self.word(headers + names * size + 16)?;
+        let mut sections = Vec::new();
+        for i in 0..count {
+            let header = headers + i * size;
+            let name = self.bytes.get((names + self.word(header)?) as usize..)?;
+            let name = String::from_utf8_lossy(name.split(|b| *b == 0).next()?).into_owned();
+            let kind = self.word(header + 4)?;
+            let address = self.word(header + 12)?;
+            let mut stored = address;
+            for p in 0..program_count {
+                let program = programs + p * program_size;
+                let (from, physical) = (self.word(program + 8)?, self.word(program + 12)?);
+                if self.word(program)? == 1 && (from..from + self.word(program + 20)?).contains(&address) {
+                    stored = address - from + physical;
+                }
+            }
+            sections.push(Section {
+                name,
+                address,
+                stored,
+                offset: self.word(header + 16)?,
+                size: self.word(header + 20)?,
+                allocated: self.word(header + 8)? & 2 != 0,
+                loaded: self.word(header + 8)? & 2 != 0 && kind != 8,
+            });
+        }
+        Some(sections)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_linker_scripts() {
+        assert_eq!(number("0x08010000"), Some(0x0801_0000));
+        assert_eq!(number("512K"), Some(512 * 1024));
+        assert_eq!(number("4M"), Some(4 * 1024 * 1024));
+        assert_eq!(number("four"), None);
+    }
+
+    #[test]
+    fn every_board_says_its_sizes() {
+        for board in crate::boards::BOARDS {
+            let chip = Chip::read(board).unwrap();
+            assert!(chip.flash < chip.settings && chip.settings < chip.code, "{board}");
+        }
+    }
+
+    #[test]
+    fn an_image_without_code_is_refused() {
+        assert!(check("qemu_mps2", b"\x7FELF\x01\x01", PathBuf::new()).is_err());
+        assert!(check("qemu_mps2", &[], PathBuf::new()).is_err());
+    }
+}

@@ -1,0 +1,248 @@
+//! Runs jobs through the firmware in QEMU and through the simulator, and compares what the motors would have done.
+//!
+//! * preloaded: the job lies in RAM, so its bytes are never late; the digest over times, step and direction bits must
+//!   be the simulator's.
+//! * streamed: the job comes over a TCP port, with character counting as a sender does it; how fast the machine moves
+//!   at a moment then depends on when lines arrive, so answers and the final position must be the simulator's. The order of
+//!   steps is the simulator's too, but for places where one run is slow enough for a finer smoothing and the other is not:
+//!   whether it is, is said and not demanded.
+
+use crate::{Failure, QEMU_BOARD, cargo, image, qemu, root};
+use std::collections::VecDeque;
+use std::fs;
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows.
+const WINDOW: usize = 127;
+/// Longest run of one job.
+const LIMIT: Duration = Duration::from_secs(300);
+
+/// What the step outputs did.
+#[derive(Debug, PartialEq, Eq)]
+struct Steps {
+    time: String,
+    order: String,
+    net: [i64; 3],
+}
+
+/// The jobs that are compared. The examples are small; those of `tests/jobs` are made for it.
+fn job_files() -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> = ["tests/jobs", "examples"]
+        .into_iter()
+        .filter_map(|folder| fs::read_dir(root().join(folder)).ok())
+        .flatten()
+        .filter_map(|entry| entry.ok().map(|e| e.path()))
+        .filter(|path| path.extension().is_some_and(|e| e == "nc"))
+        .filter(|path| fs::metadata(path).is_ok_and(|m| m.len() < 64 * 1024))
+        .collect();
+    files.sort();
+    files
+}
+
+/// `cargo test-target`, the part that compares.
+pub fn compare_all() -> Result<(), Failure> {
+    let image = image::build(QEMU_BOARD)?;
+    let files = job_files();
+    if files.is_empty() {
+        return Err("there are no jobs to compare".into());
+    }
+    let mut failures = Vec::new();
+    println!("\nrunning {} jobs on QEMU and in the simulator", files.len());
+    for file in &files {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let begin = Instant::now();
+        let outcome = simulate(file).and_then(|expected| {
+            compare_preloaded(&image.path, file, &expected)?;
+            compare_streamed(&image.path, file, &expected)
+        });
+        match outcome {
+            Ok(()) => println!("job {name} ... ok ({:.1} s)", begin.elapsed().as_secs_f32()),
+            Err(why) => {
+                println!("job {name} ... FAILED\n  {why}");
+                failures.push(name);
+            }
+        }
+    }
+    println!("job result: {} passed; {} failed\n", files.len() - failures.len(), failures.len());
+    if failures.is_empty() { Ok(()) } else { Err(format!("jobs failed: {}", failures.join(", "))) }
+}
+
+/// `cargo qemu --job FILE`.
+pub fn show(file: &Path) -> Result<(), Failure> {
+    let image = image::build(QEMU_BOARD)?;
+    let (answers, report) = run_preloaded(&image.path, file)?;
+    print!("{answers}{report}");
+    Ok(())
+}
+
+fn compare_preloaded(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Failure> {
+    let (answers, report) = run_preloaded(elf, file)?;
+    refuse_errors(&answers)?;
+    let steps = parse_report(&report)?;
+    if &steps == expected { Ok(()) } else { Err(format!("preloaded: QEMU {steps:?}, simulator {expected:?}")) }
+}
+
+fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Failure> {
+    let (_qemu, mut host, mut stand) = qemu::streamed(elf)?;
+    let text = job_text(file)?;
+    stream(&mut host, &text)?;
+    let status = wait_until_idle(&mut host)?;
+    stand.write_all(b"r").map_err(|error| error.to_string())?;
+    let report = read_until(&mut stand, Duration::from_secs(5), |text| text.ends_with('\n'))?;
+    let steps = parse_report(&report)?;
+    if steps.net == expected.net {
+        let order = if steps.order == expected.order { "the same" } else { "another" };
+        println!("  streamed: {status}, {order} order of steps");
+        Ok(())
+    } else {
+        Err(format!("streamed: QEMU {:?} ({status}), simulator {:?}", steps.net, expected.net))
+    }
+}
+
+/// The text of a job as the controller gets it in the simulator: lines that begin with `%` are marks of a tape, and a
+/// byte that is not ASCII is a question mark.
+fn job_text(file: &Path) -> Result<Vec<u8>, Failure> {
+    let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let text = String::from_utf8_lossy(&bytes);
+    let mut out = Vec::new();
+    for line in text.lines().filter(|line| !line.starts_with('%')) {
+        out.extend(line.chars().map(|c| if c.is_ascii() { c as u8 } else { b'.' }));
+        out.push(b'\n');
+    }
+    Ok(out)
+}
+
+fn run_preloaded(elf: &Path, file: &Path) -> Result<(String, String), Failure> {
+    let text = job_text(file)?;
+    let folder = root().join("target/jobs");
+    let path = folder.join(file.file_name().unwrap_or_default());
+    let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &text));
+    written.map_err(|error| format!("{}: {error}", path.display()))?;
+    qemu::preloaded(elf, &path, text.len(), LIMIT)
+}
+
+fn refuse_errors(answers: &str) -> Result<(), Failure> {
+    match answers.lines().find(|line| line.starts_with("error:") || line.starts_with("ALARM:")) {
+        None => Ok(()),
+        Some(line) => Err(format!("the firmware answered `{line}`")),
+    }
+}
+
+/// The line of the test stand: `time=... order=... steps=x,y,z busy=n`.
+fn parse_report(report: &str) -> Result<Steps, Failure> {
+    let field = |name: &str| report.split_whitespace().find_map(|word| word.strip_prefix(name));
+    let parse = || {
+        let mut net = field("steps=")?.split(',').map(|n| n.parse().ok());
+        let net = [net.next()??, net.next()??, net.next()??];
+        Some(Steps { time: field("time=")?.into(), order: field("order=")?.into(), net })
+    };
+    parse().ok_or_else(|| format!("the test stand reports `{report}`"))
+}
+
+/// What the simulator makes of a job on the same board profile.
+fn simulate(file: &Path) -> Result<Steps, Failure> {
+    let output = cargo()
+        .args(["run", "--quiet", "--release", "--package", "oxmill", "--", "run"])
+        .arg(file)
+        .args(["--board", QEMU_BOARD, "--json"])
+        .output()
+        .map_err(|error| error.to_string())?;
+    if !output.status.success() {
+        return Err(format!("the simulator fails: {}", String::from_utf8_lossy(&output.stderr)));
+    }
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let text = |name: &str| summary[name].as_str().map(str::to_owned);
+    let parse = || {
+        let net = summary["steps"].as_array()?;
+        let net = [net.first()?.as_i64()?, net.get(1)?.as_i64()?, net.get(2)?.as_i64()?];
+        Some(Steps { time: text("trace_hash")?, order: text("order_hash")?, net })
+    };
+    parse().ok_or_else(|| format!("the simulator's summary lacks hashes or steps: {summary}"))
+}
+
+/// Sends a job with character counting and waits for the answer to every line.
+fn stream(host: &mut TcpStream, text: &[u8]) -> Result<(), Failure> {
+    let mut on_their_way = VecDeque::new();
+    let mut unread = String::new();
+    let begin = Instant::now();
+    host.set_read_timeout(Some(Duration::from_millis(20))).map_err(|error| error.to_string())?;
+    let lines: Vec<&[u8]> = text.split_inclusive(|byte| *byte == b'\n').collect();
+    let (mut next, mut answered) = (0, 0);
+    while answered < lines.len() {
+        while next < lines.len() && on_their_way.iter().sum::<usize>() + lines[next].len() <= WINDOW {
+            host.write_all(lines[next]).map_err(|error| error.to_string())?;
+            on_their_way.push_back(lines[next].len());
+            next += 1;
+        }
+        read_some(host, &mut unread)?;
+        while let Some(end) = unread.find('\n') {
+            let line: String = unread.drain(..=end).collect();
+            match line.trim_end() {
+                "ok" => {
+                    on_their_way.pop_front();
+                    answered += 1;
+                }
+                line => refuse_errors(line).map_err(|why| format!("line {}: {why}", answered + 1))?,
+            }
+        }
+        if begin.elapsed() > LIMIT {
+            return Err(format!("streamed: only {answered} of {} lines were answered in {LIMIT:?}", lines.len()));
+        }
+    }
+    Ok(())
+}
+
+fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
+    let begin = Instant::now();
+    loop {
+        host.write_all(b"?").map_err(|error| error.to_string())?;
+        let status = read_until(host, Duration::from_secs(5), |text| text.ends_with(">\r\n"))?;
+        if status.contains("<Idle|") {
+            return Ok(status.trim().to_owned());
+        }
+        if begin.elapsed() > LIMIT {
+            return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));
+        }
+    }
+}
+
+fn read_until(stream: &mut TcpStream, limit: Duration, complete: impl Fn(&str) -> bool) -> Result<String, Failure> {
+    stream.set_read_timeout(Some(Duration::from_millis(20))).map_err(|error| error.to_string())?;
+    let begin = Instant::now();
+    let mut text = String::new();
+    while !complete(&text) {
+        read_some(stream, &mut text)?;
+        if begin.elapsed() > limit {
+            return Err(format!("no complete answer within {limit:?}, only `{text}`"));
+        }
+    }
+    Ok(text)
+}
+
+fn read_some(stream: &mut TcpStream, text: &mut String) -> Result<(), Failure> {
+    let mut bytes = [0; 4096];
+    match stream.read(&mut bytes) {
+        Ok(0) => Err("QEMU has closed the line".into()),
+        Ok(n) => {
+            text.push_str(&String::from_utf8_lossy(&bytes[..n]));
+            Ok(())
+        }
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reports_are_read() {
+        let steps = parse_report("time=00ff order=0a steps=1,-2,3 busy=9\n").unwrap();
+        assert_eq!(steps, Steps { time: "00ff".into(), order: "0a".into(), net: [1, -2, 3] });
+        assert!(parse_report("time=00ff").is_err());
+    }
+}

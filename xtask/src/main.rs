@@ -1,0 +1,125 @@
+//! Commands around the firmware: build it, flash it, run it in QEMU, test it, count instructions.
+//!
+//! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` end here.
+
+mod image;
+mod jobs;
+mod programs;
+mod qemu;
+mod suites;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+#[path = "../../boards/build.rs"]
+#[allow(dead_code, reason = "only the list of boards is wanted here")]
+mod boards;
+
+/// The target of every board.
+const TARGET: &str = "thumbv7em-none-eabihf";
+/// The board that needs no board.
+const QEMU_BOARD: &str = "qemu_mps2";
+
+const USAGE: &str = "\
+usage:
+  cargo fw BOARD             release build; prints the ELF file and its sizes, and checks the image
+  cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
+  cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
+  cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
+  cargo xtask job NAME       writes a program of examples/ to standard output
+  cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
+boards: ";
+
+/// What went wrong, for people.
+type Failure = String;
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match words[..] {
+        ["fw", board] => known(board).and_then(|board| image::build(board).map(|image| println!("{image}"))),
+        ["flash-board", board] => known(board).and_then(flash),
+        ["qemu"] => qemu::serve(),
+        ["qemu", "--job", file] => jobs::show(Path::new(file)),
+        ["test-target"] => suites::on_qemu().and_then(|()| jobs::compare_all()),
+        ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| jobs::compare_all()),
+        ["test-target", board] => known(board).and_then(suites::on_board),
+        ["job", name] => generate(name),
+        ["count"] => suites::count(),
+        _ => {
+            eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
+            return ExitCode::from(2);
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(why) => {
+            eprintln!("{why}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The board, if there is one of this name.
+fn known(board: &str) -> Result<&str, Failure> {
+    if boards::BOARDS.contains(&board) {
+        Ok(board)
+    } else {
+        Err(format!("there is no board `{board}`; there are {}", boards::BOARDS.join(", ")))
+    }
+}
+
+/// Writes a generated program.
+fn generate(name: &str) -> Result<(), Failure> {
+    match programs::generate(name, &mut std::io::stdout().lock()) {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(format!("there is no program `{name}`; there are {}", programs::NAMES.join(", "))),
+        Err(error) => Err(format!("the program could not be written: {error}")),
+    }
+}
+
+/// The workspace.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
+}
+
+/// Cargo, in the workspace.
+fn cargo() -> Command {
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo.current_dir(root());
+    cargo
+}
+
+/// Runs a command to its end; its failure is ours.
+fn run(command: &mut Command) -> Result<(), Failure> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("`{name}` failed: {status}")),
+        Err(error) => Err(format!("`{name}` cannot be started: {error}")),
+    }
+}
+
+/// Whether a program can be started.
+fn exists(program: &str) -> bool {
+    Command::new(program).arg("--version").output().is_ok()
+}
+
+fn flash(board: &str) -> Result<(), Failure> {
+    println!("{}", image::build(board)?);
+    if !exists("cargo-embed") {
+        return Err("cargo-embed is missing: `cargo install --locked probe-rs-tools`".into());
+    }
+    run(cargo().args([
+        "embed",
+        "--profile",
+        "firmware",
+        "--package",
+        "oxmill-firmware",
+        "--target",
+        TARGET,
+        "--features",
+        board,
+        board,
+    ]))
+}

@@ -1,0 +1,200 @@
+//! Two pockets as CAM programs write them: one in millimetres that enters along a helix, one in inches that enters
+//! along a zigzag ramp. Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with
+//! a pass that arrives and leaves on a quarter circle.
+
+use super::writer::Writer;
+use std::io::{Result, Write};
+
+/// A rounded-rectangle pocket. Lengths in whole counts of the last decimal place, feeds in tenths of the unit per minute.
+struct Pocket {
+    /// Half the size of the pocket.
+    half: [i64; 2],
+    /// Radius of the corners of the finished wall.
+    corner: i64,
+    tool_radius: i64,
+    /// Radius of the smallest inside corner of the tool's path.
+    path_corner: i64,
+    step_over: i64,
+    step_down: i64,
+    depth: i64,
+    /// What the finishing pass leaves to do.
+    allowance: i64,
+    clear: i64,
+    feed: i64,
+    plunge: i64,
+    finish_feed: i64,
+}
+
+/// How the tool comes down to the next level.
+enum Entry {
+    /// Down a helix of this radius and pitch.
+    Helix { radius: i64, pitch: i64 },
+    /// To and fro along X, by this much each way, down by this much each time.
+    Zigzag { reach: i64, fall: i64 },
+}
+
+/// An 80 x 50 x 6 mm pocket with a 6 mm end mill. Zero is the middle of the pocket, top of the stock.
+pub fn millimetres(out: &mut dyn Write) -> Result<()> {
+    let pocket = Pocket {
+        half: [40_000, 25_000],
+        corner: 6_000,
+        tool_radius: 3_000,
+        path_corner: 1_000,
+        step_over: 2_400,
+        step_down: 1_500,
+        depth: 6_000,
+        allowance: 200,
+        clear: 5_000,
+        feed: 12_000,
+        plunge: 4_000,
+        finish_feed: 8_000,
+    };
+    let mut w = Writer::new(out, 3);
+    w.comment("POCKET_MM")?;
+    w.comment("T1 D=6. CR=0. - ZMIN=-6. - flat end mill")?;
+    w.comment("Stock: 100 x 70 x 12 aluminium. Zero: middle, top")?;
+    w.comment("Written by: cargo xtask job pocket_mm")?;
+    w.text("G90 G94")?;
+    w.text("G17")?;
+    w.text("G21")?;
+    w.comment("2D pocket")?;
+    w.text("T1")?;
+    w.text("S12000 M3")?;
+    w.text("G54")?;
+    w.text("M8")?;
+    pocket.write(&mut w, ["G0", "G1", "G2", "G3"], &Entry::Helix { radius: 2_000, pitch: 500 })?;
+    w.text("M9")?;
+    w.text("M5")?;
+    w.text("M30")
+}
+
+/// A 3 x 1.5 x 0.375 inch pocket with a quarter-inch end mill.
+pub fn inches(out: &mut dyn Write) -> Result<()> {
+    let pocket = Pocket {
+        half: [15_000, 7_500],
+        corner: 2_500,
+        tool_radius: 1_250,
+        path_corner: 313,
+        step_over: 1_000,
+        step_down: 625,
+        depth: 3_750,
+        allowance: 100,
+        clear: 2_500,
+        feed: 450,
+        plunge: 150,
+        finish_feed: 300,
+    };
+    let mut w = Writer::new(out, 4).numbered().compact();
+    w.comment("Pocket 3.0 x 1.5 x 0.375 in")?;
+    w.comment("Tool: End Mill 0.25 inch")?;
+    w.comment("Zero: middle of the pocket, top of the material")?;
+    w.comment("Written by: cargo xtask job pocket_inch")?;
+    w.text("G20G17G90G40G80")?;
+    w.text("G49")?;
+    w.text("T1")?;
+    w.text("S10000M03")?;
+    w.text("G94")?;
+    pocket.write(&mut w, ["G00", "G01", "G02", "G03"], &Entry::Zigzag { reach: 6_000, fall: 313 })?;
+    w.text("M05")?;
+    w.text("M30")
+}
+
+impl Pocket {
+    /// The moves between spindle on and spindle off, with the words for rapid, feed and both arcs.
+    fn write(&self, w: &mut Writer, words: [&'static str; 4], entry: &Entry) -> Result<()> {
+        let [rapid, line, _, _] = words;
+        w.line_to(rapid, [None, None, Some(self.clear)], None)?;
+        w.line_to(rapid, [Some(0), Some(0), None], None)?;
+        let mut level = 0;
+        while level > -self.depth {
+            let next = (level - self.step_down).max(-self.depth);
+            w.line_to(rapid, [None, None, Some(level + self.clear / 10)], None)?;
+            self.enter(w, words, entry, level, next)?;
+            self.clear_level(w, words)?;
+            w.line_to(rapid, [None, None, Some(self.clear)], None)?;
+            w.line_to(rapid, [Some(0), Some(0), None], None)?;
+            level = next;
+        }
+        // Finishing: arrive at the wall in the middle of the upper side, go round against the clock (the tool turns
+        // with it: climb milling), and leave the same way.
+        let [x, y] = self.half.map(|half| half - self.tool_radius);
+        let radius = self.corner - self.tool_radius;
+        let lead = self.tool_radius;
+        w.line_to(rapid, [Some(lead), Some(y - lead), None], None)?;
+        w.line_to(rapid, [None, None, Some(self.clear / 10 - self.depth + self.step_down)], None)?;
+        w.line_to(line, [None, None, Some(-self.depth)], Some(self.plunge))?;
+        w.arc_to(words[3], [Some(0), Some(y), None], [-lead, 0], Some(self.finish_feed))?;
+        rounded_rectangle(w, words, [x, y], radius, Some(self.finish_feed))?;
+        w.arc_to(words[3], [Some(-lead), Some(y - lead), None], [0, -lead], None)?;
+        w.line_to(rapid, [None, None, Some(self.clear)], None)?;
+        w.line_to(rapid, [Some(0), Some(0), None], None)
+    }
+
+    /// From the middle down to `next`, ending in the middle.
+    fn enter(&self, w: &mut Writer, words: [&'static str; 4], entry: &Entry, level: i64, next: i64) -> Result<()> {
+        let [_, line, _, counter_clockwise] = words;
+        w.line_to(line, [None, None, Some(level)], Some(self.plunge))?;
+        match *entry {
+            Entry::Helix { radius, pitch } => {
+                w.line_to(line, [Some(radius), Some(0), None], Some(self.feed))?;
+                let mut z = level;
+                while z > next {
+                    z = (z - pitch).max(next);
+                    w.arc_to(counter_clockwise, [Some(radius), Some(0), Some(z)], [-radius, 0], Some(self.plunge))?;
+                }
+                // Once round on the level, as the helix leaves a slope.
+                w.arc_to(counter_clockwise, [Some(radius), Some(0), None], [-radius, 0], Some(self.feed))?;
+            }
+            Entry::Zigzag { reach, fall } => {
+                let (mut z, mut side) = (level, 1);
+                while z > next {
+                    z = (z - fall).max(next);
+                    w.line_to(line, [Some(reach * side), Some(0), Some(z)], Some(self.plunge))?;
+                    side = -side;
+                }
+                w.line_to(line, [Some(reach * side), None, None], Some(self.feed))?;
+            }
+        }
+        w.line_to(line, [Some(0), Some(0), None], Some(self.feed))
+    }
+
+    /// Rounded rectangles from the middle outwards, up to the allowance for the finishing pass.
+    fn clear_level(&self, w: &mut Writer, words: [&'static str; 4]) -> Result<()> {
+        let last = self.half.map(|half| half - self.tool_radius - self.allowance);
+        // Seen from the wall, each rectangle lies one step-over farther in; the innermost is a slot at most two
+        // step-overs high.
+        let rings = (last[1] - 1) / self.step_over;
+        for ring in (0..=rings).rev() {
+            let size = last.map(|edge| edge - ring * self.step_over);
+            let wall = self.corner - self.tool_radius - self.allowance;
+            let radius = (wall - ring * self.step_over).max(self.path_corner).min(size[1]);
+            w.line_to(words[1], [Some(0), Some(size[1]), None], Some(self.feed))?;
+            rounded_rectangle(w, words, size, radius, Some(self.feed))?;
+        }
+        Ok(())
+    }
+}
+
+/// Once round, against the clock, from and to the middle of the upper side.
+fn rounded_rectangle(
+    w: &mut Writer,
+    words: [&'static str; 4],
+    half: [i64; 2],
+    radius: i64,
+    feed: Option<i64>,
+) -> Result<()> {
+    let [_, line, _, arc] = words;
+    let ([x, y], r) = (half, radius);
+    // Each corner: where its arc begins, where it ends, and its centre seen from the beginning.
+    let corners = [
+        ([r - x, y], [-x, y - r], [0, -r]),
+        ([-x, r - y], [r - x, -y], [r, 0]),
+        ([x - r, -y], [x, r - y], [0, r]),
+        ([x, y - r], [x - r, y], [-r, 0]),
+    ];
+    for (from, to, centre) in corners {
+        w.line_to(line, [Some(from[0]), Some(from[1]), None], feed)?;
+        w.arc_to(arc, [Some(to[0]), Some(to[1]), None], centre, feed)?;
+    }
+    w.line_to(line, [Some(0), Some(y), None], feed)
+}

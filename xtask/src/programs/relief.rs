@@ -1,0 +1,93 @@
+//! A finishing pass over a relief: a rosette on a domed medallion inside a raised frame, cut in rows 0.4 mm apart with a
+//! point every 0.1 mm. Tens of thousands of short moves: what a look-ahead is for.
+
+use super::writer::Writer;
+use std::io::{Result, Write};
+
+/// Size of the plate, µm.
+const WIDTH: i64 = 60_000;
+const HEIGHT: i64 = 40_000;
+/// Distance of points in a row and of rows, µm.
+const POINT: i64 = 100;
+const ROW: i64 = 400;
+/// Rapid height above the plate, µm.
+const CLEAR: i64 = 3_000;
+/// Tenths of mm/min.
+const FEED: i64 = 15_000;
+const PLUNGE: i64 = 3_000;
+
+/// Heights are computed in nm and rounded to µm at the end.
+const NM: i64 = 1_000;
+
+/// Directions of the eight petals as (cos, sin) × 1000.
+const PETALS: [(i64, i64); 8] =
+    [(1000, 0), (707, 707), (0, 1000), (-707, 707), (-1000, 0), (-707, -707), (0, -1000), (707, -707)];
+
+/// Writes the program.
+pub fn write(out: &mut dyn Write) -> Result<()> {
+    let mut w = Writer::new(out, 3).compact();
+    w.comment("Rosette medallion, 60 x 40 mm, finishing")?;
+    w.comment("Tool: 3 mm ball nose. Zero: lower left corner, top of the stock")?;
+    w.comment("Written by: cargo xtask job relief")?;
+    w.text("G21 G90 G17 G94 G54")?;
+    w.text("S10000 M3")?;
+    w.line_to("G0", [None, None, Some(CLEAR)], None)?;
+    w.line_to("G0", [Some(0), Some(0), None], None)?;
+    w.line_to("G1", [None, None, Some(depth(0, 0))], Some(PLUNGE))?;
+    for row in 0..=HEIGHT / ROW {
+        let y = row * ROW;
+        let points = WIDTH / POINT;
+        for point in 0..=points {
+            let x = if row % 2 == 0 { point } else { points - point } * POINT;
+            w.line_to("G1", [Some(x), Some(y), Some(depth(x, y))], Some(FEED))?;
+        }
+    }
+    w.line_to("G0", [None, None, Some(CLEAR)], None)?;
+    w.line_to("G0", [Some(0), Some(0), None], None)?;
+    w.text("M5")?;
+    w.text("M30")
+}
+
+/// Height of the surface at a point, µm, 0 at the top of the stock and negative below.
+fn depth(x: i64, y: i64) -> i64 {
+    let (u, v) = (x - WIDTH / 2, y - HEIGHT / 2);
+    let ground = -3_200 * NM;
+    // A frame, 2.5 mm wide with sloping sides, 1.2 mm below the top.
+    let edge = x.min(WIDTH - x).min(y).min(HEIGHT - y);
+    let frame = (2_000 * NM).min((4_000 - edge) * NM).max(0);
+    // The dome is elliptic: its height falls with the square of the distance.
+    let dome = hill(u * 19 / 27, v, 19_000, 1_500 * NM);
+    let mut flower = hill(u, v, 4_500, 1_300 * NM);
+    for (cos, sin) in PETALS {
+        // Coordinates along the petal and across it; a petal is three times as long as wide.
+        let along = (u * cos + v * sin) / 1_000 - 8_500;
+        let across = (v * cos - u * sin) / 1_000;
+        flower = flower.max(hill(along, across * 5 / 2, 5_500, 900 * NM));
+    }
+    let height = ground + frame.max(dome + flower);
+    (height - NM / 2) / NM
+}
+
+/// A hill of a given radius (µm) and height (nm): height × (1 - d²/r²)², with level tangents at the top and the foot.
+fn hill(u: i64, v: i64, radius: i64, height: i64) -> i64 {
+    let (square, limit) = (u * u + v * v, radius * radius);
+    if square >= limit {
+        return 0;
+    }
+    // Parts per 2^20 of the radius squared; 2^20 × 2^20 × 1.5e6 stays below 2^63.
+    let fall = ((limit - square) << 20) / limit;
+    (((fall * fall) >> 20) * height) >> 20
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_surface_lies_within_the_stock_and_has_relief() {
+        let heights: Vec<i64> =
+            (0..=WIDTH / 500).flat_map(|i| (0..=HEIGHT / 500).map(move |j| depth(i * 500, j * 500))).collect();
+        assert!(heights.iter().all(|h| (-3_201..=0).contains(h)));
+        assert!(heights.iter().max() > Some(&-600) && heights.iter().min() < Some(&-3_000));
+    }
+}

@@ -1,0 +1,151 @@
+//! Puts lines together as a post-processor does: motion words and coordinates stand only where they change.
+
+use std::io::{Result, Write};
+
+/// Axis letters in the order in which they are written.
+const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
+
+/// Where the lines go, and what the last ones have set.
+pub struct Writer<'a> {
+    out: &'a mut dyn Write,
+    decimals: u32,
+    numbering: Option<u32>,
+    separator: &'static str,
+    modal: &'static str,
+    place: [Option<i64>; 3],
+    feed: Option<i64>,
+}
+
+impl<'a> Writer<'a> {
+    /// Coordinates are whole counts of the last of `decimals` places: µm with 3 places of a millimetre.
+    pub fn new(out: &'a mut dyn Write, decimals: u32) -> Self {
+        Self { out, decimals, numbering: None, separator: " ", modal: "", place: [None; 3], feed: None }
+    }
+
+    /// Words without blanks between them.
+    pub fn compact(mut self) -> Self {
+        self.separator = "";
+        self
+    }
+
+    /// Lines numbered N10, N20, ...
+    pub fn numbered(mut self) -> Self {
+        self.numbering = Some(10);
+        self
+    }
+
+    /// A line as it stands. What it may do to positions or motion words is not followed: coordinates and the motion
+    /// word are written in full next time.
+    pub fn text(&mut self, line: &str) -> Result<()> {
+        self.modal = "";
+        self.place = [None; 3];
+        self.line(line)
+    }
+
+    /// A comment.
+    pub fn comment(&mut self, text: &str) -> Result<()> {
+        self.line(&format!("({text})"))
+    }
+
+    /// A straight move with the word `motion`, to those coordinates that are given.
+    pub fn line_to(&mut self, motion: &'static str, to: [Option<i64>; 3], feed: Option<i64>) -> Result<()> {
+        let mut words = self.motion_word(motion);
+        let before = words.len();
+        self.push_place(&mut words, to, false);
+        if words.len() == before {
+            return Ok(());
+        }
+        self.push_feed(&mut words, feed);
+        self.modal = motion;
+        self.line(&words.join(self.separator))
+    }
+
+    /// An arc in the XY plane to (x, y), with the centre at offset (i, j) from its start, and `z` for a helix.
+    pub fn arc_to(
+        &mut self,
+        motion: &'static str,
+        to: [Option<i64>; 3],
+        centre: [i64; 2],
+        feed: Option<i64>,
+    ) -> Result<()> {
+        // The motion word stands on each arc line: some interpreters do not take it as modal.
+        let mut words = vec![motion.to_string()];
+        self.push_place(&mut words, to, true);
+        for (letter, value) in ['I', 'J'].into_iter().zip(centre) {
+            words.push(format!("{letter}{}", decimal(value, self.decimals)));
+        }
+        self.push_feed(&mut words, feed);
+        self.modal = motion;
+        self.line(&words.join(self.separator))
+    }
+
+    fn motion_word(&self, motion: &'static str) -> Vec<String> {
+        if self.modal == motion { Vec::new() } else { vec![motion.to_string()] }
+    }
+
+    fn push_place(&mut self, words: &mut Vec<String>, to: [Option<i64>; 3], repeat: bool) {
+        for axis in 0..3 {
+            let Some(value) = to[axis] else { continue };
+            if repeat || self.place[axis] != Some(value) {
+                words.push(format!("{}{}", LETTERS[axis], decimal(value, self.decimals)));
+                self.place[axis] = Some(value);
+            }
+        }
+    }
+
+    fn push_feed(&mut self, words: &mut Vec<String>, feed: Option<i64>) {
+        if feed.is_some() && feed != self.feed {
+            words.push(format!("F{}", decimal(feed.unwrap_or(0), 1)));
+            self.feed = feed;
+        }
+    }
+
+    fn line(&mut self, text: &str) -> Result<()> {
+        if let Some(number) = self.numbering.as_mut() {
+            write!(self.out, "N{number}{}", self.separator)?;
+            *number += 10;
+        }
+        writeln!(self.out, "{text}")
+    }
+}
+
+/// A whole count of the last of `places` decimal places as text: trailing zeros go, the point stays.
+pub fn decimal(value: i64, places: u32) -> String {
+    let one = 10_i64.pow(places);
+    let sign = if value < 0 { "-" } else { "" };
+    let digits = format!("{:0width$}", value.abs() % one, width = places as usize);
+    format!("{sign}{}.{}", value.abs() / one, digits.trim_end_matches('0'))
+}
+
+/// The whole number nearest to the square root of `n`.
+pub fn square_root(n: i64) -> i64 {
+    let mut root = n.isqrt();
+    // Rounded to nearest: (root + 1/2)² = root² + root + 1/4.
+    if n - root * root > root {
+        root += 1;
+    }
+    root
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decimals_have_a_point_and_no_trailing_zeros() {
+        assert_eq!(decimal(1_500, 3), "1.5");
+        assert_eq!(decimal(-1, 3), "-0.001");
+        assert_eq!(decimal(20_000, 4), "2.");
+        assert_eq!(decimal(0, 3), "0.");
+    }
+
+    #[test]
+    fn only_changed_words_are_written() {
+        let mut text = Vec::new();
+        let mut w = Writer::new(&mut text, 3);
+        w.line_to("G1", [Some(1_000), Some(0), None], Some(6_000)).unwrap();
+        w.line_to("G1", [Some(1_000), Some(500), None], Some(6_000)).unwrap();
+        w.line_to("G1", [Some(1_000), Some(500), None], Some(6_000)).unwrap();
+        assert_eq!(String::from_utf8(text).unwrap(), "G1 X1. Y0. F600.\nY0.5\n");
+    }
+}

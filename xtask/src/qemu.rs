@@ -1,0 +1,127 @@
+//! Starts QEMU and ends it again.
+
+use crate::{Failure, QEMU_BOARD, image};
+use std::io::Read;
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+const PROGRAM: &str = "qemu-system-arm";
+/// Where a preloaded job lies: boards/qemu_mps2 has the same number.
+const JOB: u32 = 0x2100_0000;
+
+/// A virtual board. It ends when it is dropped.
+pub struct Qemu(Child);
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // Fails if it has ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Says what to do if QEMU is missing.
+pub fn require() -> Result<(), Failure> {
+    if crate::exists(PROGRAM) {
+        Ok(())
+    } else {
+        Err(format!("{PROGRAM} is missing: install it (Debian: `apt-get install qemu-system-arm`)"))
+    }
+}
+
+/// The command line that all runs share. An instruction takes 8 ns, so virtual time is a function of what is executed.
+fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
+    let mut qemu = Command::new(PROGRAM);
+    let sleep = if rest_is_skipped { "shift=3,sleep=off" } else { "shift=3,sleep=on" };
+    qemu.args(["-M", "mps2-an386", "-display", "none", "-monitor", "none", "-icount", sleep]);
+    qemu.args(["-semihosting-config", "enable=on,target=native"]).arg("-kernel").arg(elf);
+    qemu.stdin(Stdio::null());
+    qemu
+}
+
+/// Two TCP ports that were free a moment ago.
+fn free_ports() -> Result<(u16, u16), Failure> {
+    let listen = || TcpListener::bind("127.0.0.1:0").map_err(|error| format!("no free TCP port: {error}"));
+    let (a, b) = (listen()?, listen()?);
+    let port = |l: &TcpListener| l.local_addr().map(|a| a.port()).map_err(|error| error.to_string());
+    Ok((port(&a)?, port(&b)?))
+}
+
+fn on_tcp(qemu: &mut Command, port: u16) {
+    qemu.args(["-serial", &format!("tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on")]);
+}
+
+fn connect(port: u16) -> Result<TcpStream, Failure> {
+    let begin = Instant::now();
+    loop {
+        match TcpStream::connect(("127.0.0.1", port)) {
+            Ok(stream) => return Ok(stream),
+            Err(error) if begin.elapsed() > Duration::from_secs(10) => {
+                return Err(format!("QEMU does not listen: {error}"));
+            }
+            Err(_) => thread::sleep(Duration::from_millis(20)),
+        }
+    }
+}
+
+/// A running firmware: the board, the host's line, the test stand's line. Time without work is skipped, so the machine
+/// finishes what it has while the host's next bytes are on their way: a link that starves the look-ahead at every turn.
+pub fn streamed(elf: &Path) -> Result<(Qemu, TcpStream, TcpStream), Failure> {
+    require()?;
+    let (host, stand) = free_ports()?;
+    let mut qemu = machine(elf, true);
+    on_tcp(&mut qemu, host);
+    on_tcp(&mut qemu, stand);
+    let qemu = Qemu(qemu.spawn().map_err(|error| error.to_string())?);
+    Ok((qemu, connect(host)?, connect(stand)?))
+}
+
+/// Runs a job from RAM to its end: what the firmware answered, and the test stand's report.
+pub fn preloaded(elf: &Path, job: &Path, length: usize, limit: Duration) -> Result<(String, String), Failure> {
+    require()?;
+    let (host, stand) = (job.with_extension("answers"), job.with_extension("report"));
+    let mut qemu = machine(elf, true);
+    let header = u64::from(u32::from_le_bytes(*b"JOB!")) | (length as u64) << 32;
+    qemu.args(["-device", &format!("loader,addr={JOB:#x},data={header:#x},data-len=8")]);
+    qemu.args(["-device", &format!("loader,addr={:#x},file={},force-raw=on", JOB + 8, job.display())]);
+    for file in [&host, &stand] {
+        qemu.args(["-serial", &format!("file:{}", file.display())]);
+    }
+    let mut qemu = Qemu(qemu.stderr(Stdio::piped()).spawn().map_err(|error| error.to_string())?);
+    let begin = Instant::now();
+    loop {
+        match qemu.0.try_wait() {
+            Ok(Some(status)) if status.success() => break,
+            Ok(Some(status)) => {
+                let mut why = String::new();
+                if let Some(mut errors) = qemu.0.stderr.take() {
+                    let _ = errors.read_to_string(&mut why);
+                }
+                return Err(format!("the firmware ended with {status}: {why}"));
+            }
+            Ok(None) if begin.elapsed() > limit => {
+                return Err(format!("{} did not end within {limit:?}", job.display()));
+            }
+            Ok(None) => thread::sleep(Duration::from_millis(5)),
+            Err(error) => return Err(error.to_string()),
+        }
+    }
+    let read = |path: &Path| std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()));
+    Ok((read(&host)?, read(&stand)?))
+}
+
+/// `cargo qemu`: the firmware with its serial line on a TCP port, until it is interrupted.
+pub fn serve() -> Result<(), Failure> {
+    require()?;
+    let image = image::build(QEMU_BOARD)?;
+    let (host, stand) = free_ports()?;
+    let mut qemu = machine(&image.path, false);
+    on_tcp(&mut qemu, host);
+    on_tcp(&mut qemu, stand);
+    println!("serial line  127.0.0.1:{host}   (for example: nc 127.0.0.1 {host})");
+    println!("test stand   127.0.0.1:{stand}   (any byte gives digests and steps)");
+    crate::run(&mut qemu)
+}
