@@ -182,7 +182,7 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
             simulator.press(Realtime::CycleStart);
             continue;
         }
-        if !simulator.advance_once(u64::MAX) {
+        if !simulator.advance_once(u64::MAX) && simulator.unfetched() == 0 {
             if outcome.alarm.is_none() {
                 let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
                 outcome.notes.push(format!("line {line} waits for something that will not come"));

@@ -185,9 +185,12 @@ impl Simulator {
 
     /// What the controller has said since the last call.
     pub fn take_output(&mut self) -> String {
-        let text = String::from_utf8_lossy(&self.outgoing).into_owned();
-        self.outgoing.clear();
-        text
+        let taken = std::mem::take(&mut self.outgoing);
+        if taken.len() >= OUTGOING {
+            // The controller has held answers back, and what depends on them.
+            self.turn();
+        }
+        String::from_utf8_lossy(&taken).into_owned()
     }
 
     /// Levels that a hand has put on the input pins. A pin at 1 is active unless a setting inverts it.
@@ -233,7 +236,7 @@ impl Simulator {
     }
 
     /// Lets virtual time pass until nothing is moving, waiting or unanswered, or the machine waits for the host (a hold,
-    /// an alarm with unread lines). Gives whether the controller is idle.
+    /// an alarm with unread lines, 64 KiB of answers that were not fetched). Gives whether the controller is idle.
     pub fn run_until_idle(&mut self) -> bool {
         self.turn();
         while !self.is_idle() && self.advance_once(u64::MAX) {}

@@ -101,3 +101,37 @@ fn a_job_is_never_starved() {
     assert_eq!(mill.machine_position()[0], 200.0);
     assert_eq!(mill.controller().alarm(), None);
 }
+
+#[test]
+fn more_answers_than_anyone_fetches_are_kept() {
+    let mut mill = mill();
+    mill.send("G99\n".repeat(20_000));
+    let mut answers = 0;
+    loop {
+        mill.run_until_idle();
+        let said = mill.take_output();
+        if said.is_empty() {
+            break;
+        }
+        answers += said.matches("error:20\r\n").count();
+    }
+    // A fetch may end in the middle of an answer.
+    assert!((19_990..=20_000).contains(&answers), "{answers}");
+    assert!(mill.is_idle());
+}
+
+#[test]
+fn realtime_commands_overtake_lines_that_wait() {
+    let mut mill = mill();
+    mill.send("G21 G91 G1 X1 F400\n");
+    mill.run_for(Duration::from_millis(100));
+    mill.send("!");
+    mill.send("G1 X1\n".repeat(2_000));
+    mill.run_until_idle();
+    mill.take_output();
+    mill.send("?");
+    assert!(mill.take_output().contains("<Hold:0"));
+    mill.send([0x18]);
+    mill.run_until_idle();
+    assert_eq!(mill.unread(), 0, "a reset drops what waited before it");
+}
