@@ -9,11 +9,12 @@
 
 use crate::axes::PerAxis;
 
-/// Depth of serial -> control, realtime commands. Full: the sender stops receiving until there is room (`control` drains
-/// it in each turn, so only a hung `control` can fill it).
-pub const REALTIME_DEPTH: usize = 32;
+/// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
+/// 115200 baud fit. Full: the link waits where it can; on a plain UART the command is lost (a reset has stopped the step
+/// task all the same).
+pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
-/// back-pressure (USB, QEMU); on a plain UART the byte is dropped and [`Event::Overrun`] reports it.
+/// back-pressure (USB, QEMU); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
 /// normally bounds it (see `QUEUED_TIME` in `motion`).
@@ -66,6 +67,8 @@ pub struct LineByte {
     pub byte: u8,
     /// The splitter's epoch when it came.
     pub epoch: u8,
+    /// Bytes before this one were lost: the line it belongs to is refused.
+    pub damaged: bool,
 }
 
 /// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
@@ -193,8 +196,6 @@ pub enum Event<const N: usize> {
     Realtime(Realtime),
     /// A byte of a line. To be given only while `wants_line()`.
     Line(LineByte),
-    /// Received bytes were lost before they reached the line queue.
-    Overrun,
     /// The step task reports.
     Step(StepEvent<N>),
     /// The inputs changed.

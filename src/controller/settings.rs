@@ -292,8 +292,11 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run: no steps/mm, rate or acceleration, or a
-    /// step rate (rate × resolution) beyond `safe_step_hz`. `None` when motion may run.
+    /// step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step pulse (`$0`) leaves room for. `None` when motion may run.
     pub fn unrunnable(&self, safe_step_hz: u32) -> Option<u16> {
+        // A pulse and the shortest pause after it must fit between two steps.
+        let pulses_hz = 1.0e6 / (self.value(Key::StepPulse) + LEAST_PAUSE_US);
+        let greatest_hz = if pulses_hz < safe_step_hz as f32 { pulses_hz } else { safe_step_hz as f32 };
         let resolution = self.axes(AxisKey::Resolution);
         let rate = self.axes(AxisKey::MaxRate);
         let acceleration = self.axes(AxisKey::Acceleration);
@@ -302,7 +305,7 @@ impl<const N: usize> Settings<N> {
             let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
             if StepsPerMm::new(r).is_none() {
                 Some(100 + offset)
-            } else if v <= 0.0 || r * v / 60.0 > safe_step_hz as f32 {
+            } else if v <= 0.0 || r * v / 60.0 > greatest_hz {
                 Some(110 + offset)
             } else if a <= 0.0 {
                 Some(120 + offset)
@@ -313,6 +316,8 @@ impl<const N: usize> Settings<N> {
     }
 }
 
+/// Shortest low time of a step output in microseconds; the slowest common driver (DRV8825) asks for 1.9.
+const LEAST_PAUSE_US: f32 = 2.0;
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
 /// Number of the one setting that may be negative.

@@ -8,7 +8,7 @@
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
-use crate::crossing::{self, BYTES_LOST, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
+use crate::crossing::{self, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
 use crate::outputs::Outputs;
 use crate::{pend_serial, pend_step};
 use core::sync::atomic::Ordering;
@@ -112,9 +112,6 @@ impl Control {
         while let Ok(signals) = self.ends.signals.try_recv() {
             self.controller.event(now, Event::Signals(signals));
         }
-        if BYTES_LOST.swap(false, Ordering::Relaxed) {
-            self.controller.event(now, Event::Overrun);
-        }
         let mut took = false;
         while self.controller.wants_line()
             && let Some(byte) = self.next_byte()
@@ -158,7 +155,8 @@ impl Control {
                 }
                 // The profile says that there is no store, so nothing is handed to it.
                 Output::Store(_) => self.controller.event(now, Event::StoreFailed),
-                Output::Worked => {}
+                // Events first: a long arc must not keep a stop waiting.
+                Output::Worked => return true,
             }
         }
     }
@@ -197,7 +195,7 @@ impl Control {
             if job.next == job.text.len() {
                 self.controller.input_ended();
             }
-            return Some(LineByte { byte, epoch: 0 });
+            return Some(LineByte { byte, epoch: 0, damaged: false });
         }
         let byte = self.ends.lines.try_recv().ok()?;
         self.line_bytes_out = self.line_bytes_out.wrapping_add(1);

@@ -15,8 +15,6 @@ pub static STEP_AT_REST: AtomicBool = AtomicBool::new(true);
 pub static STEP_WANTS: AtomicBool = AtomicBool::new(true);
 /// `serial`: bytes put into the line queue since power-up (wrapping).
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
-/// `serial` raises it, `control` lowers it: received bytes have been lost.
-pub static BYTES_LOST: AtomicBool = AtomicBool::new(false);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.
 pub static RX_HELD: AtomicBool = AtomicBool::new(false);
 /// `control`: see [`Power`].

@@ -3,7 +3,7 @@
 //! A reset stops the step task from here, before anyone has queued or decided anything.
 
 use crate::boards::{BACK_PRESSURE, Incoming, SerialPort};
-use crate::crossing::{self, BYTES_LOST, LINE_BYTES_IN, RX_HELD, Wake};
+use crate::crossing::{self, LINE_BYTES_IN, RX_HELD, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{Received, Splitter};
@@ -16,6 +16,8 @@ pub struct Serial {
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineByte, LINES_DEPTH>,
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
+    /// Bytes were lost; the next byte of a line will say so.
+    lost: bool,
     /// Received, split, and without room in its queue; nothing more is fetched meanwhile.
     held: Option<Received>,
     sending: Chunk,
@@ -33,7 +35,18 @@ impl Serial {
         wake: Wake,
     ) -> Serial {
         let sending = Chunk { len: 0, bytes: [0; 15] };
-        Serial { port, splitter: Splitter::new(), realtime, lines, replies, held: None, sending, sent: 0, wake }
+        Serial {
+            port,
+            splitter: Splitter::new(),
+            realtime,
+            lines,
+            replies,
+            lost: false,
+            held: None,
+            sending,
+            sent: 0,
+            wake,
+        }
     }
 
     /// Called for a received byte, for a sender that has become free, and by `control` (an answer to send; room in the
@@ -56,8 +69,7 @@ impl Serial {
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => {
-                    BYTES_LOST.store(true, Ordering::Relaxed);
-                    news = true;
+                    self.lost = true;
                 }
                 Incoming::Byte(byte) => {
                     let received = self.splitter.push(byte);
@@ -83,8 +95,9 @@ impl Serial {
             Received::Nothing => return false,
             Received::Realtime(command) => self.realtime.try_send(command).is_ok(),
             Received::Line(byte) => {
-                let queued = self.lines.try_send(byte).is_ok();
+                let queued = self.lines.try_send(LineByte { damaged: self.lost, ..byte }).is_ok();
                 if queued {
+                    self.lost = false;
                     LINE_BYTES_IN.store(LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
                 }
                 queued
@@ -94,8 +107,7 @@ impl Serial {
             if BACK_PRESSURE {
                 self.held = Some(received);
             } else {
-                BYTES_LOST.store(true, Ordering::Relaxed);
-                return true;
+                self.lost = true;
             }
         }
         queued

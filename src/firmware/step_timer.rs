@@ -107,7 +107,12 @@ impl Step {
             self.rest();
         }
         let power = Power::wanted();
-        let level = if power.from_segments && self.running { self.segment_power } else { power.level };
+        let level = match (power.from_segments, self.running) {
+            (true, true) => self.segment_power,
+            // After a stop or underrun the beam stays off, whatever was wanted before.
+            (true, false) if self.stepper.is_shut() => 0,
+            _ => power.level,
+        };
         if level != self.power_shown {
             self.show_power(level);
         }
@@ -122,10 +127,14 @@ impl Step {
     #[inline(always)]
     fn tick(&mut self) {
         let tick = self.stepper.tick();
+        // A pulse must have ended, and the pin have been low for a while, before the next one begins.
+        let mut soonest = None;
         if tick.steps != 0 {
             self.pins.raise(tick.steps);
             self.pulse = true;
-            self.timer.pulse_end_at(self.timer.now().wrapping_add(self.pulse_ticks));
+            let end = self.timer.now().wrapping_add(self.pulse_ticks);
+            self.timer.pulse_end_at(end);
+            soonest = Some(end.wrapping_add(LOW_TICKS));
         }
         self.directions = tick.directions;
         self.segment_power = tick.power;
@@ -144,7 +153,10 @@ impl Step {
         } else {
             self.pins.pass(tick.interval);
             self.due = self.due.wrapping_add(tick.interval);
-            self.timer.tick_at(self.due);
+            match soonest {
+                Some(soonest) if (self.due.wrapping_sub(soonest) as i32) < 0 => self.timer.tick_at(soonest),
+                _ => self.timer.tick_at(self.due),
+            }
         }
         if !self.pulse && self.directions != self.directions_shown {
             self.turn(self.setup_ticks);
@@ -196,6 +208,10 @@ impl Step {
 
     /// Nothing moves: time for what would cost a tick too much, and for a start.
     fn rest(&mut self) {
+        if self.pulse {
+            // Its end calls again.
+            return;
+        }
         while let Ok(wiring) = self.wiring.try_recv() {
             self.pins.set_polarity(wiring.step_invert, wiring.direction_invert);
             self.pins.direct(self.directions);
@@ -217,11 +233,10 @@ impl Step {
         self.power_shown = power;
     }
 
-    /// Pulses and beam off, everything queued is void.
+    /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        self.pins.lower();
-        self.pulse = false;
+        // A pulse that is out has been counted: it gets its full length, and its end comes by itself.
         self.timer.tick_off();
         self.running = false;
         let power = Power::wanted();

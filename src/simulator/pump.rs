@@ -529,7 +529,7 @@ impl Simulator {
                     let stored = self.store.apply(&change);
                     self.stored.push_back(stored.is_ok());
                 }
-                Some(Output::Worked) => {}
+                Some(Output::Worked) => return true,
             }
             any = true;
         }
@@ -551,7 +551,7 @@ impl Simulator {
 
     fn next_line_byte(&mut self) -> Option<LineByte> {
         if let Some(job) = &mut self.job {
-            return job.next_byte().map(|byte| LineByte { byte, epoch: 0 });
+            return job.next_byte().map(|byte| LineByte { byte, epoch: 0, damaged: false });
         }
         self.lines.pop_front()
     }

@@ -80,6 +80,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if (byte.epoch.wrapping_sub(self.reset_epoch) as i8) < 0 {
             return;
         }
+        if self.drop_bytes > 0 || self.drop_rest {
+            // Received before the reset button; the line that the last of them stands in goes to its end.
+            self.drop_bytes = self.drop_bytes.saturating_sub(1);
+            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r');
+            return;
+        }
+        if byte.damaged {
+            self.line.damage();
+            self.say(|out| report::message(out, "Received bytes lost"));
+        }
         if self.line.is_empty() {
             self.line_epoch = byte.epoch;
         }
@@ -88,6 +98,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Pushed::TooLong => {
                 self.line.clear();
                 self.refuse(Error::LineTooLong);
+                self.stop_at_error();
             }
             Pushed::Complete => {
                 let text: heapless::Vec<u8, { line::LENGTH }> =
@@ -119,10 +130,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         if let Err(error) = result {
             self.refuse(error);
-            let program = line.first() != Some(&b'$');
-            if program && self.settings.is_on(Key::StopOnError) && self.mode == Mode::Normal {
-                self.stop_softly(true);
+            if line.first() != Some(&b'$') {
+                self.stop_at_error();
             }
+        }
+    }
+
+    /// A refused line ends the job, if that is wanted.
+    fn stop_at_error(&mut self) {
+        if self.settings.is_on(Key::StopOnError) && self.mode == Mode::Normal {
+            self.stop_softly(true);
         }
     }
 
@@ -161,7 +178,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Startup lines
 
     pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
-        let Some(line) = self.startup_lines.get(index).cloned() else {
+        let line = if self.mode.is_alarm() { None } else { self.startup_lines.get(index).cloned() };
+        let Some(line) = line else {
             if let Some(answer) = then {
                 self.finish(answer);
             }
@@ -252,6 +270,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A setting has a new value: derived numbers follow, and it is stored.
     fn changed(&mut self, number: u16) {
         self.reconfigure();
+        // Another resolution is another place for the same steps; homing that is switched on has not been done.
+        self.interpreter.set_position(self.motion.machine_position());
+        if (100..110).contains(&number) || (number == 22 && self.settings.is_on(Key::Homing)) {
+            self.trusted = false;
+        }
         if number == 13 {
             self.rare_fields.offset_changed();
         }

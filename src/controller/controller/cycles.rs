@@ -94,6 +94,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.
     pub(super) fn fail_homing(&mut self, alarm: Alarm) {
         self.motion.discard();
+        self.trusted = false;
         self.raise(alarm);
         self.task = Task::None;
         self.say(report::ok);
@@ -124,8 +125,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && watch.0 & self.signals.limits != 0
         {
             *wait = HomingWait::Stop;
-            self.stop.order = true;
-            self.begin_stop(StopReason::Switch);
+            self.order_stop(StopReason::Switch);
         }
     }
 

@@ -25,8 +25,8 @@ pub(super) struct DoorState<const N: usize> {
     coolant: Option<Coolant>,
     /// The parking moves, if the tool was parked.
     way: Option<ParkingWay<N>>,
-    /// The door was opened again while things were restored.
-    reopened: bool,
+    /// 0x19 came meanwhile: nothing of the job goes on.
+    pub(super) forget_job: bool,
     /// Sleep: what is done ends asleep.
     pub(super) asleep: bool,
 }
@@ -42,7 +42,7 @@ struct ParkingWay<const N: usize> {
 }
 
 impl<const N: usize> DoorState<N> {
-    pub(super) const CLOSED: Self = Self { coolant: None, way: None, reopened: false, asleep: false };
+    pub(super) const CLOSED: Self = Self { coolant: None, way: None, forget_job: false, asleep: false };
 
     /// Whether the tool has left the job for the parking place.
     pub(super) fn is_parking(&self) -> bool {
@@ -66,11 +66,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Door(Door::Braking);
             }
             Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
-            Mode::Door(Door::Returning | Door::Plunging) => self.door.reopened = true,
+            Mode::Door(Door::Returning | Door::Plunging) => {
+                self.detour.hold();
+                self.mode = Mode::Door(Door::Reopened);
+            }
             Mode::Door(_) => {}
             Mode::Home => {
-                self.stop.order = true;
-                self.begin_stop(StopReason::Alarm(Alarm::HomingDoor));
+                self.order_stop(StopReason::Alarm(Alarm::HomingDoor));
                 return;
             }
             _ => return,
@@ -81,7 +83,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// `$SLP`: as a door that only a reset closes.
     pub(super) fn fall_asleep(&mut self) {
         self.door.asleep = true;
-        self.mode = Mode::Door(Door::Braking);
+        if self.mode.is_alarm() {
+            // A locked machine does not move, not even to park.
+            self.spindle_stopped = true;
+            self.parked();
+        } else {
+            self.mode = Mode::Door(Door::Braking);
+        }
     }
 
     /// `~` at a closed door.
@@ -111,13 +119,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Door::PullingOut if self.detour_ended() => self.switch_off_and_park(),
             Door::Parking if self.detour_ended() => self.parked(),
-            Door::Returning if self.detour_ended() => {
-                if core::mem::take(&mut self.door.reopened) {
-                    self.switch_off_and_park();
-                } else {
-                    self.restore_spindle_for_door();
+            Door::Reopened if self.detour.is_at_rest() => {
+                self.detour.discard();
+                match self.door.way {
+                    // In or near the cut with the spindle on: slowly out, as at first.
+                    Some(way) if !self.spindle_stopped => {
+                        self.detour_to(&way.clear, Key::ParkingPullOutRate);
+                        self.mode = Mode::Door(Door::PullingOut);
+                    }
+                    _ => self.switch_off_and_park(),
                 }
             }
+            Door::Returning if self.detour_ended() => self.restore_spindle_for_door(),
             Door::SpindleRestoring(until) if self.now >= until => {
                 self.coolant = self.door.coolant.unwrap_or_default();
                 self.rare_fields.overrides_changed();
@@ -131,14 +144,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 None => self.leave_door(),
             },
-            Door::Plunging if self.detour_ended() => {
-                if core::mem::take(&mut self.door.reopened) {
-                    self.door.way = None;
-                    self.begin_parking();
-                } else {
-                    self.leave_door();
-                }
-            }
+            Door::Plunging if self.detour_ended() => self.leave_door(),
             _ => {}
         }
     }
@@ -147,8 +153,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.door.way.is_some() {
             self.motion.reenter();
         }
+        let forget_job = self.door.forget_job;
         self.door = DoorState::CLOSED;
-        self.leave_hold();
+        if forget_job {
+            self.end_soft_stop(false);
+        } else {
+            self.leave_hold();
+        }
     }
 
     /// The first move of parking, or straight to switching off where there is no parking.

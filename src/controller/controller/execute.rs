@@ -190,6 +190,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.interpreter.set_position(self.motion.machine_position());
                 self.task = Task::SoftLimit;
                 self.running = false;
+                self.spindle = SpindleDirection::Off;
+                self.coolant = Coolant::default();
                 self.raise(Alarm::SoftLimit);
                 self.say(|out| report::message(out, "Reset to continue"));
                 self.mode = Mode::Critical;
@@ -270,7 +272,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Stage::Probing => {
                 let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
-                self.end_probe(must_touch).then_some(Stage::Flow)
+                // A failed probe has locked the machine: no M0 may open it again.
+                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
             }
             Stage::Flow => self.flow(&job, checking),
             Stage::Paused => Some(Stage::Done),
@@ -326,6 +329,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Flow::Pause => {
                 self.mode = Mode::Hold;
+                self.darken_laser();
                 Some(Stage::Paused)
             }
             Flow::End => {

@@ -48,6 +48,10 @@ const REPLY_RESERVE: usize = 2 * PIECE;
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
 /// The same when the queue is full of very short pieces or runs out at the end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
+/// Step time that counts as a well filled queue, and below which planning waits for refilling it.
+const WELL_FILLED_US: u32 = 12_000;
+const LOW_WATER_US: u32 = 6_000;
+
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -81,14 +85,18 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     reset_epoch: u8,
     /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
     jog_epoch: u8,
+    /// Received bytes to be dropped because of a reset button, and whether they end in the midst of a line.
+    drop_bytes: u16,
+    drop_rest: bool,
     /// Epoch of the first byte of the current line.
     line_epoch: u8,
 
     mode: Mode,
     alarm: Option<Alarm>,
-    /// The machine is where the counters say: it falls with a stop at speed and with drivers that are off, and comes back
-    /// with homing. Without homing nobody knows better, so it is then a warning and no lock.
+    /// The machine is where the counters say: it falls with a stop at speed and with sleep, and comes back with homing. Without homing nobody knows better, so it is then a warning and no lock.
     trusted: bool,
+    /// The step queue has held [`WELL_FILLED_US`] since motion began.
+    well_filled: bool,
     /// Motion has been started and not come to its end.
     running: bool,
     input_ended: bool,
@@ -172,11 +180,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             epoch: 0,
             reset_epoch: 0,
             jog_epoch: 0,
+            drop_bytes: 0,
+            drop_rest: false,
             line_epoch: 0,
             mode: Mode::Normal,
             alarm: None,
             trusted: true,
             running: false,
+            well_filled: false,
             input_ended: false,
             task: Task::None,
             overrides: Overrides::default(),
@@ -231,10 +242,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match event {
             Event::Realtime(command) => self.realtime(command),
             Event::Line(byte) => self.line_byte(byte),
-            Event::Overrun => {
-                self.line.damage();
-                self.say(|out| report::message(out, "Received bytes lost"));
-            }
             Event::Step(event) => self.step_event(&event),
             Event::Signals(signals) => self.signals_changed(signals),
             Event::Stored => self.unstored = self.unstored.saturating_sub(1),
@@ -349,6 +356,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Reply(chunk));
         }
+        // Planning never lets the step queue run dry: once it has been well filled it is topped up first. With a control
+        // task that is not late the queue is never so low here.
+        let queued = self.motion.queued_us();
+        self.well_filled = (self.well_filled || queued >= WELL_FILLED_US) && self.running;
+        if self.well_filled
+            && queued < LOW_WATER_US
+            && room.step
+            && let Some(message) = self.step_message()
+        {
+            return Some(Output::Step(message));
+        }
         if self.go_on() {
             return Some(Output::Worked);
         }
@@ -387,7 +405,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn settle(&mut self) {
         if self.running && self.motion.is_idle() {
             self.running = false;
-            self.start_idle_delay();
+            // Between the moves of homing the drivers stay on.
+            if self.mode != Mode::Home {
+                self.start_idle_delay();
+            }
         }
         match self.mode {
             Mode::Jog { cancelling }
@@ -407,7 +428,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// With homing on, what goes to a place of the machine waits for a position that is true.
     fn must_home_first(&self) -> bool {
-        !self.trusted && self.settings.is_on(Key::Homing) && self.settings.is_on(Key::TrustNeeded)
+        !self.trusted
+            && self.dialect() != Dialect::Grbl
+            && self.settings.is_on(Key::Homing)
+            && self.settings.is_on(Key::TrustNeeded)
     }
 
     fn start_idle_delay(&mut self) {
@@ -472,8 +496,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::SafetyDoor => self.open_door(),
             Realtime::JogCancel => {
                 self.epoch = self.epoch.wrapping_add(1);
+                // A jog that was sent before is dropped, also one that has not been read yet.
+                self.jog_epoch = self.epoch;
+                // Epochs are compared by their difference as a signed byte, so the older one must not fall behind.
+                if self.epoch.wrapping_sub(self.reset_epoch) > 64 {
+                    self.reset_epoch = self.epoch.wrapping_sub(64);
+                }
                 if matches!(self.mode, Mode::Jog { .. }) {
-                    self.jog_epoch = self.epoch;
                     self.cancel_jog();
                 }
                 self.release_held();
@@ -498,7 +527,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
         if matches!(self.mode, Mode::Normal | Mode::Hold) {
             change(&mut self.coolant);
-            self.interpreter.set_coolant(self.coolant);
+            self.interpreter.set_accessories(self.spindle, self.coolant);
             self.rare_fields.overrides_changed();
         }
     }
@@ -525,9 +554,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.restore_spindle();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
-        self.motion.resume();
-        if !self.motion.is_idle() {
-            self.start_motion();
+        // After a contact, or on the way to a soft-limit alarm, there is nothing to go on with.
+        if self.probing != Some(Probing::Braking) && !matches!(self.task, Task::SoftLimit) {
+            self.motion.resume();
+            if !self.motion.is_idle() {
+                self.start_motion();
+            }
         }
     }
 
@@ -548,38 +580,66 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.hold();
                 self.task.suspend(self.now);
                 self.mode = Mode::Hold;
-                if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
-                    self.spindle_stopped = true;
-                    self.rare_fields.overrides_changed();
-                }
+                self.darken_laser();
             }
             Mode::Jog { .. } => self.cancel_jog(),
             _ => {}
         }
     }
 
+    /// No beam while the machine waits.
+    fn darken_laser(&mut self) {
+        if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
+            self.spindle_stopped = true;
+            self.rare_fields.overrides_changed();
+        }
+    }
+
     /// Brakes to a stop and forgets the job; the position stays true.
     pub(super) fn stop_softly(&mut self, locked: bool) {
-        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Door(_));
+        if self.mode == Mode::Home {
+            self.order_stop(StopReason::Alarm(Alarm::HomingReset));
+            return;
+        }
+        if matches!(self.mode, Mode::Door(_)) {
+            // The door goes on as it must; the job is forgotten when it is closed.
+            self.door.forget_job = true;
+            return;
+        }
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
         if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
             self.motion.hold();
             self.mode = Mode::Stopping { locked };
         }
     }
 
-    fn end_soft_stop(&mut self, locked: bool) {
+    pub(super) fn end_soft_stop(&mut self, locked: bool) {
         self.motion.discard();
         self.running = false;
         self.probing = None;
+        self.jog_interrupted = false;
         self.probe_watch = Some(ToStep::Watch { probe: None });
         self.interpreter.set_position(self.motion.machine_position());
         self.start_idle_delay();
+        // A beam does not stand still, and a locked machine does not turn; else the spindle stays as it is.
+        if locked || self.settings.is_on(Key::Laser) || self.spindle_stopped {
+            self.spindle = SpindleDirection::Off;
+        }
+        if locked {
+            self.coolant = Coolant::default();
+        }
+        self.spindle_stopped = false;
+        self.interpreter.set_accessories(self.spindle, self.coolant);
+        self.rare_fields.overrides_changed();
         if self.task.abandon() {
             self.say(report::ok);
         }
         self.mode = if locked { Mode::Alarm } else { Mode::Normal };
         if locked {
             self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
+        }
+        if self.signals.door {
+            self.open_door();
         }
     }
 
@@ -592,16 +652,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn signals_changed(&mut self, signals: Signals) {
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
-            // The button stands for 0x18, but no splitter has counted it.
-            self.stop.order = true;
-            self.begin_stop(StopReason::Reset);
+            // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
+            self.drop_bytes = (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free);
+            self.order_stop(StopReason::Reset);
         }
         if self.mode == Mode::Home {
             self.home_switch();
         } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
         {
-            self.stop.order = true;
-            self.begin_stop(StopReason::Alarm(Alarm::HardLimit));
+            self.order_stop(StopReason::Alarm(Alarm::HardLimit));
         }
         if signals.door && !before.door {
             self.open_door();

@@ -12,13 +12,29 @@ use crate::protocol::report::{self, RareFields};
 use crate::settings::Key;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// A stop has been asked for by somebody who has also stopped the step task.
     pub(super) fn begin_stop(&mut self, reason: StopReason) {
         self.stop.expected = self.stop.expected.wrapping_add(1);
-        // A reset wins over an alarm that is still being carried out: the alarm is told of all the same by `moving`.
-        if self.stop.awaited != Some(StopReason::Reset) {
+        // A reset wins over everything, an alarm over a homing switch: what they end, the others cannot go on with.
+        let weight = |reason| match reason {
+            None => 0,
+            Some(StopReason::Switch) => 1,
+            Some(StopReason::Alarm(_)) => 2,
+            Some(StopReason::Reset) => 3,
+        };
+        if weight(Some(reason)) > weight(self.stop.awaited) {
             self.stop.awaited = Some(reason);
         }
         self.finish_stop();
+    }
+
+    /// Asks the step task to stop. Two reasons before it has been told are one stop.
+    pub(super) fn order_stop(&mut self, reason: StopReason) {
+        if self.stop.order {
+            self.stop.expected = self.stop.expected.wrapping_sub(1);
+        }
+        self.stop.order = true;
+        self.begin_stop(reason);
     }
 
     pub(super) fn step_event(&mut self, event: &StepEvent<N>) {
@@ -67,6 +83,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.spindle = SpindleDirection::Off;
         self.coolant = Coolant::default();
+        self.interpreter.set_accessories(self.spindle, self.coolant);
         match reason {
             StopReason::Switch => {}
             StopReason::Reset => self.finish_reset(moving),
@@ -95,6 +112,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
             self.trusted &= !moving;
+            self.trusted &= !homing;
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }

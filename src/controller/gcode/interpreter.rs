@@ -7,7 +7,7 @@ use super::parse::Parsed;
 use super::{Dialect, jog};
 use crate::axes::PerAxis;
 use crate::error::Error;
-use crate::messages::Coolant;
+use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Coordinate;
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
@@ -76,8 +76,9 @@ impl<const N: usize> Interpreter<N> {
         &self.modal
     }
 
-    /// Coolant that the operator has switched, not the program.
-    pub fn set_coolant(&mut self, coolant: Coolant) {
+    /// Spindle and coolant as the machine has them, where not the program but the operator or a stop has switched them.
+    pub fn set_accessories(&mut self, spindle: SpindleDirection, coolant: Coolant) {
+        self.modal.spindle = spindle;
         self.modal.coolant = coolant;
     }
 

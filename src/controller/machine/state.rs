@@ -56,6 +56,8 @@ pub enum Door {
     Parking,
     /// At rest with spindle and coolant off.
     Parked,
+    /// Opened again while parking was undone: braking.
+    Reopened,
     /// `~` came: fast back towards the cut.
     Returning,
     /// The spindle runs up until the given time, then the coolant starts.
@@ -88,7 +90,7 @@ impl Mode {
             Mode::Hold => "Hold:1",
             Mode::Home => "Home",
             Mode::Stopping { .. } => "Hold:1",
-            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking) => "Door:2",
+            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking | Door::Reopened) => "Door:2",
             Mode::Door(Door::Parked) if door_open => "Door:1",
             Mode::Door(Door::Parked) => "Door:0",
             Mode::Door(_) => "Door:3",

@@ -305,6 +305,12 @@ impl<const N: usize> Stepper<N> {
         self.stops = self.stops.wrapping_add(1);
     }
 
+    /// Whether a stop has not been answered yet.
+    #[inline]
+    pub fn is_shut(&self) -> bool {
+        self.gate_shut
+    }
+
     /// Whether there is nothing left to do.
     #[inline]
     pub fn is_idle(&self) -> bool {

@@ -35,7 +35,7 @@ impl Splitter {
                 Received::Realtime(command)
             }
             None if byte >= 0x80 => Received::Nothing,
-            None => Received::Line(LineByte { byte, epoch: self.epoch }),
+            None => Received::Line(LineByte { byte, epoch: self.epoch, damaged: false }),
         }
     }
 }

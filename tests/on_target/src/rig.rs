@@ -65,7 +65,7 @@ impl Rig {
                 && let Some(byte) = bytes.next()
             {
                 took = true;
-                self.controller.event(now, Event::Line(LineByte { byte, epoch: 0 }));
+                self.controller.event(now, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
             }
             let again = self.outputs(now);
             if again || took {
