@@ -201,14 +201,19 @@ fn stream(host: &mut TcpStream, text: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Asks until the machine says twice in a row that it is idle: a line that has just been answered may start its motion
+/// after the first question.
 pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
     let begin = Instant::now();
+    let mut idle_before = false;
     loop {
         host.write_all(b"?").map_err(|error| error.to_string())?;
         let status = read_until(host, Duration::from_secs(5), |text| text.ends_with(">\r\n"))?;
-        if status.contains("<Idle|") {
+        let idle = status.contains("<Idle|");
+        if idle && idle_before {
             return Ok(status.trim().to_owned());
         }
+        idle_before = idle;
         if begin.elapsed() > LIMIT {
             return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));
         }

@@ -5,7 +5,7 @@ use crate::{Failure, QEMU_BOARD, image, qemu};
 use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const LIMIT: Duration = Duration::from_secs(60);
 
@@ -63,13 +63,27 @@ impl Lines {
 
     /// Asks until the status begins so.
     fn wait_for(&mut self, state: &str) -> Result<String, Failure> {
-        for _ in 0..2_000 {
+        let begin = Instant::now();
+        while begin.elapsed() < LIMIT {
             let status = self.status()?;
             if status.contains(state) {
                 return Ok(status);
             }
         }
         Err(format!("the state never became {state}"))
+    }
+
+    /// Lets a motion that has begun go on until X is at least here.
+    fn wait_until_beyond(&mut self, millimetres: f64) -> Result<(), Failure> {
+        let begin = Instant::now();
+        while begin.elapsed() < LIMIT {
+            let status = self.wait_for("<Run|")?;
+            let x = status.split("MPos:").nth(1).and_then(|rest| rest.split(',').next()?.parse::<f64>().ok());
+            if x.is_some_and(|x| x >= millimetres) {
+                return Ok(());
+            }
+        }
+        Err(format!("X never came to {millimetres}"))
     }
 
     fn report(&mut self) -> Result<String, Failure> {
@@ -94,7 +108,7 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
 fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"G21G91G1X8Y2F600\n")?;
     lines.expect("ok")?;
-    lines.wait_for("<Run|MPos:2.")?;
+    lines.wait_until_beyond(2.0)?;
     lines.send(b"!")?;
     lines.wait_for("<Hold:0|")?;
     let (first, second) = (lines.report()?, lines.report()?);
@@ -108,7 +122,7 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
 
 fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"G21G91G1X50F600\nX-50\n")?;
-    lines.wait_for("<Run|MPos:2.")?;
+    lines.wait_until_beyond(2.0)?;
     lines.send(b"\x18")?;
     let answers = lines.expect("to unlock]")?;
     hold_on(answers.contains("ALARM:3"), || format!("answers: {answers}"))?;
@@ -125,7 +139,8 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok\r\nok")?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    hold_on(report.contains(&format!("steps={},", steps - 250.0)), || format!("{second} {report}"))
+    // The reset has brought G90 back: an absolute place is reached from wherever the machine was stopped.
+    hold_on(report.contains("steps=-250,0,0"), || format!("{second} {report}"))
 }
 
 fn reset_between_lines(lines: &mut Lines) -> Result<(), Failure> {
