@@ -1,0 +1,53 @@
+//! Bytes lost on the link: the line they belong to is refused, and no other.
+
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile};
+
+fn answers(bytes: &[(u8, bool)]) -> String {
+    let profile = Profile { name: "test", step_clock_hz: 1_000_000, safe_step_hz: 100_000, has_store: false };
+    let mut controller = Box::new(Controller::<3, 16>::new(profile));
+    let now = Instant::from_ticks(0);
+    controller.start(now);
+    let mut text = String::new();
+    let mut pull = |controller: &mut Controller<3, 16>| {
+        controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 - 1 });
+        while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
+            if let Output::Reply(chunk) = output {
+                text.push_str(std::str::from_utf8(chunk.as_bytes()).unwrap());
+            }
+        }
+    };
+    pull(&mut controller);
+    for (byte, damaged) in bytes {
+        assert!(controller.wants_line());
+        controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: *damaged }));
+        pull(&mut controller);
+    }
+    text.split_once("help]\r\n").unwrap().1.to_string()
+}
+
+/// Sends lines and marks the byte after the gap, shown as `~`.
+fn with_gap(text: &str) -> String {
+    let mut damaged = false;
+    let mut bytes = Vec::new();
+    for byte in text.bytes() {
+        if byte == b'~' {
+            damaged = true;
+        } else {
+            bytes.push((byte, std::mem::take(&mut damaged)));
+        }
+    }
+    answers(&bytes)
+}
+
+#[test]
+fn a_gap_in_a_line_refuses_that_line_only() {
+    let lost = "[MSG:Received bytes lost]\r\n";
+    assert_eq!(with_gap("G21\nG1 X1~.5 F100\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
+    // The gap swallowed a line end: the two lines have become one, and it is refused.
+    assert_eq!(with_gap("G21\nG1 X1~G90\nG94\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
+    // The gap is at the beginning of a line, or just before its end.
+    assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
+    assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
+}
