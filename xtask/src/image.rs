@@ -77,6 +77,10 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     }
     let flash = sections.iter().filter(in_flash).map(|s| s.size).sum();
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
+    // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
+    if sections.iter().filter(in_ram).any(|s| s.size > 0 && s.address < stack_pointer) {
+        return fail("has data below its stack, where an overflow would eat it");
+    }
     let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
     let stack = stack_pointer - chip.ram;
     let for_program = chip.flash_size - (chip.code - chip.settings);

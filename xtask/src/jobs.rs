@@ -52,8 +52,8 @@ pub fn compare_all() -> Result<(), Failure> {
     let examples = job_files("examples", LARGEST_EXAMPLE);
     let files: Vec<(&PathBuf, bool)> =
         made.iter().map(|f| (f, true)).chain(examples.iter().map(|f| (f, false))).collect();
-    if made.is_empty() {
-        return Err("there are no jobs to compare".into());
+    if made.is_empty() || examples.is_empty() {
+        return Err("there are no jobs to compare: tests/jobs or examples is missing".into());
     }
     let mut failures = Vec::new();
     println!("\nrunning {} jobs on QEMU and in the simulator", files.len());
@@ -109,7 +109,7 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
 }
 
 /// The text of a job as the controller gets it in the simulator: lines that begin with `%` are marks of a tape, and a
-/// byte that is not ASCII is a question mark.
+/// byte that is not ASCII is a point.
 fn job_text(file: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let text = String::from_utf8_lossy(&bytes);
