@@ -55,7 +55,7 @@ fn note_safe_level(port: usize, pin: u32, high: bool) {
     if let Some(safe) = SAFE.get(port) {
         let both = 0x1_0001 << pin;
         let one = if high { 1 << pin } else { 0x1_0000 << pin };
-        // Set-up and `control` are the only writers and never run at the same time.
+        // Set-up and the step task are the only writers and never run at the same time.
         safe.store(safe.load(Ordering::Relaxed) & !both | one, Ordering::Relaxed);
     }
 }
