@@ -172,10 +172,13 @@ pub enum StepEvent<const N: usize> {
     },
 }
 
+/// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
+pub const SECOND_SWITCH: u8 = 1 << 6;
+
 /// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Signals {
-    /// Limit switches, bit 0 for X.
+    /// Limit switches, bit 0 for X; [`SECOND_SWITCH`] for the second motor of a ganged axis.
     pub limits: u8,
     /// Probe touches.
     pub probe: bool,
@@ -297,6 +300,26 @@ pub struct Wiring {
     pub limit_invert: bool,
     /// `$6`, probe input inverted.
     pub probe_invert: bool,
+    /// `$14`, bit set = input inverted: 0 reset, 1 hold, 2 start, 3 door.
+    pub control_invert: u8,
+    /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
+    pub ganged: u8,
+    /// `$906`, the second motor turns the other way.
+    pub ganged_invert: bool,
+    /// Which of the two motors take their steps. Changes at rest only.
+    pub ganged_motors: GangedMotors,
+}
+
+/// The motors of a ganged axis that take part in a move.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GangedMotors {
+    /// Both, as always but in squaring.
+    #[default]
+    Both,
+    /// The one on the axis' own pins.
+    First,
+    /// The other one.
+    Second,
 }
 
 /// A record of the settings store: a key and up to 100 bytes.

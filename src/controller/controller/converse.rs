@@ -10,14 +10,16 @@ use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
-use crate::settings::{Key, Settings};
+use crate::settings::{AxisKey, Key, Settings};
 use crate::units::Coordinate;
 
 /// Keys of stored records: a setting has its own number (0 to 999).
 const KEY_OFFSETS: u16 = 1000;
 const KEY_STARTUP: u16 = 1100;
-/// Number of the dialect setting, above all others.
+/// Number of the dialect setting.
 const DIALECT: u16 = 900;
+/// Number of the setting of the kinematics.
+const KINEMATICS: u16 = 904;
 const KEY_BUILD_INFO: u16 = 1200;
 
 /// An answer of many lines.
@@ -272,7 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        if (100..110).contains(&number) || (number == 22 && self.settings.is_on(Key::Homing)) {
+        if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
             self.trusted = false;
         }
         if number == 13 {
@@ -325,8 +327,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             // The dialect stays: it is how this host is spoken to.
             let mut settings = Settings::default();
             settings.restore(DIALECT, self.settings.value(Key::Dialect));
+            self.trusted &= settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.settings.arrangement();
             self.settings = settings;
             self.forget(0..DIALECT);
+            self.forget(DIALECT + 1..KEY_OFFSETS);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();
@@ -344,7 +349,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     // The store
 
-    /// At most three of these come from one command, and the next is read when they are answered: there is room.
+    /// At most four of these come from one command, and the next is read when they are answered: there is room.
     fn hand_to_store(&mut self, store: Store) {
         if self.profile.has_store && self.stores.push_back(store).is_ok() {
             self.unstored += 1;

@@ -427,7 +427,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the settings allow no motion at all; then the host has been told which.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        let setting = self.settings.unrunnable(self.profile.safe_step_hz)?;
+        let setting = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor)?;
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
         Some(Error::Locked)
     }

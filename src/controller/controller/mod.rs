@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs, SpindleDirection,
-    Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, Signals,
+    SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -61,6 +61,8 @@ pub struct Profile {
     pub step_clock_hz: u32,
     /// Greatest step rate that the step task can follow, steps/s of one axis.
     pub safe_step_hz: u32,
+    /// Whether there are pins for a motor more than there are axes.
+    pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
 }
@@ -115,7 +117,11 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     probing: Option<Probing>,
     /// `ToStep::Watch` that has to be given out.
     probe_watch: Option<ToStep>,
+    /// Levels as the pins have them, and those that count.
+    pins: Signals,
     signals: Signals,
+    /// Motors of the ganged axis that take their steps: one alone in squaring.
+    ganged_motors: GangedMotors,
     /// When the drivers go off after the last motion (`$1`).
     drivers_off_at: Option<Instant>,
     drivers_on: bool,
@@ -201,7 +207,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_succeeded: false,
             probing: None,
             probe_watch: None,
+            pins: Signals::default(),
             signals: Signals::default(),
+            ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
             observed: Observed { step_idle: true, rx_free: LINES_DEPTH as u16, ..Observed::default() },
@@ -649,7 +657,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Jog { cancelling: true };
     }
 
-    fn signals_changed(&mut self, signals: Signals) {
+    fn signals_changed(&mut self, pins: Signals) {
+        self.pins = pins;
+        let signals = self.fitted_signals();
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
             // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
@@ -672,12 +682,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.cycle_start();
         }
     }
+
+    /// The inputs, without those that the settings say are not fitted.
+    fn fitted_signals(&self) -> Signals {
+        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
+        Signals {
+            limits: self.pins.limits & (!SECOND_SWITCH | second),
+            door: self.pins.door && self.settings.is_on(Key::DoorFitted),
+            ..self.pins
+        }
+    }
 }
 
 /// The settings as motion wants them. A resolution that cannot be used stands as 1: motion is locked until
 /// it is mended (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) -> MotionSettings<N> {
     MotionSettings {
+        arrangement: settings.arrangement(),
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
         acceleration: settings.axes(AxisKey::Acceleration),

@@ -1,10 +1,11 @@
 //! Pins, answers and reports: what the outside gets to see.
 
 use super::{Controller, REPLY_RESERVE, motion_settings};
+use crate::axes::AxisMask;
 use crate::gcode::{Dialect, MotionMode};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
-use crate::messages::{Chunk, SlowOutputs, SpindleDirection, Wiring};
+use crate::messages::{Chunk, SECOND_SWITCH, Signals, SlowOutputs, SpindleDirection, Wiring};
 use crate::protocol::line;
 use crate::protocol::report;
 use crate::protocol::text::Text;
@@ -86,6 +87,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             enable_invert: s.is_on(Key::EnableInvert),
             limit_invert: s.is_on(Key::LimitInvert),
             probe_invert: s.is_on(Key::ProbeInvert),
+            control_invert: s.whole(Key::ControlInvert) as u8,
+            ganged: s.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0),
+            ganged_invert: s.is_on(Key::GangedInvert),
+            ganged_motors: self.ganged_motors,
         };
         (self.wiring_sent != Some(wiring)).then(|| {
             self.wiring_sent = Some(wiring);
@@ -136,7 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line: (line > 0 && !grbl).then_some(line),
             feed: per_minute(self.motion.speed().max(self.detour.speed())),
             speed,
-            pins: self.signals,
+            pins: self.shown_signals(),
             show_offset,
             overrides: show_overrides.then_some((
                 [self.overrides.feed, self.overrides.rapid, self.overrides.spindle],
@@ -148,8 +153,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::status(out, &status, inches));
     }
 
+    /// The inputs as a report shows them: a switch at a second motor is one of its axis.
+    fn shown_signals(&self) -> Signals {
+        let mut shown = self.signals;
+        if shown.limits & SECOND_SWITCH != 0 {
+            shown.limits &= !SECOND_SWITCH;
+            shown.limits |= self.settings.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0);
+        }
+        shown
+    }
+
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
     pub(super) fn reconfigure(&mut self) {
+        self.signals = self.fitted_signals();
         self.motion.configure(motion_settings(&self.settings, &self.profile));
     }
 }

@@ -7,7 +7,7 @@ use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, SpindleDirection, StepEvent};
+use crate::messages::{Coolant, GangedMotors, SpindleDirection, StepEvent};
 use crate::protocol::report::{self, RareFields};
 use crate::settings::Key;
 
@@ -141,6 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// What every power-up and reset ends with.
     pub(super) fn initialise(&mut self) {
+        self.ganged_motors = GangedMotors::Both;
         self.spindle = SpindleDirection::Off;
         self.spindle_speed = 0.0;
         self.spindle_stopped = false;
