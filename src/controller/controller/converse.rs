@@ -217,7 +217,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         match system::read(line)? {
             System::Help => {
-                self.say(report::help);
+                let grbl = self.dialect() == Dialect::Grbl;
+                self.say(|out| report::help(out, grbl));
                 self.say(report::ok);
             }
             System::Settings if self.mode == Mode::Normal && !idle => return Err(Error::NotIdle),
@@ -230,7 +231,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::BuildInfo => {
                 let info = self.build_info.clone();
-                self.say(|out| report::build_info(out, &info, BLOCKS, LINES_DEPTH));
+                let letters = self.option_letters();
+                self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
                 self.say(report::ok);
             }
             System::SetBuildInfo(text) => {
@@ -384,6 +386,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     // Answers
+
+    /// What `$I` says is switched on, in Grbl's letters and their order.
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
+        let own = self.dialect() != Dialect::Grbl;
+        let on = |key| self.settings.is_on(key);
+        [
+            (true, b'V'),
+            (own, b'N'),
+            (own, b'M'),
+            (on(Key::Kinematics), b'C'),
+            (on(Key::Parking), b'P'),
+            (own, b'H'),
+            (own && on(Key::Parking), b'R'),
+            (on(Key::DoorFitted), b'+'),
+            (on(Key::GangedAxis), b'2'),
+        ]
+        .into_iter()
+        .filter_map(|(on, letter)| on.then_some(letter))
+        .collect()
+    }
 
     pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.has_reply_room() {

@@ -55,8 +55,16 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
 }
 
 /// The answer to `$`.
-pub fn help(out: &mut Text) {
-    put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n");
+pub fn help(out: &mut Text, grbl: bool) {
+    put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
+    if !grbl {
+        put(out, b"$HX $RST= ");
+    }
+    put(out, b"~ ! ? ctrl-x");
+    if !grbl {
+        put(out, b" 0x19");
+    }
+    put(out, b"]\r\n");
 }
 
 /// One row of `$$`.
@@ -89,14 +97,16 @@ pub fn startup_echo(out: &mut Text, line: &[u8]) {
 }
 
 /// `[VER:...]` and `[OPT:...]`
-pub fn build_info(out: &mut Text, user: &[u8], blocks: usize, rx_bytes: usize) {
+pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
     put(out, b".");
     put(out, env!("CARGO_PKG_VERSION").as_bytes());
     put(out, b":");
     put(out, user);
-    put(out, b"]\r\n[OPT:VNM,");
+    put(out, b"]\r\n[OPT:");
+    put(out, letters);
+    put(out, b",");
     whole(out, blocks as u64);
     put(out, b",");
     whole(out, rx_bytes as u64);
