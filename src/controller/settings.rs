@@ -5,7 +5,7 @@
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::error::Error;
-use crate::units::{Decimal, StepsPerMm};
+use crate::units::{Decimal, Duration, StepsPerMm};
 
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +82,10 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(347, "Squaring fails after (share of the travel)", "%", Kind::Real, 5.0, false),
     entry(348, "Squaring fails after at least", "mm", Kind::Real, 2.5, false),
     entry(349, "Squaring fails after at most", "mm", Kind::Real, 25.0, false),
+    entry(392, "Spindle on to coolant on, after a door", "s", Kind::Real, 4.0, false),
+    entry(393, "Coolant on to motion, after a door", "s", Kind::Real, 1.0, false),
+    entry(394, "Spindle on to motion", "s", Kind::Real, 0.0, false),
+    entry(539, "Spindle off to motion", "s", Kind::Real, 0.0, false),
     entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
     entry(901, "An error stops the job", "", Kind::Switch, 0.0, false),
     entry(902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false),
@@ -143,6 +147,10 @@ pub enum Key {
     SquaringShare,
     SquaringLeast,
     SquaringMost,
+    DoorSpindleDelay,
+    DoorCoolantDelay,
+    SpinUp,
+    SpinDown,
     Dialect,
     StopOnError,
     TrustNeeded,
@@ -155,7 +163,7 @@ pub enum Key {
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 43;
+    pub const COUNT: usize = 47;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -226,6 +234,13 @@ impl<const N: usize> Settings<N> {
     /// A value of the first table as a whole number.
     pub fn whole(&self, key: Key) -> u32 {
         self.value(key) as u32
+    }
+
+    /// A value of the first table, in seconds, as a time; a day at most.
+    pub fn seconds(&self, key: Key) -> Duration {
+        let seconds = self.value(key);
+        let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
+        Duration::from_ticks((bounded * 1.0e6) as u64)
     }
 
     /// A value of the first table as yes or no.
@@ -422,6 +437,7 @@ mod tests {
             (Key::ParkingTarget, 58),
             (Key::SquaringMost, 349),
             (Key::Dialect, 900),
+            (Key::SpinDown, 539),
             (Key::TrustNeeded, 902),
             (Key::GangedSwitch, 907),
         ] {

@@ -56,6 +56,8 @@ pub(super) struct Job<const N: usize> {
     checked: Checked<N>,
     stage: Stage<N>,
     jog: bool,
+    /// How long the spindle takes to turn, or to stand, after this line has switched it.
+    spindle_delay: Duration,
 }
 
 #[derive(Debug)]
@@ -158,7 +160,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
                 || self.speed_needs_rest(&checked));
         let stage = if drain { Stage::Drain } else { Stage::Apply };
-        self.task = Task::Job(Job { answer, checked, stage, jog });
+        self.task = Task::Job(Job { answer, checked, stage, jog, spindle_delay: Duration::from_ticks(0) });
     }
 
     /// A running spindle changes its speed at rest; a laser's power rides with the motion.
@@ -221,14 +223,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 None
             }
             Stage::Apply => {
-                self.apply(&job.checked, checking);
+                job.spindle_delay = self.apply(&job.checked, checking);
                 Some(Stage::Storing)
             }
             Stage::Storing if self.unstored > 0 => None,
-            Stage::Storing => Some(match job.checked.dwell {
-                Some(time) if !checking => Stage::Dwell(self.now + time),
-                _ => Stage::Via,
-            }),
+            Stage::Storing => {
+                let dwell = job.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+                let wait = dwell + job.spindle_delay;
+                Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
+            }
             Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
             Stage::Via => match job.checked.motion {
                 gcode::Motion::Line { via: Some(via), .. } if !checking => {
@@ -291,8 +294,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         progressed
     }
 
-    /// Takes the line's modal state over and sets what does not move.
-    fn apply(&mut self, checked: &Checked<N>, checking: bool) {
+    /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
+    fn apply(&mut self, checked: &Checked<N>, checking: bool) -> Duration {
+        let mut delay = Duration::from_ticks(0);
         let before = self.interpreter.work_offset();
         self.interpreter.commit(checked);
         if self.interpreter.work_offset() != before {
@@ -302,13 +306,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.store_offset(offset);
         }
         if checking {
-            return;
+            return delay;
         }
         self.spindle_speed = checked.speed;
         if self.speed_needs_rest(checked) {
             self.rare_fields.overrides_changed();
         }
         if let Some(spindle) = checked.spindle {
+            if spindle != self.spindle && !self.settings.is_on(Key::Laser) {
+                let off = spindle == SpindleDirection::Off;
+                delay = self.settings.seconds(if off { Key::SpinDown } else { Key::SpinUp });
+            }
             self.spindle = spindle;
             self.rare_fields.overrides_changed();
         }
@@ -316,6 +324,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.coolant = coolant;
             self.rare_fields.overrides_changed();
         }
+        delay
     }
 
     /// Program pause and end: both wait for the end of motion.

@@ -108,6 +108,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     spindle_speed: f32,
     /// 0x9E in a hold, or a door: the spindle stands although the program has it on.
     spindle_stopped: bool,
+    /// A hold is being left: motion goes on when the spindle turns (`$394`).
+    spinning_up: Option<Instant>,
     coolant: Coolant,
     door: DoorState<N>,
     /// A jog was moving when the door opened: it is forgotten at rest.
@@ -200,6 +202,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             spindle: SpindleDirection::Off,
             spindle_speed: 0.0,
             spindle_stopped: false,
+            spinning_up: None,
             coolant: Coolant::default(),
             door: DoorState::CLOSED,
             jog_interrupted: false,
@@ -280,7 +283,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
-        [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+        [moving, door, self.task.wakeup(), self.drivers_off_at, self.spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -426,6 +429,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(door) => self.settle_door(door),
+            Mode::Hold if self.spinning_up.is_some_and(|until| self.now >= until) => {
+                self.spinning_up = None;
+                self.leave_hold();
+            }
             _ => {}
         }
         if self.drivers_off_at.is_some_and(|at| self.now >= at) {
@@ -517,6 +524,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
+                    self.spinning_up = None;
                     if self.spindle_stopped {
                         self.restore_spindle();
                     } else {
@@ -551,7 +559,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn cycle_start(&mut self) {
         match self.mode {
             Mode::Normal => self.start_motion(),
-            Mode::Hold if self.motion.is_at_rest() => self.leave_hold(),
+            Mode::Hold if self.spinning_up.is_some() => {}
+            Mode::Hold if self.motion.is_at_rest() => {
+                let delay = self.settings.seconds(Key::SpinUp);
+                let spin_up = self.spindle_stopped && self.spindle != SpindleDirection::Off;
+                self.restore_spindle();
+                if spin_up && !self.settings.is_on(Key::Laser) && delay > Duration::from_ticks(0) {
+                    self.spinning_up = Some(self.now + delay);
+                } else {
+                    self.leave_hold();
+                }
+            }
             Mode::Door(Door::Parked) => self.close_door(),
             _ => {}
         }
@@ -591,6 +609,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.darken_laser();
             }
             Mode::Jog { .. } => self.cancel_jog(),
+            Mode::Hold => self.spinning_up = None,
             _ => {}
         }
     }
@@ -616,6 +635,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
         if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
+            self.spinning_up = None;
             self.motion.hold();
             self.mode = Mode::Stopping { locked };
         }

@@ -145,6 +145,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.spindle = SpindleDirection::Off;
         self.spindle_speed = 0.0;
         self.spindle_stopped = false;
+        self.spinning_up = None;
         self.coolant = Coolant::default();
         self.overrides = Overrides::default();
         self.motion.set_overrides(1.0, 1.0);
