@@ -299,6 +299,11 @@ impl Simulator {
         self.step_due.is_some() || self.controller.next_wakeup().is_some()
     }
 
+    /// Whether the step task is busy.
+    pub fn is_stepping(&self) -> bool {
+        self.step_due.is_some()
+    }
+
     /// The virtual clock.
     pub fn clock(&self) -> &Clock {
         &self.clock
@@ -617,6 +622,7 @@ impl Simulator {
         let begun = self.stepper.segments_begun();
         if begun != self.begun {
             self.begun = begun;
+            self.trace.segment(due);
             self.meter.begin(self.clock.seconds(due), self.machine.position());
             self.segment_power(tick.power);
         }

@@ -2,4 +2,5 @@
 
 mod bench;
 mod homing;
+mod injection;
 mod probing;

@@ -274,7 +274,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
-        [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+        // Nor does a dwell that something has ended: its moment would be past for ever.
+        let task = if self.mode.is_suspended() { None } else { self.task.wakeup() };
+        [moving, door, task, self.drivers_off_at].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
