@@ -72,7 +72,7 @@ pub struct LineByte {
 }
 
 /// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ToStep {
     /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] and only by machines that have
     /// them.
@@ -94,11 +94,14 @@ pub enum ToStep {
     },
     /// A piece of the current block.
     Segment(Segment),
-    /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer
-    /// active (`Some(false)`), and report it with [`StepEvent::Probed`]. `None` ends the watch.
+    /// Looks for the probe at each tick from here on. Once it is active (`Some(true)`) or no longer active
+    /// (`Some(false)`) the place is latched and reported with [`StepEvent::Probed`], what is queued is thrown away, and
+    /// the step task brakes by itself; it takes nothing more until it has been stopped and resumed. `None` ends the watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
+        /// How hard to brake: the deceleration in units per square of a step-clock tick.
+        braking: f32,
     },
     /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
     /// `control` knew of; the gate stays shut when there has been another one since.
@@ -158,7 +161,7 @@ pub enum StepEvent<const N: usize> {
         /// Step counter of each axis: net steps since power-up (wrapping).
         position: PerAxis<i32, N>,
     },
-    /// The probe has reached the awaited state; motion goes on.
+    /// The probe has reached the awaited state; the step task brakes.
     Probed {
         /// Step counter of each axis at the tick that saw it.
         position: PerAxis<i32, N>,
@@ -346,7 +349,7 @@ pub enum Store {
 }
 
 /// What the controller wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Output {
     /// For the step task.
     Step(ToStep),

@@ -154,6 +154,10 @@ impl Simulator {
             meter: Meter::new(board.step_clock_hz),
             trace,
         };
+        if simulator.fittings.moved(simulator.machine.position(), 0) {
+            // The machine was left on a switch.
+            simulator.sample_due = Some(0);
+        }
         simulator.turn();
         simulator
     }
@@ -295,6 +299,11 @@ impl Simulator {
     /// Whether something will happen without the host: a motion or a wait is going on.
     pub fn is_active(&self) -> bool {
         self.step_due.is_some() || self.controller.next_wakeup().is_some()
+    }
+
+    /// Whether the step task is busy.
+    pub fn is_stepping(&self) -> bool {
+        self.step_due.is_some()
     }
 
     /// The virtual clock.
@@ -625,6 +634,7 @@ impl Simulator {
         let begun = self.stepper.segments_begun();
         if begun != self.begun {
             self.begun = begun;
+            self.trace.segment(due);
             self.meter.begin(self.clock.seconds(due), self.machine.position());
             self.segment_power(tick.power);
         }

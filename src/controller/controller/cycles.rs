@@ -28,8 +28,10 @@ pub(super) enum HomingWait {
 pub(super) enum Probing {
     /// Moving, no contact yet.
     Seeking,
-    /// Contact has been made; braking.
+    /// Contact has been made; the step task brakes.
     Braking,
+    /// Contact has been made, and the machine is at rest.
+    Touched,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -156,8 +158,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.interpreter.set_position(self.motion.machine_position());
             return false;
         }
-        self.probe_watch = Some(ToStep::Watch { probe: Some(!away) });
         self.motion.line(&seek(*target, speed));
+        self.probe_watch = Some(ToStep::Watch { probe: Some(!away), braking: self.motion.braking() });
         self.start_motion();
         true
     }
@@ -167,19 +169,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.probing == Some(Probing::Seeking) {
             self.probing = Some(Probing::Braking);
             self.probed = self.motion.position_of_counter(counter);
-            self.motion.hold();
+        }
+    }
+
+    /// Once the step task has braked it is asked where it is, and opened again.
+    pub(super) fn settle_probe(&mut self) {
+        if self.probing == Some(Probing::Braking) && self.observed.step_idle && self.stop.awaited.is_none() {
+            self.order_stop(StopReason::Contact);
         }
     }
 
     /// Whether the probe is over; then it has been reported.
     pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
         let touched = match self.probing {
-            Some(Probing::Braking) if self.motion.is_at_rest() => true,
+            Some(Probing::Touched) => true,
             Some(Probing::Seeking) if self.motion.is_idle() => false,
             _ => return false,
         };
         self.probing = None;
-        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.probe_watch = Some(WATCH_ENDS);
         self.motion.discard();
         self.running = false;
         let here = self.motion.machine_position();
@@ -196,6 +204,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         true
     }
 }
+
+/// The probe is of no interest any more.
+pub(super) const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 /// A move that the operator's overrides leave alone.
 fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed) -> Move<N> {

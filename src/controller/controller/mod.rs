@@ -166,6 +166,8 @@ enum StopReason {
     Alarm(Alarm),
     /// A homing switch.
     Switch,
+    /// The probe: the step task has braked already.
+    Contact,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -283,7 +285,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
-        [moving, door, self.task.wakeup(), self.drivers_off_at, self.spinning_up].into_iter().flatten().min()
+        // Nor does a dwell that something has ended: its moment would be past for ever.
+        let task = if self.mode.is_suspended() { None } else { self.task.wakeup() };
+        [moving, door, task, self.drivers_off_at, self.spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -329,6 +333,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.alarm
+    }
+
+    /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
+    /// a power-up or a sleep with homing on, until it has been homed.
+    pub fn is_trusted(&self) -> bool {
+        self.trusted
     }
 
     /// The settings that hold.
@@ -398,7 +408,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.stop.resume = false;
             return Some(ToStep::Resume { stops: self.stop.seen });
         }
-        if self.mode.is_alarm() || self.mode == Mode::Sleep {
+        if self.mode.is_alarm() || self.mode == Mode::Sleep || self.probing == Some(Probing::Braking) {
             return None;
         }
         if let Some(watch) = self.probe_watch.take() {
@@ -414,6 +424,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
     fn settle(&mut self) {
+        self.settle_probe();
+        if self.stop.awaited.is_some() {
+            return;
+        }
         if self.running && self.motion.is_idle() {
             self.running = false;
             // Between the moves of homing the drivers stay on.
@@ -581,7 +595,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         // After a contact, or on the way to a soft-limit alarm, there is nothing to go on with.
-        if self.probing != Some(Probing::Braking) && !matches!(self.task, Task::SoftLimit) {
+        let touched = matches!(self.probing, Some(Probing::Braking | Probing::Touched));
+        if !touched && !matches!(self.task, Task::SoftLimit) {
             self.motion.resume();
             if !self.motion.is_idle() {
                 self.start_motion();
@@ -646,7 +661,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.running = false;
         self.probing = None;
         self.jog_interrupted = false;
-        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.probe_watch = Some(cycles::WATCH_ENDS);
         self.interpreter.set_position(self.motion.machine_position());
         self.start_idle_delay();
         // A beam does not stand still, and a locked machine does not turn; else the spindle stays as it is.

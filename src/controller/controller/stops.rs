@@ -1,5 +1,6 @@
 //! Stops, alarms and resets: what ends a motion from outside, and how the controller begins anew.
 
+use super::cycles::Probing;
 use super::door::DoorState;
 use super::execute::Task;
 use super::{Controller, StopReason, StopState};
@@ -18,7 +19,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         // A reset wins over everything, an alarm over a homing switch: what they end, the others cannot go on with.
         let weight = |reason| match reason {
             None => 0,
-            Some(StopReason::Switch) => 1,
+            Some(StopReason::Switch | StopReason::Contact) => 1,
             Some(StopReason::Alarm(_)) => 2,
             Some(StopReason::Reset) => 3,
         };
@@ -72,10 +73,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let moving = self.stop.moving;
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
         self.running = false;
+        self.probe_watch = None;
+        if reason == StopReason::Contact {
+            // The probe goes on from here, or what has begun meanwhile: a hold, a door.
+            self.probing = Some(Probing::Touched);
+            self.motion.discard();
+            return;
+        }
         self.door = DoorState::CLOSED;
         self.jog_interrupted = false;
         self.probing = None;
-        self.probe_watch = None;
         if reason == StopReason::Switch {
             // Homing goes on from here.
             self.motion.discard();
@@ -85,7 +92,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.coolant = Coolant::default();
         self.interpreter.set_accessories(self.spindle, self.coolant);
         match reason {
-            StopReason::Switch => {}
+            StopReason::Switch | StopReason::Contact => {}
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {

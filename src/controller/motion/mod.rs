@@ -443,6 +443,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
     }
 
+    /// The deceleration of the first move in the queue, in units per square of a step-clock tick.
+    pub fn braking(&self) -> f32 {
+        let clock = self.step_clock_hz as f32;
+        self.planner.first().map_or(0.0, |block| {
+            let units_per_mm = (block.dominant() * UNITS_PER_STEP) as f32 / block.length;
+            block.acceleration * units_per_mm / clock / clock
+        })
+    }
+
     /// Brakes to a stop, beginning with the next segment handed over.
     pub fn hold(&mut self) {
         if self.hold == Hold::None {
