@@ -316,10 +316,8 @@ impl<const N: usize> Settings<N> {
             return Err(Error::SoftLimitNeedsHoming);
         }
         self.put(place, value);
-        if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position.
-            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
-        }
+        // Soft limits mean nothing without a homed position.
+        self.settle();
         Ok(())
     }
 
@@ -330,6 +328,13 @@ impl<const N: usize> Settings<N> {
             && (value >= 0.0 || number == PARKING_PLACE)
         {
             self.put(place, value);
+        }
+    }
+
+    /// All stored values have been taken over: those that mean nothing without another one go.
+    pub fn settle(&mut self) {
+        if !self.is_on(Key::Homing) {
+            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
         }
     }
 
@@ -407,10 +412,13 @@ const LEAST_PAUSE_US: f32 = 2.0;
 const SOFT_LIMITS: u16 = 20;
 /// Number of the one setting that may be negative.
 const PARKING_PLACE: u16 = 58;
+<<<<<<< HEAD
 /// Number of the setting that names the axis with two motors.
 const GANGED_AXIS: u16 = 905;
 /// Number of the setting that switches homing on.
 const HOMING: u16 = 22;
+=======
+>>>>>>> board
 
 #[cfg(test)]
 mod tests {

@@ -103,7 +103,7 @@ pub struct Simulator {
 impl Simulator {
     /// Powers the board up and lets the controller say its welcome.
     pub fn new(options: Options) -> Self {
-        let Options { board, store, fittings, keep_steps } = options;
+        let Options { board, mut store, fittings, keep_steps } = options;
         let mut controller = Box::new(Controller::new(Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
@@ -261,6 +261,9 @@ impl Simulator {
 
     /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
     pub fn advance_once(&mut self, limit: u64) -> bool {
+        if self.power_is_gone() {
+            return false;
+        }
         let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
         if wake.is_none() && self.step_due.is_none() && self.sample_due.is_none() {
             return false;
@@ -293,12 +296,18 @@ impl Simulator {
             && self.step_due.is_none()
             && self.segments.is_empty()
             && self.unread() == 0
+            && !self.power_is_gone()
             && self.job.as_ref().is_none_or(|job| job.is_used_up())
+    }
+
+    /// Whether an ordered power cut has come: nothing happens any more.
+    pub fn power_is_gone(&self) -> bool {
+        self.store.power_is_gone()
     }
 
     /// Whether something will happen without the host: a motion or a wait is going on.
     pub fn is_active(&self) -> bool {
-        self.step_due.is_some() || self.controller.next_wakeup().is_some()
+        !self.power_is_gone() && (self.step_due.is_some() || self.controller.next_wakeup().is_some())
     }
 
     /// Whether the step task is busy.
@@ -351,6 +360,11 @@ impl Simulator {
     /// The flash image; give it to another simulator to see what a power cycle leaves.
     pub fn store(&self) -> &Store {
         &self.store
+    }
+
+    /// The flash image, to have its power cut.
+    pub fn store_mut(&mut self) -> &mut Store {
+        &mut self.store
     }
 
     /// Slow outputs; `None` before the controller has written them.
@@ -457,6 +471,9 @@ impl Simulator {
     /// One turn of the control task at the present time: see the head of this file.
     fn turn(&mut self) {
         loop {
+            if self.power_is_gone() {
+                return;
+            }
             let now = self.clock.instant();
             let rx_free = self.free_line_bytes();
             self.controller.observe(Observed {
@@ -474,7 +491,16 @@ impl Simulator {
             if self.deliver_outputs() || busy || self.events_wait() {
                 continue;
             }
+            self.erase_ahead();
             return;
+        }
+    }
+
+    /// Erases flash while the machine is quiet, so that no write has to wait for it.
+    fn erase_ahead(&mut self) {
+        if self.store.needs_erase() && self.step_due.is_none() && self.controller.is_quiet() {
+            // A file that cannot be written shows at the next write.
+            let _ = self.store.erase_ahead();
         }
     }
 
@@ -546,6 +572,9 @@ impl Simulator {
                 Some(Output::Store(change)) => {
                     // A store that cannot be written is the host's fault; the controller tells the host.
                     let stored = self.store.apply(&change);
+                    if self.power_is_gone() {
+                        return false;
+                    }
                     self.stored.push_back(stored.is_ok());
                 }
                 Some(Output::Worked) => return true,

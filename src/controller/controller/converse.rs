@@ -13,14 +13,17 @@ use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::Coordinate;
 
-/// Keys of stored records: a setting has its own number (0 to 999).
+/// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
+/// finds all of it or nothing.
 const KEY_OFFSETS: u16 = 1000;
 const KEY_STARTUP: u16 = 1100;
+const KEY_BUILD_INFO: u16 = 1200;
+/// The dialect stands above what `$RST` forgets: it is how this host is spoken to.
+const KEY_DIALECT: u16 = 2000;
 /// Number of the dialect setting.
 const DIALECT: u16 = 900;
 /// Number of the setting of the kinematics.
 const KINEMATICS: u16 = 904;
-const KEY_BUILD_INFO: u16 = 1200;
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +64,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
+            KEY_DIALECT => {
+                if let Ok(bytes) = record.value.as_slice().try_into() {
+                    self.settings.restore(DIALECT, f32::from_le_bytes(bytes));
+                }
+            }
             _ => {}
         }
     }
@@ -282,11 +290,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if number == 13 {
             self.rare_fields.offset_changed();
         }
-        self.save_setting(number);
-        if number == 22 {
-            // Switching homing off switches soft limits off.
+        if number == 22 && self.settings.is_on(Key::Homing) {
+            // Without homing a stored $20 does not count (see `start`) and was left as it was; now it counts again.
             self.save_setting(20);
         }
+        self.save_setting(number);
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
@@ -326,24 +334,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
-            // The dialect stays: it is how this host is spoken to.
             let mut settings = Settings::default();
             settings.restore(DIALECT, self.settings.value(Key::Dialect));
             self.trusted &= settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
                 && settings.arrangement() == self.settings.arrangement();
             self.settings = settings;
-            self.forget(0..DIALECT);
-            self.forget(DIALECT + 1..KEY_OFFSETS);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();
-            self.forget(KEY_OFFSETS..KEY_STARTUP);
         }
         if what == Restore::All {
             self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
             self.build_info.clear();
-            self.forget(KEY_STARTUP..KEY_BUILD_INFO + 1);
         }
+        self.forget(match what {
+            Restore::Settings => 0..KEY_OFFSETS,
+            Restore::Coordinates => KEY_OFFSETS..KEY_STARTUP,
+            Restore::All => 0..KEY_DIALECT,
+        });
         self.say(|out| report::message(out, "Restoring defaults"));
         self.interpreter.reset();
         self.task = Task::Storing(Answer::Restart);
@@ -351,7 +359,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     // The store
 
-    /// At most four of these come from one command, and the next is read when they are answered: there is room.
+    /// At most two of these come from one command, and the next is read when they are answered: there is room.
     fn hand_to_store(&mut self, store: Store) {
         if self.profile.has_store && self.stores.push_back(store).is_ok() {
             self.unstored += 1;
@@ -370,7 +378,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn save_setting(&mut self, number: u16) {
         if let Some(value) = self.settings.by_number(number) {
-            self.save(number, &value.to_le_bytes());
+            let key = if number == DIALECT { KEY_DIALECT } else { number };
+            self.save(key, &value.to_le_bytes());
         }
     }
 

@@ -234,6 +234,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Power-up is complete: greets the host and runs the startup lines.
     pub fn start(&mut self, now: Instant) {
         self.now = now;
+        self.settings.settle();
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
@@ -312,6 +313,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.replies.is_empty()
             && self.unstored == 0
             && !self.status_due
+    }
+
+    /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
+    pub fn is_quiet(&self) -> bool {
+        self.is_idle() && self.pins_sent.is_some_and(|pins| pins.spindle == SpindleDirection::Off && pins.power == 0)
     }
 
     /// No more bytes will come: what is queued is started.
