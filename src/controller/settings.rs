@@ -412,13 +412,8 @@ const LEAST_PAUSE_US: f32 = 2.0;
 const SOFT_LIMITS: u16 = 20;
 /// Number of the one setting that may be negative.
 const PARKING_PLACE: u16 = 58;
-<<<<<<< HEAD
 /// Number of the setting that names the axis with two motors.
 const GANGED_AXIS: u16 = 905;
-/// Number of the setting that switches homing on.
-const HOMING: u16 = 22;
-=======
->>>>>>> board
 
 #[cfg(test)]
 mod tests {
