@@ -122,6 +122,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Levels as the pins have them, and those that count.
     pins: Signals,
     signals: Signals,
+    /// Axes whose switches caused the last limit alarm.
+    tripped_limits: u8,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
     /// When the drivers go off after the last motion (`$1`).
@@ -214,6 +216,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_watch: None,
             pins: Signals::default(),
             signals: Signals::default(),
+            tripped_limits: 0,
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
@@ -711,6 +714,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch();
         } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
         {
+            self.tripped_limits = self.axes_of_switches(signals.limits & !before.limits);
             self.order_stop(StopReason::Alarm(Alarm::HardLimit));
         }
         if signals.door && !before.door {

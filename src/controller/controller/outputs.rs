@@ -153,14 +153,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::status(out, &status, inches));
     }
 
-    /// The inputs as a report shows them: a switch at a second motor is one of its axis.
+    /// The inputs as a report shows them.
     fn shown_signals(&self) -> Signals {
-        let mut shown = self.signals;
-        if shown.limits & SECOND_SWITCH != 0 {
-            shown.limits &= !SECOND_SWITCH;
-            shown.limits |= self.settings.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0);
+        Signals { limits: self.axes_of_switches(self.signals.limits), ..self.signals }
+    }
+
+    /// A switch at a second motor is one of its axis.
+    pub(super) fn axes_of_switches(&self, switches: u8) -> u8 {
+        match self.settings.ganged_axis() {
+            Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
+            _ => switches & !SECOND_SWITCH,
         }
-        shown
     }
 
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.

@@ -6,6 +6,7 @@ use super::execute::Task;
 use super::{Controller, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
+use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, GangedMotors, SpindleDirection, StepEvent};
@@ -97,9 +98,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
                 self.trusted &= !moving;
+                let line = self.motion.line_number();
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
+                if alarm == Alarm::HardLimit && self.dialect() != Dialect::Grbl {
+                    let (limits, place) = (self.tripped_limits, self.motion.machine_position());
+                    let inches = self.settings.is_on(Key::ReportInches);
+                    self.say(|out| report::limit_trip(out, limits, &place, line, inches));
+                }
                 if alarm == Alarm::Underrun {
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));
