@@ -156,6 +156,8 @@ struct StopState {
     seen: u8,
     /// The machine was stepping at one of them.
     moving: bool,
+    /// N word of what was running at the last of them, 0 = none.
+    line: u32,
     /// `Output::Stop` has to be given out.
     order: bool,
     /// `ToStep::Resume` has to be given out.

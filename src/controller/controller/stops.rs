@@ -44,6 +44,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StepEvent::Stopped { stops, moving, position } => {
                 self.stop.seen = stops;
                 self.stop.moving |= moving;
+                self.stop.line = self.motion.line_number();
                 self.motion.stopped(&position);
                 self.detour.stopped(&position);
             }
@@ -71,7 +72,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
             return;
         }
-        let moving = self.stop.moving;
+        let (moving, line) = (self.stop.moving, self.stop.line);
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
         self.running = false;
         self.probe_watch = None;
@@ -98,7 +99,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
                 self.trusted &= !moving;
-                let line = self.motion.line_number();
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
