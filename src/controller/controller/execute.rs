@@ -262,7 +262,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                             let speed = Speed::Feed(feed);
                             // There is room for a block, so the move is taken.
                             let mv = self.move_of(&target, speed, &job.checked, job.jog);
-                            self.motion.line(&mv);
+                            self.motion.chord(&mv, arc);
                             self.task = Task::Job(job);
                             return true;
                         }
