@@ -46,9 +46,15 @@ pub use chosen::*;
 
 use oxmill_controller::Profile;
 
-/// What the controller must know of a board. No board has a settings store yet.
+/// What the controller must know of a board. No board has a settings store or pins for a second motor yet.
 const fn profile(board: &profiles::Board) -> Profile {
-    Profile { name: board.name, step_clock_hz: board.step_clock_hz, safe_step_hz: board.safe_step_hz, has_store: false }
+    Profile {
+        name: board.name,
+        step_clock_hz: board.step_clock_hz,
+        safe_step_hz: board.safe_step_hz,
+        has_second_motor: false,
+        has_store: false,
+    }
 }
 
 /// Levels of the slow outputs as they appear on the pins.

@@ -34,7 +34,13 @@ struct Outcome {
 
 /// Runs a program on a new controller with `BLOCKS` of look-ahead.
 fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
-    let profile = Profile { name: "bench", step_clock_hz: STEP_CLOCK_HZ, safe_step_hz: 200_000, has_store: false };
+    let profile = Profile {
+        name: "bench",
+        step_clock_hz: STEP_CLOCK_HZ,
+        safe_step_hz: 200_000,
+        has_store: false,
+        has_second_motor: false,
+    };
     let mut controller = Box::new(Controller::<AXES, BLOCKS>::new(profile));
     controller.start(Instant::from_ticks(0));
     let mut stepper = Stepper::<AXES>::new();

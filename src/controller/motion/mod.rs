@@ -23,12 +23,13 @@ pub use arc::{Arc, ArcGeometry};
 pub use extent::extent;
 pub use stepper::{Stepper, Tick};
 
-use crate::axes::{Axis, PerAxis};
+use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use curvature::{Chain, MOST_TURN, Piece};
 use flight::{Flight, Record};
+use kinematics::Kinematics;
 use planner::{Planner, UNLIMITED2};
 use profile::{Curve, Pace, greater, lesser, square_root};
 use segment::{Cut, Pacer};
@@ -57,6 +58,8 @@ const GREATEST_OVERRIDE: f32 = 100.0;
 /// What motion must know of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings<const N: usize> {
+    /// How the motors move the tool.
+    pub arrangement: Arrangement,
     /// Motor steps of a millimetre.
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
     /// Greatest speed of each axis, mm/s.
@@ -164,8 +167,7 @@ struct Far {
 #[derive(Clone, Debug)]
 pub struct Motion<const N: usize, const BLOCKS: usize> {
     settings: MotionSettings<N>,
-    steps_per_mm: PerAxis<StepsPerMm, N>,
-    mm_per_step: [f32; N],
+    kinematics: Kinematics<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
     /// No move is faster, whatever its direction.
@@ -227,8 +229,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let zero = PerAxis::all(0);
         let mut motion = Self {
             settings,
-            steps_per_mm: settings.steps_per_mm,
-            mm_per_step: [1.0; N],
+            kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
             max_rate: [1.0; N],
             acceleration: [1.0; N],
             greatest_speed2: 0.0,
@@ -280,8 +281,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         self.settings = settings;
-        self.steps_per_mm = settings.steps_per_mm;
-        self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
+        self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
         self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
         self.greatest_speed2 = self.max_rate.iter().fold(0.0, |sum, rate| sum + rate * rate);
@@ -302,7 +302,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.rest = true;
         self.start = steps;
         self.planned_steps = steps;
-        self.planned = kinematics::place(&self.steps_per_mm, &steps);
+        self.planned = self.kinematics.place(&steps);
         self.block_end = self.planned;
         self.chain_broken = true;
     }
@@ -337,7 +337,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.free_blocks() == 0 {
             return false;
         }
-        let steps = kinematics::steps(&self.steps_per_mm, &m.target);
+        let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
         for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
@@ -379,7 +379,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             } else {
                 self.long = None;
             }
-            let steps = kinematics::steps(&self.steps_per_mm, &piece.target);
+            let steps = self.kinematics.steps(&piece.target);
             self.append(&piece, &steps, long.bend2);
         }
     }
@@ -412,7 +412,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let mut least = 0.0_f32;
         let mut dominant = 0;
         let ends = target_steps.iter().zip(self.planned_steps.iter());
-        for (bit, ((to, from), (steps, mm))) in ends.zip(block.steps.iter_mut().zip(self.mm_per_step)).enumerate() {
+        for (bit, ((to, from), (steps, mm))) in
+            ends.zip(block.steps.iter_mut().zip(self.kinematics.least_mm)).enumerate()
+        {
             *steps = to.abs_diff(*from);
             if to < from {
                 directions |= 1 << bit;
@@ -488,6 +490,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.planner.len() > 0 {
             self.started = true;
         }
+    }
+
+    /// The deceleration of the first move in the queue, in units per square of a step-clock tick.
+    pub fn braking(&self) -> f32 {
+        let clock = self.step_clock_hz as f32;
+        self.planner.first().map_or(0.0, |block| {
+            let units_per_mm = (block.dominant() * UNITS_PER_STEP) as f32 / block.length;
+            block.acceleration * units_per_mm / clock / clock
+        })
     }
 
     /// Brakes to a stop, beginning with the next segment handed over.
@@ -604,13 +615,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Machine position at the end of the segment begun last.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        kinematics::place(&self.steps_per_mm, &self.machine_steps())
+        self.kinematics.place(&self.machine_steps())
     }
 
     /// Declares where the machine is; at rest only. Forgets what is queued.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
         let old = self.prepared_steps();
-        let new = kinematics::steps(&self.steps_per_mm, position);
+        let new = self.kinematics.steps(position);
         let moved = new.zip(&old, i32::wrapping_sub);
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.flight.forget(new);
@@ -623,7 +634,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// The machine position at a reading of the step counters.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
-        kinematics::place(&self.steps_per_mm, &counter.zip(&self.origin, i32::wrapping_add))
+        self.kinematics.place(&counter.zip(&self.origin, i32::wrapping_add))
     }
 
     /// End of the queue, as programmed.
@@ -639,6 +650,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Power of the segment being executed; 0 at rest.
     pub fn power(&self) -> u16 {
         self.flight.current().power
+    }
+
+    /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),
+    /// or without one. It is ahead of the step task by the time queued there.
+    pub fn running_power(&self) -> Option<u16> {
+        let block = self.planner.first()?;
+        (block.flags & NO_OVERRIDE == 0).then_some(block.power)
     }
 
     /// N word of the block being executed, 0 if none.

@@ -1,7 +1,7 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
 use super::super::{Arc, Motion, MotionSettings, Move, Speed, Stepper};
-use crate::axes::PerAxis;
+use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
@@ -62,6 +62,7 @@ pub struct Rig<const N: usize, const B: usize> {
 
 pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
     MotionSettings {
+        arrangement: Arrangement::Cartesian,
         steps_per_mm: PerAxis::all(StepsPerMm::new(spm).unwrap()),
         max_rate: PerAxis::all(rate),
         acceleration: PerAxis::all(acceleration),
