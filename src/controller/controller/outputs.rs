@@ -43,7 +43,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
             0
         } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
+            self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
+        }
+    }
+
+    /// S of the move under way. Without one, and for a laser, whose power the segments carry, that of the last line.
+    fn programmed_speed(&self) -> f32 {
+        if self.settings.is_on(Key::Laser) {
+            return self.spindle_speed;
+        }
+        let range = self.spindle_range();
+        match self.motion.running_power() {
+            Some(power) if power != range.output(self.spindle_speed, 100).0 => range.speed_of(power),
+            _ => self.spindle_speed,
         }
     }
 
