@@ -106,6 +106,7 @@ pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
     entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
     entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
+    entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
 ];
 
 /// Names the rows of [`SCALARS`].
@@ -175,11 +176,12 @@ pub enum AxisKey {
     MaxRate,
     Acceleration,
     Travel,
+    Backlash,
 }
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
 }
 
 /// Where a setting stands.

@@ -45,6 +45,18 @@ impl<const N: usize> Kinematics<N> {
         self.steps_per_mm.zip(place, |scale, coordinate| scale.steps(coordinate))
     }
 
+    /// The ways of the axes (mm) that ways of the motors (steps) are worth.
+    pub(super) fn way_of_axes(&self, steps: &[i32; N]) -> [f32; N] {
+        let mut way = [0.0; N];
+        for ((mm, steps), scale) in way.iter_mut().zip(steps).zip(self.steps_per_mm.iter()) {
+            *mm = *steps as f32 / scale.to_f32();
+        }
+        if let (Arrangement::CoreXy, [a, b, ..]) = (self.arrangement, way.as_mut_slice()) {
+            (*a, *b) = (0.5 * (*a + *b), 0.5 * (*a - *b));
+        }
+        way
+    }
+
     /// The place that steps stand for.
     pub(super) fn place(&self, steps: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let place = self.steps_per_mm.zip(steps, |scale, count| scale.coordinate(count));
