@@ -197,6 +197,21 @@ proptest! {
 }
 
 #[test]
+fn a_motor_that_takes_up_slack_is_not_too_fast() {
+    // At 20 mm/s soon after the turn, while half as much again would be taken up.
+    let mut mill = compensated("");
+    run(&mut mill, "$110=1200\n$120=5000\nG0 X10");
+    mill.trace_mut().restart();
+    run(&mut mill, "G0 X0");
+    let times: Vec<u64> = mill.trace().kept().iter().map(|r| r.at).collect();
+    assert_eq!(times.len(), 10 * 400 + 20);
+    // Ten steps at 20 mm/s.
+    let least = HZ as f64 * 10.0 / (20.0 * STEPS);
+    let fastest = times.windows(11).map(|w| w[10] - w[0]).min().unwrap() as f64;
+    assert!(fastest > 0.99 * least, "{fastest} of {least}");
+}
+
+#[test]
 fn an_arc_turns_its_axes_without_slowing_down() {
     let text = "G21 G90 F3000\nG2 X0 Y0 I10 J0\nG2 X0 Y0 I10 J0\n";
     let mut times = Vec::new();

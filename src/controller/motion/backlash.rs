@@ -11,8 +11,8 @@
 
 use super::profile::{lesser, square_root};
 
-/// Least share of a move's length that may be taken up in it: a corner too gentle for this would stretch the error over
-/// a long way.
+/// Least share of a move's length that is taken up in it, whatever the corner rule says: less would stretch the error over
+/// a long way (and with a junction deviation of 0 for ever).
 const LEAST_SHARE: f32 = 0.02;
 /// Greatest share: more would let the motor run at twice the speed of the tool.
 const GREATEST_SHARE: f32 = 1.0;

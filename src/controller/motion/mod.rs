@@ -142,14 +142,6 @@ impl<const N: usize> Motors<N> {
     }
 }
 
-/// A block in which the motors go another way than the tool.
-#[derive(Clone, Copy, Debug)]
-struct Bent<const N: usize> {
-    direction: [f32; N],
-    /// The motors' way in ways of the tool.
-    stretch: f32,
-}
-
 /// The block that is being cut into segments.
 #[derive(Clone, Copy, Debug)]
 struct Running<const N: usize> {
@@ -217,8 +209,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// Unit vector of the last block, and how far apart its ends are.
     direction: [f32; N],
     distance: f32,
-    /// The way of the motors in the last block, if it took up slack.
-    bent: Option<Bent<N>>,
+    /// The last block moves motors and no tool: what follows begins at rest.
+    tool_stands: bool,
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     chain: Chain<N>,
     chain_broken: bool,
@@ -273,11 +265,6 @@ fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
     (signed.map(i32::unsigned_abs), directions)
 }
 
-fn bend_of<const N: usize>(motors: &PerAxis<f32, N>, straight: f32) -> Bent<N> {
-    let way = square_root(motors.iter().fold(0.0, |sum, part| sum + part * part));
-    Bent { direction: motors.0.map(|part| part / way), stretch: if straight > 0.0 { way / straight } else { 1.0 } }
-}
-
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
@@ -300,7 +287,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             carried: 0.0,
             direction: [0.0; N],
             distance: 0.0,
-            bent: None,
+            tool_stands: false,
             chain: Chain::new(),
             chain_broken: true,
             long: None,
@@ -369,7 +356,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planned_steps = steps;
         self.planned = self.kinematics.place(&steps);
         self.block_end = self.planned;
-        self.bent = None;
+        self.tool_stands = false;
         self.chain_broken = true;
     }
 
@@ -513,12 +500,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             Speed::Feed(feed) => (feed, 0),
             Speed::Duration(seconds) => (own / seconds, 0),
         };
-        let mut bent = None;
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
             if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
-                bent = Some(bend_of(&motors, straight));
             }
         }
         block.directions = directions;
@@ -531,22 +516,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let lengths = [self.distance, straight];
         block.corner2 =
             planner::corner_speed2(&self.direction, &unit, turn2, lengths, &self.acceleration, self.junction_deviation);
-        if bent.is_some() || self.bent.is_some() {
-            let before = self.bent.unwrap_or(Bent { direction: self.direction, stretch: 1.0 });
-            let after = bent.unwrap_or(Bent { direction: unit, stretch: 1.0 });
-            let turn2 = curvature::turn2(&before.direction, &after.direction);
-            let stretch = greater(before.stretch, after.stretch);
-            let corner2 = planner::corner_speed2(
-                &before.direction,
-                &after.direction,
-                turn2,
-                lengths,
-                &self.acceleration,
-                self.junction_deviation,
-            );
-            block.corner2 = lesser(block.corner2, corner2 / (stretch * stretch));
+        if core::mem::take(&mut self.tool_stands) {
+            block.corner2 = 0.0;
         }
-        self.bent = bent;
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
@@ -664,8 +636,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // A beam that follows the speed of the tool is off while the tool stands.
         block.power = if self.running.flags & SCALE_POWER != 0 { 0 } else { self.running.power };
         self.chain_broken = true;
-        // For the corner with whatever comes next.
-        self.bent = Some(bend_of(&way, 0.0));
+        self.tool_stands = true;
         self.planner.push(block, self.overrides);
         self.planner.plan();
     }
