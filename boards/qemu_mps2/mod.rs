@@ -5,7 +5,7 @@
 //!   ┌───────────────────────────────────────────────────┐
 //!   │ UART0 ── the host (a TCP port of QEMU)            │
 //!   │ UART1 ── test stand: any byte in, one report out; │
-//!   │          `R` resets the machine                   │
+//!   │          `s`: the stack; `R` resets the machine   │
 //!   │ TIMER0 ─ next tick and end of pulse               │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
@@ -329,16 +329,17 @@ fn send_record() {
         let record = RECORD.borrow_ref(cs);
         (record.digest, record.busy, record.net)
     });
+    let [x, y, z] = net;
+    let (time, order) = (digest.time_hash(), digest.order_hash());
+    send(format_args!("time={time:016x} order={order:016x} steps={x},{y},{z} busy={busy}\n"));
+}
+
+/// Sends text to the test stand.
+fn send(text: core::fmt::Arguments<'_>) {
     let Some(uart) = critical_section::with(|cs| REPORTER.borrow_ref_mut(cs).take()) else { return };
     let mut reporter = Reporter(uart);
-    let [x, y, z] = net;
     // Writing to a UART cannot fail.
-    let _ = writeln!(
-        reporter,
-        "time={:016x} order={:016x} steps={x},{y},{z} busy={busy}",
-        digest.time_hash(),
-        digest.order_hash()
-    );
+    let _ = reporter.write_fmt(text);
     critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(reporter.0)));
 }
 
@@ -360,6 +361,7 @@ pub fn idle() {
         reporter.as_ref().filter(|uart| uart.state() & Uart1::RX_FULL != 0).map(|uart| uart.data() as u8)
     });
     match asked {
+        Some(b's') => send(format_args!("stack={} of {}\n", crate::stack::used(), crate::stack::size())),
         Some(b'R') => cortex_m::peripheral::SCB::sys_reset(),
         Some(_) => send_record(),
         None => {}

@@ -189,6 +189,11 @@ pub struct Signals {
     pub reset: bool,
 }
 
+impl Signals {
+    /// Nothing is active.
+    pub const NONE: Signals = Signals { limits: 0, probe: false, door: false, hold: false, start: false, reset: false };
+}
+
 /// Something that happened, told to the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event<const N: usize> {

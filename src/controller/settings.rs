@@ -164,11 +164,28 @@ pub struct Settings<const N: usize> {
 
 impl<const N: usize> Default for Settings<N> {
     fn default() -> Self {
-        Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) }
+        Self::new()
     }
 }
 
 impl<const N: usize> Settings<N> {
+    /// The defaults.
+    #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
+    pub const fn new() -> Self {
+        let mut settings = Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT] };
+        let mut i = 0;
+        while i < Key::COUNT {
+            settings.scalars[i] = SCALARS[i].default;
+            i += 1;
+        }
+        i = 0;
+        while i < AxisKey::COUNT {
+            settings.per_axis[i] = PerAxis::all(PER_AXIS[i].default);
+            i += 1;
+        }
+        settings
+    }
+
     /// How many lines `$$` has.
     pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
 

@@ -152,6 +152,11 @@ struct StopState {
     resume: bool,
 }
 
+impl StopState {
+    const NONE: StopState =
+        StopState { awaited: None, expected: 0, seen: 0, moving: false, order: false, resume: false };
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StopReason {
     Reset,
@@ -162,19 +167,16 @@ enum StopReason {
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
-    /// [`Controller::start`].
-    pub fn new(profile: Profile) -> Self {
-        let settings = Settings::default();
-        let motion = Motion::new(motion_settings(&settings, &profile));
-        let detour = Motion::new(motion_settings(&settings, &profile));
+    /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
+    pub const fn new(profile: Profile) -> Self {
         Self {
             profile,
-            settings,
+            settings: Settings::new(),
             startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
-            motion,
-            detour,
+            motion: Motion::unconfigured(profile.step_clock_hz),
+            detour: Motion::unconfigured(profile.step_clock_hz),
             line: Line::new(),
             held: None,
             epoch: 0,
@@ -190,23 +192,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             well_filled: false,
             input_ended: false,
             task: Task::None,
-            overrides: Overrides::default(),
+            overrides: Overrides::NONE,
             spindle: SpindleDirection::Off,
             spindle_speed: 0.0,
             spindle_stopped: false,
-            coolant: Coolant::default(),
+            coolant: Coolant { flood: false, mist: false },
             door: DoorState::CLOSED,
             jog_interrupted: false,
-            probed: PerAxis::default(),
+            probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
             probing: None,
             probe_watch: None,
-            signals: Signals::default(),
+            signals: Signals::NONE,
             drivers_off_at: None,
             drivers_on: false,
-            observed: Observed { step_idle: true, rx_free: LINES_DEPTH as u16, ..Observed::default() },
-            stop: StopState::default(),
-            rare_fields: RareFields::default(),
+            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 },
+            stop: StopState::NONE,
+            rare_fields: RareFields::DUE,
             status_due: false,
             replies: heapless::Deque::new(),
             pins_sent: None,

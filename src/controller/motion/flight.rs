@@ -34,7 +34,7 @@ pub(super) struct Flight<const N: usize> {
 }
 
 impl<const N: usize> Flight<N> {
-    pub(super) fn new(position: PerAxis<i32, N>) -> Self {
+    pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
         let record = Record { position, speed: 0.0, clocks: 0, line_number: 0, power: 0 };
         Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record }
     }

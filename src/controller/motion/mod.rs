@@ -215,16 +215,31 @@ fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
+        let mut motion = Self::unconfigured(settings.step_clock_hz);
+        motion.configure(settings);
+        motion
+    }
+
+    /// The same before [`Motion::configure`], which must come before the first move. Can be computed by the compiler, so
+    /// that a static one needs no stack to be built on.
+    pub const fn unconfigured(step_clock_hz: u32) -> Self {
         let zero = PerAxis::all(0);
-        let mut motion = Self {
-            settings,
-            steps_per_mm: settings.steps_per_mm,
+        Self {
+            settings: MotionSettings {
+                steps_per_mm: PerAxis::all(StepsPerMm::ONE),
+                max_rate: PerAxis::all(1.0),
+                acceleration: PerAxis::all(1.0),
+                junction_deviation: 0.0,
+                arc_tolerance: 0.0,
+                step_clock_hz,
+            },
+            steps_per_mm: PerAxis::all(StepsPerMm::ONE),
             mm_per_step: [1.0; N],
             max_rate: [1.0; N],
             acceleration: [1.0; N],
             junction_deviation: 0.0,
-            step_clock_hz: settings.step_clock_hz,
-            pacer: Pacer::new(settings.step_clock_hz),
+            step_clock_hz,
+            pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
             overrides: Overrides { feed: 1.0, rapid: 1.0 },
             planned: PerAxis::all(Coordinate::ZERO),
@@ -259,9 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             flight: Flight::new(zero),
             step_idle: true,
             origin: zero,
-        };
-        motion.configure(settings);
-        motion
+        }
     }
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.

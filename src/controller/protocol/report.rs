@@ -314,6 +314,9 @@ pub struct RareFields {
 }
 
 impl RareFields {
+    /// Both are due.
+    pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
+
     /// The work offset has changed.
     pub fn offset_changed(&mut self) {
         self.offset_in = 0;
