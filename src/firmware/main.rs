@@ -23,10 +23,12 @@ mod flash;
 mod inputs;
 mod outputs;
 mod panic;
+mod record;
 mod serial;
 mod stack;
 mod startup;
 mod step_timer;
+mod watchdog;
 
 use defmt_rtt as _;
 

@@ -6,12 +6,14 @@ use crate::crossing::Wake;
 use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
+use crate::record;
 use crate::serial::Serial;
 use crate::step_timer::Step;
+use crate::watchdog::Supervisor;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
-    Signals, StepEvent, ToStep, Wiring,
+    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
+    SIGNALS_DEPTH, Signals, StepEvent, ToStep, Wiring,
 };
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -58,11 +60,12 @@ pub fn start(
     let wake: Wake = channels.wake.writer();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
+    controller.restarted(Restart { cause: boards::reset_cause(), crash: record::take() });
     let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
         step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
-        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake),
+        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
         control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),
     };
     sampling.set_clock_source(SystClkSource::Core);

@@ -20,7 +20,11 @@ type Test = fn(&mut Lines) -> Result<(), Failure>;
 /// All of them, each with a machine that was just switched on.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    let tests: [(&str, Test); 6] = [
+    let tests: [(&str, Test); 10] = [
+        ("a_panic_is_told_after_the_reset_and_locks", panics),
+        ("a_fault_is_told_after_the_reset_and_locks", faults),
+        ("a_control_task_that_hangs_is_found_and_told", control_hangs),
+        ("the_watchdog_resets_a_processor_that_hangs", everything_hangs),
         ("a_line_of_every_kind_is_answered", every_kind),
         ("settings_are_there_again_after_a_reset_of_the_machine", settings),
         ("a_flood_of_lines_behind_a_dwell_loses_nothing", flood),
@@ -149,6 +153,48 @@ impl Lines {
     }
 }
 
+/// Lets the firmware fail while it moves, and asks it about that afterwards.
+fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Result<(), Failure> {
+    lines.send(b"G21G91G1X50F600\n")?;
+    lines.wait_until_beyond(1.0)?;
+    lines.stand.write_all(way).map_err(|error| error.to_string())?;
+    let welcome = lines.expect("to unlock]\r\n")?;
+    hold_on(welcome.contains("Grbl 1.1h") && welcome.contains(message), || format!("after the failure: {welcome}"))?;
+    // A host that has noticed nothing goes on with its job.
+    lines.send(b"G1X-5\n")?;
+    lines.expect("error:9\r\n")?;
+    let report = lines.report()?;
+    hold_on(report.contains("steps=0,0,0"), || format!("it moves after a failure: {report}"))?;
+    lines.send(b"$RC\n")?;
+    let told = lines.expect("ok\r\n")?;
+    hold_on(record.iter().all(|part| told.contains(part)), || format!("the record: {told}"))?;
+    // Asked for, it is not told again; and the machine goes on.
+    lines.send(b"\x18")?;
+    let welcome = lines.expect("to unlock]\r\n")?;
+    hold_on(!welcome.contains("failure"), || format!("told again: {welcome}"))?;
+    lines.send(b"$X\nG21G91G1X1F600\n")?;
+    lines.expect("ok\r\nok\r\n")?;
+    wait_until_idle(&mut lines.host)?;
+    let report = lines.report()?;
+    hold_on(report.contains("steps=250,0,0"), || report)
+}
+
+fn panics(lines: &mut Lines) -> Result<(), Failure> {
+    failure(lines, b"P", "(panic)", &["[RESET:software]", "[CRASH:panic:mod.rs:", ": wanted by the (test stand)]"])
+}
+
+fn faults(lines: &mut Lines) -> Result<(), Failure> {
+    failure(lines, b"F", "(fault)", &["[RESET:software]", "[CRASH:fault:at 0x000"])
+}
+
+fn control_hangs(lines: &mut Lines) -> Result<(), Failure> {
+    failure(lines, b"C", "(stuck task)", &["[RESET:software]", "[CRASH:stuck task:control]"])
+}
+
+fn everything_hangs(lines: &mut Lines) -> Result<(), Failure> {
+    failure(lines, b"H", "(watchdog)", &["[RESET:watchdog]\r\nok"])
+}
+
 /// Each kind of line goes another way through the controller, and some ways are deep.
 fn every_kind(lines: &mut Lines) -> Result<(), Failure> {
     let kinds = [
@@ -189,7 +235,7 @@ fn every_kind(lines: &mut Lines) -> Result<(), Failure> {
         let answers = read_until(&mut lines.host, LIMIT, |text| {
             text.lines().any(|l| l == "ok" || l.starts_with("error:")) && text.ends_with("\r\n")
         })?;
-        hold_on(answers.contains(answer), || format!("{line}: {answers}"))?;
+        hold_on(answers.contains(answer) && !answers.contains("ALARM"), || format!("{line}: {answers}"))?;
     }
     Ok(())
 }
@@ -200,6 +246,9 @@ fn wait_until_idle_or_checking(lines: &mut Lines) -> Result<(), Failure> {
         let status = lines.status()?;
         if ["<Idle|", "<Check|"].iter().any(|state| status.contains(state)) {
             return Ok(());
+        }
+        if status.contains("ALARM") || status.contains("<Alarm|") {
+            return Err(status);
         }
     }
     Err("the machine did not come to rest".into())

@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs, SpindleDirection,
-    Store, ToStep, Wiring,
+    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Restart, Room, Signals, SlowOutputs,
+    SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -132,6 +132,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Stores that have not been answered yet.
     unstored: u8,
     store_failed: bool,
+    restart: Restart,
+    /// The host knows of the failure before this start.
+    restart_told: bool,
     now: Instant,
 }
 
@@ -216,8 +219,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,
+            restart: Restart::POWER,
+            restart_told: false,
             now: Instant::from_ticks(0),
         }
+    }
+
+    /// What is known of the end before this start; before [`Controller::start`]. After a failure the machine is locked, for a
+    /// host that noticed nothing may still be sending its job.
+    pub fn restarted(&mut self, restart: Restart) {
+        if restart.is_failure() {
+            self.mode = Mode::Alarm;
+            self.trusted = false;
+        }
+        self.restart = restart;
     }
 
     /// Power-up is complete: greets the host and runs the startup lines.
@@ -252,7 +267,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.unstored = self.unstored.saturating_sub(1);
                 self.store_failed = true;
             }
-            Event::Connected => self.say(report::welcome),
+            Event::Connected => {
+                self.say(report::welcome);
+                self.tell_failure();
+            }
         }
     }
 
