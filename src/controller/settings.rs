@@ -215,16 +215,33 @@ const fn axes_mask<const N: usize>() -> u8 {
 
 impl<const N: usize> Default for Settings<N> {
     fn default() -> Self {
-        let mut settings =
-            Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) };
-        if let Some(cycles) = settings.per_axis.get_mut(AxisKey::HomingCycle as usize) {
-            *cycles = PerAxis::from_axis(|axis| f32::from(homing_cycle(axis.index()) & axes_mask::<N>()));
-        }
-        settings
+        Self::new()
     }
 }
 
 impl<const N: usize> Settings<N> {
+    /// The defaults.
+    #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
+    pub const fn new() -> Self {
+        let mut settings = Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT] };
+        let mut i = 0;
+        while i < Key::COUNT {
+            settings.scalars[i] = SCALARS[i].default;
+            i += 1;
+        }
+        i = 0;
+        while i < AxisKey::COUNT {
+            settings.per_axis[i] = PerAxis::all(PER_AXIS[i].default);
+            i += 1;
+        }
+        i = 0;
+        while i < N {
+            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = (homing_cycle(i) & axes_mask::<N>()) as f32;
+            i += 1;
+        }
+        settings
+    }
+
     /// How many lines `$$` has.
     pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
 

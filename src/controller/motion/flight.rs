@@ -22,7 +22,7 @@ pub(super) struct Record<const N: usize> {
 }
 
 impl<const N: usize> Record<N> {
-    fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
+    const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
         Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0 }
     }
 
@@ -48,7 +48,7 @@ pub(super) struct Flight<const N: usize> {
 }
 
 impl<const N: usize> Flight<N> {
-    pub(super) fn new(position: PerAxis<i32, N>) -> Self {
+    pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
         let record = Record::still(position, [0; N]);
         Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record, before: record }
     }

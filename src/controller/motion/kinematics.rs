@@ -20,6 +20,10 @@ pub(super) struct Kinematics<const N: usize> {
 }
 
 impl<const N: usize> Kinematics<N> {
+    /// A step is a millimetre of each axis.
+    pub(super) const ONE: Self =
+        Self { arrangement: Arrangement::Cartesian, steps_per_mm: PerAxis::all(StepsPerMm::ONE), least_mm: [1.0; N] };
+
     pub(super) fn new(arrangement: Arrangement, steps_per_mm: PerAxis<StepsPerMm, N>) -> Self {
         let mut least_mm = steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         if arrangement == Arrangement::CoreXy {

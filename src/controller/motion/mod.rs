@@ -268,17 +268,34 @@ fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
+        let mut motion = Self::unconfigured(settings.step_clock_hz);
+        motion.configure(settings);
+        motion
+    }
+
+    /// The same before [`Motion::configure`], which must come before the first move. Can be computed by the compiler, so
+    /// that a static one needs no stack to be built on.
+    pub const fn unconfigured(step_clock_hz: u32) -> Self {
         let zero = PerAxis::all(0);
-        let mut motion = Self {
-            settings,
-            kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
+        Self {
+            settings: MotionSettings {
+                arrangement: Arrangement::Cartesian,
+                steps_per_mm: PerAxis::all(StepsPerMm::ONE),
+                backlash: PerAxis::all(0.0),
+                max_rate: PerAxis::all(1.0),
+                acceleration: PerAxis::all(1.0),
+                junction_deviation: 0.0,
+                arc_tolerance: 0.0,
+                step_clock_hz,
+            },
+            kinematics: Kinematics::ONE,
             backlash: Backlash::NONE,
             max_rate: [1.0; N],
             acceleration: [1.0; N],
             greatest_speed2: 0.0,
             junction_deviation: 0.0,
-            step_clock_hz: settings.step_clock_hz,
-            pacer: Pacer::new(settings.step_clock_hz),
+            step_clock_hz,
+            pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
             overrides: Overrides { feed: 1.0, rapid: 1.0 },
             planned: PerAxis::all(Coordinate::ZERO),
@@ -318,9 +335,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             flight: Flight::new(zero),
             step_idle: true,
             origin: zero,
-        };
-        motion.configure(settings);
-        motion
+        }
     }
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
