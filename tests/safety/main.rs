@@ -4,3 +4,4 @@ mod bench;
 mod homing;
 mod injection;
 mod probing;
+mod states;

@@ -61,6 +61,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task.suspend(self.now);
                 self.mode = Mode::Door(Door::Braking);
             }
+            Mode::Stopping { locked: false } => {
+                // The stop stays one: nothing goes on when the door is closed.
+                self.door.forget_job = true;
+                self.mode = Mode::Door(Door::Braking);
+            }
             Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
             Mode::Door(Door::Returning | Door::Plunging) => {
                 self.detour.hold();
