@@ -64,7 +64,7 @@ $C           Check/.         .         .         .              .            .  
 $SLP         Sleep/Door:2/.  .         .         .              .            .           .          .           .              .           Sleep   .         .           .
 $RST=#       Reset/.         .         .         .              .            .           .          .           .              .           .       .         .           .
 20_ms        ./Run/Hold:0    Rests     ./Idle    .              Braked       .           .          BehindDoor  DoorEnds       ./Alarm     .       .         .           .
-10_s         ./Run/Hold:0    Rests     Idle      .              Hold:0/Idle  .           .          BehindDoor  DoorEnds       Idle/Alarm  .       .         .           .
+10_s         ./Run/Hold:0    Rests     Idle      .              Braked       .           .          BehindDoor  DoorEnds       Idle/Alarm  .       .         .           .
 ";
 
 /// Names for sets that occur more than once.
@@ -77,8 +77,8 @@ const SETS: [(&str, &[&str]); 7] = [
     ("Reset", &["Idle", "Alarm"]),
     // The same, where the door may be seen to be open afterwards.
     ("ResetDoor", &["Idle", "Alarm", "Door:1", "Door:2"]),
-    // A hold has come to rest, or a stop has.
-    ("Braked", &[".", "Hold:0", "Idle"]),
+    // A hold has come to rest, or a stop has and the line behind it begins.
+    ("Braked", &[".", "Hold:0", "Idle", "Run"]),
     // The end of a program's motion, a pause, a probe or a target that may not be.
     ("Rests", &[".", "Idle", "Hold:0", "Alarm", "Critical"]),
 ];

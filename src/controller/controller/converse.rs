@@ -494,7 +494,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             ],
             spindle: modal.spindle,
             coolant: modal.coolant,
-            parking_override: modal.parking_override,
+            parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
             tool: u32::from(modal.tool),
             feed: modal.feed.to_f32(),
             speed: modal.speed,

@@ -183,14 +183,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Where parking leads. None with homing off, with a laser, with an untrusted position, where a program holds it off
-    /// (M56), and where the tool is beyond the parking place already.
+    /// (M56 P0), and where the tool is beyond the parking place already.
     fn parking_way(&self) -> Option<ParkingWay<N>> {
         let modal = self.interpreter.modal();
         if !self.settings.is_on(Key::Parking)
             || !self.settings.is_on(Key::Homing)
             || self.settings.is_on(Key::Laser)
             || !self.trusted
-            || modal.parking_override
+            || modal.no_parking
         {
             return None;
         }

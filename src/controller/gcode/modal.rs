@@ -234,8 +234,8 @@ pub struct Modal {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// M56: parking is held off.
-    pub parking_override: bool,
+    /// M56 P0: the tool does not park.
+    pub no_parking: bool,
     /// T.
     pub tool: u8,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
