@@ -322,7 +322,9 @@ fn limit(job: &Job) {
         run.bench.wait(0.2);
         assert_eq!(run.bench.place(), place, "{what}: steps after a limit switch");
         let said = run.bench.read();
-        assert!(said.ends_with(&["ALARM:1".into(), "[MSG:Reset to continue]".into()]), "{what}: {said:?}");
+        let [.., alarm, which, reset] = said.as_slice() else { panic!("{what}: {said:?}") };
+        assert_eq!((alarm.as_str(), reset.as_str()), ("ALARM:1", "[MSG:Reset to continue]"), "{what}");
+        assert!(which.starts_with("[MSG:Limit switch Y at machine "), "{what}: {which}");
         assert_eq!(run.bench.state(), "Alarm", "{what}");
         assert_dark(&run.bench, what);
         assert_eq!(run.bench.mill.controller().is_trusted(), !stepping, "{what}");

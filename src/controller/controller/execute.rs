@@ -163,8 +163,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.task = Task::Job(Job { answer, checked, stage, jog, spindle_delay: Duration::from_ticks(0) });
     }
 
-    /// A running spindle changes its speed at rest; a laser's power rides with the motion.
+    /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
     fn speed_needs_rest(&self, checked: &Checked<N>) -> bool {
+        self.settings.is_on(Key::Laser) && self.shows_speed(checked)
+    }
+
+    /// Whether the accessories are reported anew because of S.
+    fn shows_speed(&self, checked: &Checked<N>) -> bool {
         checked.speed_changed
             && self.spindle != SpindleDirection::Off
             && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None)
@@ -265,7 +270,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                             let speed = Speed::Feed(feed);
                             // There is room for a block, so the move is taken.
                             let mv = self.move_of(&target, speed, &job.checked, job.jog);
-                            self.motion.line(&mv);
+                            self.motion.chord(&mv, arc);
                             self.task = Task::Job(job);
                             return true;
                         }
@@ -309,7 +314,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return delay;
         }
         self.spindle_speed = checked.speed;
-        if self.speed_needs_rest(checked) {
+        if self.shows_speed(checked) {
             self.rare_fields.overrides_changed();
         }
         if let Some(spindle) = checked.spindle {
@@ -382,7 +387,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let power = if self.spindle == SpindleDirection::Off || dark {
             0
         } else {
-            self.spindle_range().output(checked.speed, self.overrides.spindle).0
+            // A spindle is slow: it gets its overrides when its turn comes (`outputs`).
+            let percent = if laser { self.overrides.spindle } else { 100 };
+            self.spindle_range().output(checked.speed, percent).0
         };
         Move {
             target: *target,

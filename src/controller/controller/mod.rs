@@ -122,6 +122,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Levels as the pins have them, and those that count.
     pins: Signals,
     signals: Signals,
+    /// Axes whose switches caused the last limit alarm.
+    tripped_limits: u8,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
     /// When the drivers go off after the last motion (`$1`).
@@ -154,6 +156,8 @@ struct StopState {
     seen: u8,
     /// The machine was stepping at one of them.
     moving: bool,
+    /// N word of what was running at the last of them, 0 = none.
+    line: u32,
     /// `Output::Stop` has to be given out.
     order: bool,
     /// `ToStep::Resume` has to be given out.
@@ -214,6 +218,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_watch: None,
             pins: Signals::default(),
             signals: Signals::default(),
+            tripped_limits: 0,
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
@@ -716,6 +721,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch();
         } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
         {
+            self.tripped_limits = self.axes_of_switches(signals.limits & !before.limits);
             self.order_stop(StopReason::Alarm(Alarm::HardLimit));
         }
         if signals.door && !before.door {

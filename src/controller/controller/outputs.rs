@@ -43,7 +43,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
             0
         } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
+            self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
+        }
+    }
+
+    /// S of the move under way. Without one, and for a laser, whose power the segments carry, that of the last line.
+    fn programmed_speed(&self) -> f32 {
+        if self.settings.is_on(Key::Laser) {
+            return self.spindle_speed;
+        }
+        let range = self.spindle_range();
+        match self.motion.running_power() {
+            Some(power) if power != range.output(self.spindle_speed, 100).0 => range.speed_of(power),
+            _ => self.spindle_speed,
         }
     }
 
@@ -153,14 +165,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::status(out, &status, inches));
     }
 
-    /// The inputs as a report shows them: a switch at a second motor is one of its axis.
+    /// The inputs as a report shows them.
     fn shown_signals(&self) -> Signals {
-        let mut shown = self.signals;
-        if shown.limits & SECOND_SWITCH != 0 {
-            shown.limits &= !SECOND_SWITCH;
-            shown.limits |= self.settings.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0);
+        Signals { limits: self.axes_of_switches(self.signals.limits), ..self.signals }
+    }
+
+    /// A switch at a second motor is one of its axis.
+    pub(super) fn axes_of_switches(&self, switches: u8) -> u8 {
+        match self.settings.ganged_axis() {
+            Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
+            _ => switches & !SECOND_SWITCH,
         }
-        shown
     }
 
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.

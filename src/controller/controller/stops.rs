@@ -6,6 +6,7 @@ use super::execute::Task;
 use super::{Controller, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
+use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, GangedMotors, SpindleDirection, StepEvent};
@@ -43,6 +44,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StepEvent::Stopped { stops, moving, position } => {
                 self.stop.seen = stops;
                 self.stop.moving |= moving;
+                self.stop.line = self.motion.line_number();
                 self.motion.stopped(&position);
                 self.detour.stopped(&position);
             }
@@ -70,7 +72,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
             return;
         }
-        let moving = self.stop.moving;
+        let (moving, line) = (self.stop.moving, self.stop.line);
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
         self.running = false;
         self.probe_watch = None;
@@ -100,6 +102,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
+                if alarm == Alarm::HardLimit && self.dialect() != Dialect::Grbl {
+                    let (limits, place) = (self.tripped_limits, self.motion.machine_position());
+                    let inches = self.settings.is_on(Key::ReportInches);
+                    self.say(|out| report::limit_trip(out, limits, &place, line, inches));
+                }
                 if alarm == Alarm::Underrun {
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));

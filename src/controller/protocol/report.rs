@@ -3,7 +3,7 @@
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::text::{Text, length, put, real, whole};
-use crate::axes::PerAxis;
+use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::messages::{Coolant, Signals, SpindleDirection};
 use crate::settings::{Entry, Kind};
 use crate::units::Coordinate;
@@ -51,6 +51,22 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"[MSG:");
     put(out, text.as_bytes());
     whole(out, u64::from(number));
+    put(out, b"]\r\n");
+}
+
+/// `[MSG:...]` that says which limit switches tripped, where, and at which N word (0 = none).
+pub fn limit_trip<const N: usize>(out: &mut Text, limits: u8, place: &PerAxis<Coordinate, N>, line: u32, inches: bool) {
+    put(out, b"[MSG:Limit switch ");
+    let switches = Axis::ALL.into_iter().filter(|axis| limits & AxisMask::NONE.with(*axis).0 != 0);
+    for axis in switches {
+        put(out, &[axis.letter()]);
+    }
+    put(out, b" at machine ");
+    position(out, place, inches);
+    if line > 0 {
+        put(out, b", line ");
+        whole(out, u64::from(line));
+    }
     put(out, b"]\r\n");
 }
 
