@@ -7,6 +7,7 @@ mod jobs;
 mod live;
 mod programs;
 mod qemu;
+mod recordings;
 mod suites;
 
 use std::path::{Path, PathBuf};
@@ -27,6 +28,7 @@ usage:
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
+  cargo xtask recordings [N..]  the recorded conversations on QEMU alone; or only some groups
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
@@ -44,9 +46,10 @@ fn main() -> ExitCode {
         ["flash-board", board] => known(board).and_then(flash),
         ["qemu"] => qemu::serve(),
         ["qemu", "--job", file] => jobs::show(Path::new(file)),
-        ["test-target"] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
-        ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
+        ["test-target"] => on_qemu(),
+        ["test-target", QEMU_BOARD] => on_qemu(),
         ["test-target", board] => known(board).and_then(suites::on_board),
+        ["recordings", ref groups @ ..] => recordings::replay_all(groups),
         ["converse"] => live::all(),
         ["job", name] => generate(name),
         ["count"] => suites::count(),
@@ -63,6 +66,14 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// All that runs on QEMU.
+fn on_qemu() -> Result<(), Failure> {
+    suites::on_qemu()?;
+    live::all()?;
+    recordings::replay_all(&[])?;
+    jobs::compare_all()
 }
 
 /// The board, if there is one of this name.

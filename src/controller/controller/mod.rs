@@ -385,7 +385,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.now = now;
+        let wanted = self.wants_line();
         self.settle();
+        if self.wants_line() && !wanted {
+            // Bytes that have waited may come now, and nothing else would wake the pump for them.
+            return Some(Output::Worked);
+        }
         if self.stop.order {
             self.stop.order = false;
             return Some(Output::Stop);

@@ -234,8 +234,8 @@ pub struct Modal {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// M56: parking is held off.
-    pub parking_override: bool,
+    /// M56 P0: the tool does not park.
+    pub no_parking: bool,
     /// T.
     pub tool: u8,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
@@ -257,7 +257,7 @@ impl Modal {
         feed_mode: FeedMode::PerMinute,
         spindle: SpindleDirection::Off,
         coolant: Coolant { flood: false, mist: false },
-        parking_override: false,
+        no_parking: false,
         tool: 0,
         feed: Decimal::ZERO,
         speed: 0.0,

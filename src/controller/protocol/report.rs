@@ -213,8 +213,8 @@ pub struct ParserState {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// Whether M56 holds.
-    pub parking_override: bool,
+    /// Whether the tool parks: M56.
+    pub parking: bool,
     /// T.
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
@@ -249,7 +249,7 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     if !state.coolant.mist && !state.coolant.flood {
         put(out, b" M9");
     }
-    if state.parking_override {
+    if state.parking {
         put(out, b" M56");
     }
     put(out, b" T");
