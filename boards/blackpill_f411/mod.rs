@@ -51,7 +51,8 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SlowPins, StepPins, StepTimer, clock_ticks, halt, idle, job_done, preloaded_job, safe_state,
+    InputPins, SettingsFlash, SlowPins, StepPins, StepTimer, clock_ticks, halt, idle, job_done, preloaded_job,
+    safe_state,
 };
 use super::{profiles, stm32f4};
 pub use stm32f4xx_hal::pac;
@@ -128,5 +129,6 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         serial: SerialPort::new(tx, rx),
         inputs,
         slow_pins,
+        settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
     }
 }

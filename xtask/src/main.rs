@@ -27,6 +27,7 @@ usage:
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
+  cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         ["test-target"] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", board] => known(board).and_then(suites::on_board),
+        ["converse"] => live::all(),
         ["job", name] => generate(name),
         ["count"] => suites::count(),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
