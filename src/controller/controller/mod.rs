@@ -177,18 +177,18 @@ enum StopReason {
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`].
+    #[inline(always)]
     pub fn new(profile: Profile) -> Self {
         let settings = Settings::default();
-        let motion = Motion::new(motion_settings(&settings, &profile));
-        let detour = Motion::new(motion_settings(&settings, &profile));
+        let planned = motion_settings(&settings, &profile);
         Self {
             profile,
             settings,
             startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
-            motion,
-            detour,
+            motion: Motion::new(planned),
+            detour: Motion::new(planned),
             line: Line::new(),
             held: None,
             epoch: 0,

@@ -223,19 +223,45 @@ fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
     if value > least { lesser(value, greatest) } else { least }
 }
 
+fn rates<const N: usize>(settings: &MotionSettings<N>) -> [f32; N] {
+    settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED))
+}
+
+fn accelerations<const N: usize>(settings: &MotionSettings<N>) -> [f32; N] {
+    settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION))
+}
+
+fn deviation<const N: usize>(settings: &MotionSettings<N>) -> f32 {
+    bounded(settings.junction_deviation, 0.0, 1.0e3)
+}
+
+fn step_clock<const N: usize>(settings: &MotionSettings<N>) -> u32 {
+    settings.step_clock_hz.max(10_000)
+}
+
+fn square_sum(values: &[f32]) -> f32 {
+    values.iter().fold(0.0, |sum, value| sum + value * value)
+}
+
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
+    ///
+    /// Inlined and nothing but a literal: it is made where it will stay. Each copy on the way there would take some 27 KB of
+    /// stack.
+    #[inline(always)]
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
-        let mut motion = Self {
+        let max_rate = rates(&settings);
+        let step_clock_hz = step_clock(&settings);
+        Self {
             settings,
             kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
-            max_rate: [1.0; N],
-            acceleration: [1.0; N],
-            greatest_speed2: 0.0,
-            junction_deviation: 0.0,
-            step_clock_hz: settings.step_clock_hz,
-            pacer: Pacer::new(settings.step_clock_hz),
+            max_rate,
+            acceleration: accelerations(&settings),
+            greatest_speed2: square_sum(&max_rate),
+            junction_deviation: deviation(&settings),
+            step_clock_hz,
+            pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
             overrides: Overrides { feed: 1.0, rapid: 1.0 },
             planned: PerAxis::all(Coordinate::ZERO),
@@ -273,20 +299,18 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             flight: Flight::new(zero),
             step_idle: true,
             origin: zero,
-        };
-        motion.configure(settings);
-        motion
+        }
     }
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         self.settings = settings;
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
-        self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
-        self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
-        self.greatest_speed2 = self.max_rate.iter().fold(0.0, |sum, rate| sum + rate * rate);
-        self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
-        self.step_clock_hz = settings.step_clock_hz.max(10_000);
+        self.max_rate = rates(&settings);
+        self.acceleration = accelerations(&settings);
+        self.greatest_speed2 = square_sum(&self.max_rate);
+        self.junction_deviation = deviation(&settings);
+        self.step_clock_hz = step_clock(&settings);
         self.pacer = Pacer::new(self.step_clock_hz);
         self.plan_from(self.prepared_steps());
     }
