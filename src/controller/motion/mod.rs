@@ -225,7 +225,7 @@ fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
-    // Not inlined: with what calls it, it would need one more copy of itself on a stack that has room for three.
+    // Not inlined: what it needs on the stack is given back before its caller puts the whole together.
     #[inline(never)]
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
