@@ -22,7 +22,7 @@ from .models.flash import Flash
 from .models.gpio import Gpio
 from .models.iwdg import Iwdg
 from .models.nvic import HARD_FAULT, Nvic
-from .models.peripheral import Misuse, Unmodelled
+from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pwr import Pwr
 from .models.rcc import Rcc
 from .models.timer import Timer
@@ -103,9 +103,9 @@ class Board:
         for address, data in self.image.segments:
             self.write_memory(address, data)
         guarded = self._guarded
-        uc.mmio_map(0x4000_0000, 0x8_0000, guarded(self._read_register), None, guarded(self._write_register), None)
-        uc.mmio_map(0x4200_0000, 0x100_0000, guarded(self._read_bit), None, guarded(self._write_bit), None)
-        uc.mmio_map(0xE000_0000, 0x10_0000, guarded(self._read_core), None, guarded(self._write_core), None)
+        self.core.map_registers(0x4000_0000, 0x8_0000, guarded(self._read_register), guarded(self._write_register))
+        self.core.map_registers(0x4200_0000, 0x100_0000, guarded(self._read_bit), guarded(self._write_bit))
+        self.core.map_registers(0xE000_0000, 0x10_0000, guarded(self._read_core), guarded(self._write_core))
         uc.hook_add(
             UC_HOOK_MEM_WRITE, guarded(self._store_to_flash), None, part.flash_start, part.flash_start + part.flash_kib * 1024 - 1
         )
@@ -139,6 +139,7 @@ class Board:
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
+        self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
         self.dwt = {0x1000: 0x4000_0001, 0x1004: 0}
 
     def _add(self, base, peripheral):
@@ -270,11 +271,12 @@ class Board:
         peripheral = self.pages.get(address >> 10)
         if peripheral is None:
             raise Unmodelled(f"nothing is modelled at {address:#010x}")
-        if not self.rcc.is_on(peripheral):
+        clock = peripheral.CLOCK
+        if clock is not None and not self.rcc.values[clock[0]] >> clock[1] & 1:
             raise Misuse(f"{peripheral.name} is used while its clock is off")
         return peripheral
 
-    def _read_register(self, uc, offset, size, _=None):
+    def _read_register(self, uc, offset, size, _):
         address = 0x4000_0000 + offset
         peripheral = self._at(address)
         if offset < 0x2_0000:
@@ -282,23 +284,23 @@ class Board:
         value = peripheral.read(address & 0x3FC)
         return value >> 8 * (address & 3) & (1 << 8 * size) - 1
 
-    def _write_register(self, uc, offset, size, value, _=None):
+    def _write_register(self, uc, offset, size, value, _):
         address = 0x4000_0000 + offset
         if address & 3 or size == 1:
             raise Unmodelled(f"store of {size} bytes to {address:#010x}")
         self._at(address).write(address & 0x3FC, value)
 
-    def _read_bit(self, uc, offset, size, _=None):
+    def _read_bit(self, uc, offset, size, _):
         address, bit = 0x4000_0000 + (offset >> 7 << 2), offset >> 2 & 31
         return self._at(address).read(address & 0x3FC) >> bit & 1
 
-    def _write_bit(self, uc, offset, size, value, _=None):
+    def _write_bit(self, uc, offset, size, value, _):
         address, bit = 0x4000_0000 + (offset >> 7 << 2), offset >> 2 & 31
         peripheral = self._at(address)
         before = peripheral.read(address & 0x3FC)
         peripheral.write(address & 0x3FC, before & ~(1 << bit) | (value & 1) << bit)
 
-    def _read_core(self, uc, offset, size, _=None):
+    def _read_core(self, uc, offset, size, _):
         if offset == 0x1004:
             return self.now & 0xFFFF_FFFF
         if offset in self.dwt:
@@ -306,7 +308,7 @@ class Board:
         value = self.nvic.read((offset & ~3) - 0xE000)
         return value >> 8 * (offset & 3) & (1 << 8 * size) - 1
 
-    def _write_core(self, uc, offset, size, value, _=None):
+    def _write_core(self, uc, offset, size, value, _):
         if offset in self.dwt:
             self.dwt[offset] = value
         elif offset == 0x1FB0:
@@ -353,11 +355,14 @@ class Board:
     def run(self, cycles=None, seconds=None, until=None, limit=None):
         """Runs for a time, or until `until()` is true, which is asked after each event; `limit` in seconds then bounds it."""
         state = self.state
-        span = cycles if cycles is not None else self.cycles(seconds if seconds is not None else limit)
-        end = self.now + span
+        seconds = limit if seconds is None else seconds
+        stop = None if seconds is None else self.seconds() + seconds
+        end, clocks = self.now + (cycles or 0), None
         while self.powered:
             if until is not None and until():
                 return True
+            if stop is not None and clocks != len(self.clocks):
+                clocks, end = len(self.clocks), self.now + self.cycles(stop - self.seconds())
             if self.now >= end:
                 return until is None
             self._slice(end)
@@ -379,14 +384,14 @@ class Board:
         if number is not None:
             self._asleep = False
             self._enter(number, ENTRY_CYCLES)
-        if self._next_due is None:
-            self._next_due = min(p.due for p in self.peripherals.values())
-        if self._asleep:
+        if self._asleep and self._next_due is not None:
             if masked:
                 self._asleep = False
             else:
                 state.now = max(state.now, min(self._next_due, end))
                 return
+        if self._next_due is None:
+            self._next_due = min([p.due for p in self._timed])
         state.deadline = min(self._next_due, end)
         if state.deadline <= state.now:
             return
@@ -411,11 +416,12 @@ class Board:
 
     def _advance(self):
         while True:
-            now = self.now
-            due = [p for p in self.peripherals.values() if p.due <= now]
-            if not due:
+            if self._next_due is None:
+                self._next_due = min([p.due for p in self._timed])
+            now = self.state.now
+            if self._next_due > now:
                 return
-            for peripheral in sorted(due, key=lambda p: p.due):
+            for peripheral in sorted((p for p in self._timed if p.due <= now), key=lambda p: p.due):
                 peripheral.advance(now)
             self._next_due = None
 

@@ -122,6 +122,7 @@ class Core:
         self.uc = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
         self.uc.ctl_set_cpu_model(arm_const.UC_CPU_ARM_CORTEX_M4)
         self.handle = self.uc._uch
+        self.callbacks = []
         self.disassembler = Cs(CS_ARCH_ARM, CS_MODE_THUMB | CS_MODE_MCLASS)
         self.disassembler.detail = True
         self._connect()
@@ -187,6 +188,19 @@ class Core:
         """After the contents of flash have changed."""
         for name, words in (("flash", 1 << 18), ("ram", 1 << 17)):
             ctypes.memset((Instruction * words).in_dll(compiled(), name), 0, words * 4)
+
+    READ = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint, ctypes.c_void_p)
+    WRITE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint, ctypes.c_uint64, ctypes.c_void_p)
+
+    def map_registers(self, address, size, read, write):
+        """Calls `read(_, offset, size, _)` and `write(_, offset, size, value, _)` for accesses to a range."""
+        # Not through unicorn's own wrapper, which takes twice the time; the callbacks must outlive the call.
+        calls = self.READ(read), self.WRITE(write)
+        self.callbacks.append(calls)
+        error = unicorn_library.uclib.uc_mmio_map(
+            self.handle, ctypes.c_uint64(address), ctypes.c_size_t(size), calls[0], None, calls[1], None
+        )
+        assert error == 0, error
 
     def run(self):
         return self.library.run(self.handle)

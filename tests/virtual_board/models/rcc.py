@@ -85,10 +85,6 @@ class Rcc(Peripheral):
         if offset == CFGR or offset == DCKCFGR:
             self._clocks()
 
-    def is_on(self, peripheral):
-        clock = peripheral.CLOCK
-        return clock is None or bool(self.values[clock[0]] >> clock[1] & 1)
-
     def timer_clock(self, bus_clock):
         """Clock of the timers of a bus: twice the bus clock if that is divided; TIMPRE makes it the core's, up to 4."""
         divider = self.hclk // bus_clock

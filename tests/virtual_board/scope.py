@@ -1,0 +1,105 @@
+"""Reads the step outputs from the recorded edges: pulses, steps, and what the data sheets of drivers ask of them."""
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Step:
+    """Edges of the step outputs that belong to one step event: two ports are written one after the other."""
+
+    at: int
+    """Core cycle of the first rising edge."""
+    axes: int
+    """Bit 0 for X."""
+    negative: int
+    """Direction outputs of these axes at the rising edge."""
+
+
+class Scope:
+    """Follows the step and direction outputs of a board from now on."""
+
+    TOGETHER_S = 0.5e-6
+    """Rising edges closer than this are one step event."""
+
+    def __init__(self, board):
+        self.board = board
+        wiring = board.wiring
+        self.step_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.step)}
+        self.direction_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.direction)}
+        self.first = len(board.edges)
+        self.levels = [board.shown(name) == 1 for name in wiring.direction]
+        """Direction outputs where the record begins."""
+
+    def read(self):
+        """Everything since the scope was made: steps, pulse widths in s, direction set-up times in s, hold times in s."""
+        board = self.board
+        hz = board.clocks[-1][2]
+        together = self.TOGETHER_S * hz
+        negative = sum(1 << axis for axis, level in enumerate(self.levels) if level)
+        steps, widths, setups, holds = [], [], [], []
+        risen, changed, last_rise = {}, {}, {}
+        for at, port, pin, level in board.edges[self.first :]:
+            axis = self.step_pins.get((port, pin))
+            if axis is not None:
+                if level == 1:
+                    risen[axis] = at
+                    last_rise[axis] = at
+                    if steps and at - steps[-1].at <= together and not steps[-1].axes >> axis & 1:
+                        steps[-1].axes |= 1 << axis
+                        steps[-1].negative |= negative & 1 << axis
+                    else:
+                        steps.append(Step(at, 1 << axis, negative & 1 << axis))
+                    if axis in changed:
+                        setups.append((at - changed.pop(axis)) / hz)
+                elif level == 0 and axis in risen:
+                    widths.append((at - risen.pop(axis)) / hz)
+            axis = self.direction_pins.get((port, pin))
+            if axis is not None and level in (0, 1):
+                negative = negative & ~(1 << axis) | level << axis
+                changed[axis] = at
+                if axis in last_rise:
+                    holds.append((at - last_rise[axis]) / hz)
+        return steps, widths, setups, holds
+
+    def steps(self):
+        return self.read()[0]
+
+    def counts(self, axes=3):
+        net = [0] * axes
+        for step in self.steps():
+            for axis in range(axes):
+                if step.axes >> axis & 1:
+                    net[axis] += -1 if step.negative >> axis & 1 else 1
+        return net
+
+
+def steady(steps, hz, period_s):
+    """Deviations in s of the longest run of steps at a nominal period: (from step to step, from an even comb), and its length.
+
+    The comb is laid through the middle of all moments, so a constant delay does not count and an accumulating error does.
+    """
+    best = run = []
+    for step in steps:
+        if run and abs((step.at - run[-1]) / hz - period_s) > 0.25 * period_s:
+            if len(run) > len(best):
+                best = run
+            run = []
+        run = [*run, step.at] if len(run) < 1 else (run.append(step.at) or run)
+    best = max(best, run, key=len)
+    if len(best) < 3:
+        return None
+    times = [(at - best[0]) / hz for at in best]
+    # The last tenth on either side may still belong to the ramps.
+    cut = len(times) // 10
+    times = times[cut : len(times) - cut]
+    periods = [b - a for a, b in zip(times, times[1:])]
+    n = len(periods)
+    mean = sum(periods) / n
+    offsets = [t - times[0] - k * mean for k, t in enumerate(times)]
+    return {
+        "steps": len(times),
+        "mean": mean,
+        "period_error": max(abs(p - period_s) for p in periods),
+        "comb": max(offsets) - min(offsets),
+        "drift": abs(mean - period_s) * n,
+    }
