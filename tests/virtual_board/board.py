@@ -86,6 +86,8 @@ class Board:
         self._reset_asked = None
         self._fixes = []
         self._vectors = {}
+        self.step_runs = []
+        """(cycle of entry, cycle after the return) of each run of the step interrupt; nothing preempts it."""
         self._asleep = False
         self._next_due = None
         self._map()
@@ -432,6 +434,8 @@ class Board:
             vector = self._vectors[key] = self.word(key)
         thread = not self.nvic.active
         self.nvic.begin(number)
+        if number == 16 + self.wiring.step_irq:
+            self._step_began = self.now
         if not self.core.enter(number, vector, thread) and number != HARD_FAULT:
             self._fault(0)
             return
@@ -444,7 +448,8 @@ class Board:
         if not nvic.active:
             self.failure = f"exception return {code:#x} without an exception"
             return
-        nvic.end()
+        if nvic.end() == 16 + self.wiring.step_irq:
+            self.step_runs.append((self._step_began, self.now + RETURN_CYCLES))
         if bool(code & 8) != (not nvic.active):
             self.failure = f"exception return {code:#x} to the wrong mode, active {nvic.active}"
             return

@@ -73,33 +73,15 @@ class Scope:
         return net
 
 
-def steady(steps, hz, period_s):
-    """Deviations in s of the longest run of steps at a nominal period: (from step to step, from an even comb), and its length.
-
-    The comb is laid through the middle of all moments, so a constant delay does not count and an accumulating error does.
-    """
-    best = run = []
-    for step in steps:
-        if run and abs((step.at - run[-1]) / hz - period_s) > 0.25 * period_s:
-            if len(run) > len(best):
-                best = run
-            run = []
-        run = [*run, step.at] if len(run) < 1 else (run.append(step.at) or run)
-    best = max(best, run, key=len)
-    if len(best) < 3:
-        return None
-    times = [(at - best[0]) / hz for at in best]
-    # The last tenth on either side may still belong to the ramps.
-    cut = len(times) // 10
-    times = times[cut : len(times) - cut]
+def steady(steps, hz, period_s, ramp):
+    """Steps at a nominal period, those of the two ramps left out: how far periods are off at most, and how far the last
+    step is from where it would be if no error added up, in s."""
+    times = [step.at / hz for step in steps[ramp : len(steps) - ramp]]
     periods = [b - a for a, b in zip(times, times[1:])]
-    n = len(periods)
-    mean = sum(periods) / n
-    offsets = [t - times[0] - k * mean for k, t in enumerate(times)]
+    if len(periods) < 20:
+        return None
     return {
         "steps": len(times),
-        "mean": mean,
         "period_error": max(abs(p - period_s) for p in periods),
-        "comb": max(offsets) - min(offsets),
-        "drift": abs(mean - period_s) * n,
+        "drift": abs(times[-1] - times[0] - len(periods) * period_s),
     }

@@ -8,6 +8,7 @@ mod live;
 mod programs;
 mod qemu;
 mod suites;
+mod virtual_board;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -30,6 +31,7 @@ usage:
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
+  cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
 boards: ";
 
@@ -49,6 +51,8 @@ fn main() -> ExitCode {
         ["test-target", board] => known(board).and_then(suites::on_board),
         ["converse"] => live::all(),
         ["job", name] => generate(name),
+        ["virtual"] => virtual_board::check(None),
+        ["virtual", board] => virtual_board::check(Some(board)),
         ["count"] => suites::count(),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
