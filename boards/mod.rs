@@ -49,9 +49,15 @@ pub use chosen::*;
 
 use oxmill_controller::Profile;
 
-/// What the controller must know of a board.
+/// What the controller must know of a board. No board has pins for a second motor yet.
 const fn profile(board: &profiles::Board) -> Profile {
-    Profile { name: board.name, step_clock_hz: board.step_clock_hz, safe_step_hz: board.safe_step_hz, has_store: true }
+    Profile {
+        name: board.name,
+        step_clock_hz: board.step_clock_hz,
+        safe_step_hz: board.safe_step_hz,
+        has_second_motor: false,
+        has_store: true,
+    }
 }
 
 /// Levels of the slow outputs as they appear on the pins.

@@ -252,7 +252,7 @@ fn summarise(
     let here = simulator.machine_position();
     let counted = simulator.meter().millimetres(machine.position());
     let named = |steps: [i32; 3]| {
-        let place = simulator.meter().millimetres(steps);
+        let place = simulator.meter().carriages_mm(steps);
         std::array::from_fn(|axis| round(place[axis] - counted[axis] + here[axis]))
     };
     Summary {

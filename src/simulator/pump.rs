@@ -21,7 +21,8 @@ use crate::text::JobText;
 use crate::trace::{StepRecord, Trace};
 use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, Realtime, Room, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent, ToStep, Wiring,
+    Event, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent,
+    ToStep, Wiring,
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
@@ -107,6 +108,7 @@ impl Simulator {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
             safe_step_hz: board.safe_step_hz,
+            has_second_motor: true,
             has_store: true,
         }));
         for record in store.records() {
@@ -152,6 +154,10 @@ impl Simulator {
             meter: Meter::new(board.step_clock_hz),
             trace,
         };
+        if simulator.fittings.moved(&simulator.machine, 0) {
+            // The machine was left on a switch.
+            simulator.sample_due = Some(0);
+        }
         simulator.turn();
         simulator
     }
@@ -304,6 +310,11 @@ impl Simulator {
         !self.power_is_gone() && (self.step_due.is_some() || self.controller.next_wakeup().is_some())
     }
 
+    /// Whether the step task is busy.
+    pub fn is_stepping(&self) -> bool {
+        self.step_due.is_some()
+    }
+
     /// The virtual clock.
     pub fn clock(&self) -> &Clock {
         &self.clock
@@ -435,13 +446,20 @@ impl Simulator {
 
     /// What the controller is told: hand and contacts together, with the polarity of the settings.
     fn update_signals(&mut self) {
-        let (limit_invert, probe_invert) = self.wiring.map_or((false, false), |w| (w.limit_invert, w.probe_invert));
-        let mask = if limit_invert { (1 << self.board.axes) - 1 } else { 0 };
-        let signals = Signals {
-            limits: (self.hand.limits | self.contacts.limits) ^ mask,
-            probe: (self.hand.probe | self.contacts.probe) != probe_invert,
+        let mut signals = Signals {
+            limits: self.hand.limits | self.contacts.limits,
+            probe: self.hand.probe | self.contacts.probe,
             ..self.hand
         };
+        if let Some(wiring) = self.wiring {
+            signals.limits ^= if wiring.limit_invert { ((1 << self.board.axes) - 1) | SECOND_SWITCH } else { 0 };
+            signals.probe ^= wiring.probe_invert;
+            let inverted = |bit: u8| wiring.control_invert >> bit & 1 != 0;
+            signals.reset ^= inverted(0);
+            signals.hold ^= inverted(1);
+            signals.start ^= inverted(2);
+            signals.door ^= inverted(3);
+        }
         if signals != self.signals {
             self.signals = signals;
             self.signals_changed = true;
@@ -547,6 +565,7 @@ impl Simulator {
                 }
                 Some(Output::Wiring(wiring)) => {
                     self.wiring = Some(wiring);
+                    self.machine.wire(&wiring);
                     self.update_signals();
                     self.learn_resolution();
                 }
@@ -565,8 +584,10 @@ impl Simulator {
     }
 
     fn learn_resolution(&mut self) {
-        let steps_per_mm = self.controller.settings().axes(AxisKey::Resolution);
-        self.meter.set_resolution(steps_per_mm.0.map(f64::from));
+        let settings = self.controller.settings();
+        let (steps_per_mm, arrangement) = (settings.axes(AxisKey::Resolution), settings.arrangement());
+        self.meter.set_resolution(steps_per_mm.0.map(f64::from), arrangement);
+        self.machine.arrange(arrangement);
     }
 
     // The receive interrupt
@@ -625,7 +646,7 @@ impl Simulator {
         let tick = self.stepper.tick();
         if tick.steps != 0 {
             self.machine.step(tick.steps, self.directions);
-            if !self.fittings.is_empty() && self.fittings.moved(self.machine.position(), self.clock.instant().ticks()) {
+            if !self.fittings.is_empty() && self.fittings.moved(&self.machine, self.clock.instant().ticks()) {
                 self.sample_due.get_or_insert(due);
             }
             self.trace.step(StepRecord {
@@ -642,6 +663,7 @@ impl Simulator {
         let begun = self.stepper.segments_begun();
         if begun != self.begun {
             self.begun = begun;
+            self.trace.segment(due);
             self.meter.begin(self.clock.seconds(due), self.machine.position());
             self.segment_power(tick.power);
         }

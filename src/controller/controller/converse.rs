@@ -10,7 +10,7 @@ use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
-use crate::settings::{Key, Settings};
+use crate::settings::{AxisKey, Key, Settings};
 use crate::units::Coordinate;
 
 /// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
@@ -22,6 +22,8 @@ const KEY_BUILD_INFO: u16 = 1200;
 const KEY_DIALECT: u16 = 2000;
 /// Number of the dialect setting.
 const DIALECT: u16 = 900;
+/// Number of the setting of the kinematics.
+const KINEMATICS: u16 = 904;
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -223,7 +225,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         match system::read(line)? {
             System::Help => {
-                self.say(report::help);
+                let grbl = self.dialect() == Dialect::Grbl;
+                self.say(|out| report::help(out, grbl));
                 self.say(report::ok);
             }
             System::Settings if self.mode == Mode::Normal && !idle => return Err(Error::NotIdle),
@@ -236,7 +239,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::BuildInfo => {
                 let info = self.build_info.clone();
-                self.say(|out| report::build_info(out, &info, BLOCKS, LINES_DEPTH));
+                let letters = self.option_letters();
+                self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
                 self.say(report::ok);
             }
             System::SetBuildInfo(text) => {
@@ -286,7 +290,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        if (100..110).contains(&number) || (number == 22 && self.settings.is_on(Key::Homing)) {
+        if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
             self.trusted = false;
         }
         if number == 13 {
@@ -338,6 +342,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(what, Restore::Settings | Restore::All) {
             let mut settings = Settings::default();
             settings.restore(DIALECT, self.settings.value(Key::Dialect));
+            self.trusted &= settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.settings.arrangement();
             self.settings = settings;
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
@@ -395,6 +401,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     // Answers
+
+    /// What `$I` says is switched on, in Grbl's letters and their order.
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
+        let own = self.dialect() != Dialect::Grbl;
+        let on = |key| self.settings.is_on(key);
+        [
+            (true, b'V'),
+            (own, b'N'),
+            (own, b'M'),
+            (on(Key::Kinematics), b'C'),
+            (on(Key::Parking), b'P'),
+            (own, b'H'),
+            (own && on(Key::Parking), b'R'),
+            (on(Key::DoorFitted), b'+'),
+            (on(Key::GangedAxis), b'2'),
+        ]
+        .into_iter()
+        .filter_map(|(on, letter)| on.then_some(letter))
+        .collect()
+    }
 
     pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.has_reply_room() {

@@ -19,6 +19,8 @@ use crate::messages::{INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_
 const FRACTION_MASK: u32 = (1 << INTERVAL_FRACTION_BITS) - 1;
 /// Finest smoothing: a tick advances one unit.
 pub const MAX_LEVEL: u8 = 4;
+/// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
+const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// What to do at an expiry of the step timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,8 +67,11 @@ pub struct Stepper<const N: usize> {
     gate_shut: bool,
     stops: u8,
     begun: u32,
-    /// State of the probe that is waited for.
+    /// State of the probe that is waited for, and how to brake then: units per square of a clock.
     watch: Option<bool>,
+    braking: f32,
+    /// Braking after a contact.
+    brakes: bool,
 }
 
 /// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
@@ -120,6 +125,8 @@ impl<const N: usize> Stepper<N> {
             stops: 0,
             begun: 0,
             watch: None,
+            braking: 0.0,
+            brakes: false,
         }
     }
 
@@ -153,7 +160,10 @@ impl<const N: usize> Stepper<N> {
                 }
             }
             ToStep::Reenter { units } => self.next_units = units,
-            ToStep::Watch { probe } => self.watch = probe,
+            ToStep::Watch { probe, braking } => {
+                self.watch = probe;
+                self.braking = braking;
+            }
             ToStep::Resume { .. } => {}
         }
     }
@@ -191,7 +201,7 @@ impl<const N: usize> Stepper<N> {
 
     /// Makes the prefetched segment the current one; `false` if there is none.
     fn begin_segment(&mut self) -> bool {
-        let Some(segment) = self.next_segment.take() else { return false };
+        let Some(segment) = self.next_segment.take() else { return self.brakes && self.brake() };
         let level = segment.level.min(MAX_LEVEL);
         if segment.flags & Segment::FLAG_NEW_BLOCK != 0 {
             self.begin_block();
@@ -276,17 +286,54 @@ impl<const N: usize> Stepper<N> {
         self.watch.is_some()
     }
 
-    /// Looks at the probe. The first time it has the awaited state the place is latched; motion goes on.
+    /// Looks at the probe. The first time it has the awaited state the place is latched, what is queued is void, and
+    /// braking begins with the next tick.
     pub fn probe(&mut self, active: bool) -> Option<StepEvent<N>> {
         if self.watch != Some(active) {
             return None;
         }
         self.watch = None;
-        Some(StepEvent::Probed { position: self.position() })
+        let position = self.position();
+        self.gate_shut = true;
+        self.next_segment = None;
+        self.next_units = 0;
+        self.last = true;
+        if self.ticks != 0 {
+            // The tick that is under way is the last of its segment.
+            self.block_units = self.units();
+            self.segment_ticks = 1;
+            self.ticks = 1;
+            self.ramp = 0;
+            self.brakes = true;
+        }
+        Some(StepEvent::Probed { position })
+    }
+
+    /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
+    ///
+    /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
+    /// the next interval is T / sqrt(1 - 2k), of which the first terms of the series are taken. The last tick of the ramp
+    /// is the one that would take all of v².
+    #[cold]
+    fn brake(&mut self) -> bool {
+        let units = self.units();
+        let interval = self.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
+        let k = self.braking * interval * interval / self.units_per_tick as f32;
+        let next = self.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
+        let ends = units >= self.dominant.wrapping_mul(UNITS_PER_STEP);
+        // Not a number where the tick advances no units: a crawl, which stops where it is.
+        self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
+        if self.brakes {
+            self.block_units = units;
+            self.interval = next as u32;
+            self.ticks = 1;
+        }
+        self.brakes
     }
 
     fn shut(&mut self) {
         self.watch = None;
+        self.brakes = false;
         self.base = self.position().0;
         self.steps = [0; N];
         self.dominant = 0;

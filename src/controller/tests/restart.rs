@@ -6,7 +6,13 @@ use oxmill_controller::messages::{
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
 
-const PROFILE: Profile = Profile { name: "test", step_clock_hz: 1_000_000, safe_step_hz: 100_000, has_store: false };
+const PROFILE: Profile = Profile {
+    name: "test",
+    step_clock_hz: 1_000_000,
+    safe_step_hz: 100_000,
+    has_store: false,
+    has_second_motor: false,
+};
 const NOW: Instant = Instant::from_ticks(0);
 
 struct Board {
