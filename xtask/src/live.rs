@@ -112,11 +112,11 @@ impl Lines {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
             let status = self.status()?;
-            if status.contains(state) {
-                return Ok(status);
-            }
             if status.contains(UNDERRUN) {
                 return Err(status);
+            }
+            if status.contains(state) {
+                return Ok(status);
             }
         }
         Err(format!("the state never became {state}"))
