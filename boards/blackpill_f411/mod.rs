@@ -51,8 +51,8 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepPins, StepTimer, clock_ticks, halt, idle, job_done, preloaded_job,
-    safe_state,
+    InputPins, SettingsFlash, SlowPins, StepPins, StepTimer, Watchdog, clock_ticks, idle, job_done, preloaded_job,
+    reset_cause, restart, safe_state,
 };
 use super::{profiles, stm32f4};
 pub use stm32f4xx_hal::pac;
@@ -80,6 +80,7 @@ pub type Parts = stm32f4::Parts<pac::USART1>;
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(CORE_HZ.Hz()));
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
 
@@ -130,5 +131,6 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         inputs,
         slow_pins,
         settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
+        watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

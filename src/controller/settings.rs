@@ -106,6 +106,7 @@ pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
     entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
     entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
+    entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
 ];
 
 /// Names the rows of [`SCALARS`].
@@ -175,11 +176,12 @@ pub enum AxisKey {
     MaxRate,
     Acceleration,
     Travel,
+    Backlash,
 }
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
 }
 
 /// Where a setting stands.
@@ -213,16 +215,33 @@ const fn axes_mask<const N: usize>() -> u8 {
 
 impl<const N: usize> Default for Settings<N> {
     fn default() -> Self {
-        let mut settings =
-            Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) };
-        if let Some(cycles) = settings.per_axis.get_mut(AxisKey::HomingCycle as usize) {
-            *cycles = PerAxis::from_axis(|axis| f32::from(homing_cycle(axis.index()) & axes_mask::<N>()));
-        }
-        settings
+        Self::new()
     }
 }
 
 impl<const N: usize> Settings<N> {
+    /// The defaults.
+    #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
+    pub const fn new() -> Self {
+        let mut settings = Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT] };
+        let mut i = 0;
+        while i < Key::COUNT {
+            settings.scalars[i] = SCALARS[i].default;
+            i += 1;
+        }
+        i = 0;
+        while i < AxisKey::COUNT {
+            settings.per_axis[i] = PerAxis::all(PER_AXIS[i].default);
+            i += 1;
+        }
+        i = 0;
+        while i < N {
+            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = (homing_cycle(i) & axes_mask::<N>()) as f32;
+            i += 1;
+        }
+        settings
+    }
+
     /// How many lines `$$` has.
     pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
 

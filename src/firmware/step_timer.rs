@@ -118,7 +118,7 @@ impl Step {
         }
         SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         STEP_AT_REST.store(!self.running, Ordering::Relaxed);
-        STEP_WANTS.store(self.stepper.wants(), Ordering::Relaxed);
+        STEP_WANTS.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
         if self.unsent.is_some() {
             self.send();
         }

@@ -1,5 +1,6 @@
 //! Tests of the whole machine: bytes in, pulses out.
 
+mod backlash;
 mod conversations;
 mod estimator;
 mod examples;

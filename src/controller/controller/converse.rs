@@ -265,6 +265,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Home(axis) => self.begin_homing(axis)?,
             System::Jog(text) => return self.jog(text),
             System::Restore(what) => self.restore_defaults(what),
+            System::ResetCause => {
+                let restart = self.restart.clone();
+                self.restart_told = true;
+                self.say(|out| report::restart(out, &restart));
+                self.say(report::ok);
+            }
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));

@@ -145,6 +145,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Door::CoolantRestoring(until) if self.now >= until => match self.door.way {
                 Some(way) => {
                     self.detour_to(&way.left, Key::ParkingPullOutRate);
+                    // The job's block is entered with the slack where it was.
+                    self.detour.end_with_lead(self.motion.lead());
                     self.mode = Mode::Door(Door::Plunging);
                 }
                 None => self.leave_door(),
@@ -174,6 +176,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Some(way) => {
                 let here = self.motion.machine_position();
                 self.detour.configure(self.motion.settings());
+                self.detour.set_lead(self.motion.lead());
                 self.detour.set_machine_position(&here);
                 self.detour_to(&way.clear, Key::ParkingPullOutRate);
                 self.mode = Mode::Door(Door::PullingOut);
