@@ -28,9 +28,19 @@ use shelter::{Sheltered, Taken, shelter};
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only timers
-        // are written so: they reach no memory, and each value is explained where it is written.
+        // and the supply are written so: they reach no memory, and each value is explained where it is written.
         unsafe { $register.bits($bits) }
     }};
+}
+
+/// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
+/// the HAL leaves it there. The scale can be changed only while the PLL is off.
+#[cfg(feature = "blackpill_f411")]
+pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
+    rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
+    // An enabled clock takes two bus cycles to arrive; reading back waits for them.
+    let _ = rcc.apb1enr().read();
+    pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
 }
 
 /// Ports A, B and C: all that these boards bring out.

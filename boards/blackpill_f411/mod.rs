@@ -79,10 +79,13 @@ pub type Parts = stm32f4::Parts<pac::USART1>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
+    stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(CORE_HZ.Hz()));
     stm32f4::watch_voltage(&device.PWR, &device.EXTI);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
+    // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.
+    let _c = device.GPIOC.split(&mut rcc);
 
     let slow_pins = SlowPins::new([
         b.pb0.into_push_pull_output_in_state(PinState::High).erase(),

@@ -146,6 +146,9 @@ impl Fittings {
 
     /// The motors stand here now. Whether a contact has changed.
     pub fn moved(&mut self, machine: &Machine, now_us: u64) -> bool {
+        if self.is_empty() {
+            return false;
+        }
         let motors = machine.position();
         for (motor, driven) in self.driven_mm.iter_mut().enumerate() {
             let turned = f64::from(motors[motor]) / self.steps_per_mm[motor];

@@ -651,7 +651,7 @@ impl Simulator {
         let tick = self.stepper.tick();
         if tick.steps != 0 {
             self.machine.step(tick.steps, self.directions);
-            if !self.fittings.is_empty() && self.fittings.moved(&self.machine, self.clock.instant().ticks()) {
+            if self.fittings.moved(&self.machine, self.clock.instant().ticks()) {
                 self.sample_due.get_or_insert(due);
             }
             self.trace.step(StepRecord {

@@ -6,6 +6,7 @@ mod estimator;
 mod examples;
 mod host;
 mod kinematics;
+mod known_jobs;
 mod motion_properties;
 mod oracle;
 mod rig;

@@ -9,6 +9,7 @@ mod programs;
 mod qemu;
 mod recordings;
 mod suites;
+mod virtual_board;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -32,6 +33,7 @@ usage:
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
+  cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
 boards: ";
 
@@ -52,6 +54,8 @@ fn main() -> ExitCode {
         ["recordings", ref groups @ ..] => recordings::replay_all(groups),
         ["converse"] => live::all(),
         ["job", name] => generate(name),
+        ["virtual"] => virtual_board::check(None),
+        ["virtual", board] => virtual_board::check(Some(board)),
         ["count"] => suites::count(),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
