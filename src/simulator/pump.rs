@@ -154,7 +154,7 @@ impl Simulator {
             meter: Meter::new(board.step_clock_hz),
             trace,
         };
-        if simulator.fittings.moved(&simulator.machine, 0) {
+        if !simulator.fittings.is_empty() && simulator.fittings.moved(&simulator.machine, 0) {
             // The machine was left on a switch.
             simulator.sample_due = Some(0);
         }

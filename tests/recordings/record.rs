@@ -48,6 +48,7 @@ pub fn answers(text: &str) -> usize {
 }
 
 /// How many records were answered how.
+#[derive(Clone)]
 pub struct Tally {
     pub equal: usize,
     pub by_rule: usize,

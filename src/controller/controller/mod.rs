@@ -542,14 +542,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match command {
             Realtime::Reset => {
                 self.epoch = self.epoch.wrapping_add(1);
-                self.reset_epoch = self.epoch;
+                self.drop_older_bytes();
                 self.jog_epoch = self.epoch;
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }
             Realtime::Stop => {
                 self.epoch = self.epoch.wrapping_add(1);
-                self.reset_epoch = self.epoch;
+                self.drop_older_bytes();
                 self.jog_epoch = self.epoch;
                 self.line.clear();
                 self.stop_softly(false);
@@ -588,6 +588,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::MistToggle => {}
             _ => self.set_overrides(self.overrides.after(command)),
         }
+    }
+
+    /// Bytes received before this reset or stop are dropped by their epoch; those of a reset button among them are not to
+    /// be counted again.
+    fn drop_older_bytes(&mut self) {
+        self.reset_epoch = self.epoch;
+        self.drop_bytes = 0;
+        self.drop_rest = false;
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {

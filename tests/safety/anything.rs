@@ -1,0 +1,272 @@
+//! Whatever anybody types, presses and moves: lines of every kind and none, settings, realtime bytes at any place, pins,
+//! pauses. No panic, no hang, every line answered once, the position that of the pulses, and always a way back.
+//!
+//! `OXMILL_FUZZ=N` plays N sessions instead of the few of every run; `OXMILL_FUZZ_SEED` begins elsewhere.
+
+use super::bench::{AXES, Bench, Random};
+use std::fmt::Write;
+
+/// Actions of a session.
+const ACTIONS: u64 = 60;
+
+/// A machine with switches and a plate, quick enough that a session is short.
+const MACHINE: &str = r#"
+    steps_per_mm = [250, 250, 250]
+    switch = [
+        { axis = "x", at_mm = 2.0, side = "positive", bounce_us = 900 },
+        { axis = "y", at_mm = 1.5, side = "positive", bounce_us = 300 },
+        { axis = "z", at_mm = 1.0, side = "positive" },
+    ]
+    plate = { axis = "z", at_mm = -3.0, side = "negative", bounce_us = 200 }
+"#;
+const SETTINGS: &str =
+    "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
+
+fn of<'a>(random: &mut Random, from: &[&'a str]) -> &'a str {
+    from[random.below(from.len() as u64) as usize]
+}
+
+fn number(random: &mut Random) -> String {
+    let sign = of(random, &["", "", "-", "+"]);
+    match random.below(8) {
+        0 => format!("{sign}{}", random.below(3)),
+        1..=3 => format!("{sign}{}.{:03}", random.below(4), random.below(1000)),
+        4 => format!("{sign}.{}", random.below(100)),
+        5 => format!("{sign}{}", random.below(1000)),
+        6 => of(random, &["1e3", "..", "--1", "", "999999999999999", "0.00000001", "4294967296", "-0", "1.2.3"]).into(),
+        _ => format!("{sign}{}.", random.below(100)),
+    }
+}
+
+fn line(random: &mut Random) -> String {
+    let mut line = String::new();
+    match random.below(16) {
+        0..=5 => {
+            line += of(
+                random,
+                &["G0", "G1", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.2", "G38.3", "G38.4", "G18G2", "G93G1"],
+            );
+            for letter in ["X", "Y", "Z", "I", "J", "K", "R", "P"] {
+                if random.below(3) == 0 {
+                    let value = random.below(2400) as i64 - 1200;
+                    write!(line, "{letter}{:.3}", value as f64 / 400.0).unwrap();
+                }
+            }
+            if random.below(2) == 0 {
+                write!(line, "F{}", 60 + random.below(4000)).unwrap();
+            }
+        }
+        6 => {
+            line += of(
+                random,
+                &[
+                    "G4P0.02",
+                    "M0",
+                    "M2",
+                    "M30",
+                    "M3S500",
+                    "M4S300",
+                    "M5",
+                    "M8",
+                    "M9",
+                    "M7",
+                    "M56",
+                    "M56P0",
+                    "G28",
+                    "G30",
+                    "G28.1",
+                    "G92X0Z1",
+                    "G92.1",
+                    "G10L2P1X0.5",
+                    "G10L20P0Z0",
+                    "G54",
+                    "G59",
+                    "G59.3",
+                    "G20",
+                    "G21",
+                    "G90",
+                    "G91",
+                    "G43.1Z0.2",
+                    "G49",
+                    "G80",
+                    "T2",
+                    "F1000",
+                    "S800",
+                    "%",
+                    "/G1X1",
+                    "(a remark",
+                    "; another",
+                ],
+            );
+        }
+        7 | 8 => {
+            line += of(
+                random,
+                &[
+                    "$",
+                    "$$",
+                    "$#",
+                    "$G",
+                    "$I",
+                    "$N",
+                    "$X",
+                    "$X",
+                    "$X",
+                    "$C",
+                    "$H",
+                    "$HZ",
+                    "$SLP",
+                    "$RST=#",
+                    "$N0=G20",
+                    "$N1=",
+                    "$I=A",
+                    "$N0=G1X1F100",
+                    "$N0=",
+                ],
+            );
+        }
+        9 => {
+            write!(
+                line,
+                "$J=G91{}{}F{}",
+                of(random, &["X", "Y", "Z", "A", ""]),
+                number(random),
+                100 + random.below(3000)
+            )
+            .unwrap();
+        }
+        10 | 11 => {
+            // Resolution stays what the machine has; and rates and accelerations that a session can wait for.
+            let setting = of(
+                random,
+                &[
+                    "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27",
+                    "30", "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903",
+                    "999",
+                ],
+            );
+            write!(line, "${setting}={}", number(random)).unwrap();
+        }
+        12 => {
+            for _ in 0..random.below(100) {
+                line.push(char::from(b' ' + random.below(95) as u8));
+            }
+            // A setting of chance may take days.
+            line.retain(|c| !matches!(c, '$' | 'F' | 'f' | 'P' | 'p' | 'Q'));
+        }
+        13 => line += &"G1X1".repeat(random.below(90) as usize),
+        _ => {
+            for _ in 0..1 + random.below(5) {
+                line +=
+                    of(random, &["G", "M", "X", "Y", "Z", "S", "L", "I", "J", "K", "N", "R", "T", "(", ")", "/", "*"]);
+                line += &number(random);
+            }
+        }
+    }
+    line
+}
+
+/// One session; `what` names it.
+fn session(seed: u64) {
+    let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let mut bench = Bench::new(MACHINE, SETTINGS);
+    let mut history = String::new();
+    for _ in 0..ACTIONS {
+        match random.below(12) {
+            0..=6 => {
+                let mut bytes = line(&mut random).into_bytes();
+                bytes.extend(of(&mut random, &["\n", "\n", "\r\n", "\r"]).bytes());
+                if random.below(6) == 0 {
+                    let at = random.below(bytes.len() as u64) as usize;
+                    let byte = match random.below(4) {
+                        0 => b'!',
+                        1 => b'~',
+                        _ => 0x80 + random.below(0x30) as u8,
+                    };
+                    bytes.insert(at, byte);
+                }
+                write!(history, "{:?} ", String::from_utf8_lossy(&bytes)).unwrap();
+                bench.send(&bytes);
+            }
+            7 | 8 => {
+                let byte = match random.below(8) {
+                    0 => 0x18,
+                    1 => 0x19,
+                    2 => b'!',
+                    3 | 4 => b'~',
+                    5 => 0x84,
+                    6 => 0x85,
+                    _ => 0x80 + random.below(0x30) as u8,
+                };
+                write!(history, "{byte:#x} ").unwrap();
+                bench.send([byte]);
+            }
+            9 => {
+                let pin =
+                    of(&mut random, &["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe"]);
+                let text = format!("{pin} {}", random.below(2));
+                write!(history, "{text} ").unwrap();
+                bench.pin(&text);
+            }
+            _ => {
+                let time = [0.001, 0.01, 0.05, 0.3][random.below(4) as usize];
+                write!(history, "..{time} ").unwrap();
+                bench.wait(time);
+            }
+        }
+        let status = bench.status();
+        assert!(status.starts_with('<') && status.ends_with('>'), "{seed}: {status}\n{history}");
+        bench.read();
+    }
+    way_back(&mut bench, &format!("session {seed}: {history}"));
+}
+
+/// Whatever has happened: pins released, settings and the machine as at first, and it moves as it is told to.
+fn way_back(bench: &mut Bench, what: &str) {
+    for pin in ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe"] {
+        bench.pin(&format!("{pin} 0"));
+    }
+    for _ in 0..2 {
+        bench.send([0x18]);
+        bench.wait(0.2);
+    }
+    bench.read();
+    // The end of a line that a reset has cut off at its head.
+    bench.send("\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$N0=\n$N1=\n");
+    bench.wait(1.0);
+    bench.send([0x18]);
+    bench.wait(0.2);
+    bench.read();
+    let said = bench.ask("$X");
+    assert_eq!(said.last().map(String::as_str), Some("ok"), "{what}\n{said:?} {}", bench.status());
+    bench.settle();
+    assert_eq!(bench.state(), "Idle", "{what}");
+    let steps = bench.mill.trace().kept().last().map_or([0; AXES], |record| record.position);
+    assert_eq!(steps, bench.place(), "{what}");
+    let before = bench.reported();
+    for line in ["$0=10", "$11=0.01", "$12=0.002", "$32=0", "G21", "$J=G91 G21 X-0.1 Y0.2 F1000"] {
+        let said = bench.ask(line);
+        assert_eq!(said, ["ok"], "{line}: {what}");
+    }
+    bench.settle();
+    let after = bench.place();
+    assert_eq!([after[0] - steps[0], after[1] - steps[1]], [-25, 50], "{what}");
+    let reported = bench.reported();
+    // Counted from wherever homing or G92 has put zero.
+    let expected = [before[0] - 25.0, before[1] + 50.0, before[2]];
+    for axis in 0..AXES {
+        assert!((reported[axis] - expected[axis]).abs() < 0.3, "{what}: {reported:?} {expected:?}");
+    }
+}
+
+#[test]
+fn anything_may_happen() {
+    let number = |name: &str, default: u64| {
+        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+    };
+    let (sessions, first) = (number("OXMILL_FUZZ", 300), number("OXMILL_FUZZ_SEED", 1));
+    for seed in first..first + sessions {
+        session(seed);
+    }
+    println!("{sessions} sessions of {ACTIONS} actions");
+}
