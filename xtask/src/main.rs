@@ -5,6 +5,7 @@
 mod image;
 mod jobs;
 mod live;
+mod mutants;
 mod programs;
 mod qemu;
 mod suites;
@@ -30,6 +31,7 @@ usage:
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
+  cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
 boards: ";
 
@@ -50,6 +52,7 @@ fn main() -> ExitCode {
         ["converse"] => live::all(),
         ["job", name] => generate(name),
         ["count"] => suites::count(),
+        ["mutants", ref names @ ..] => mutants::run(names),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));

@@ -54,6 +54,8 @@ const GREATEST_ACCELERATION: f32 = 1.0e7;
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
 const GREATEST_OVERRIDE: f32 = 100.0;
+/// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
+const MOST_OVERRIDE: f32 = 2.0;
 
 /// What motion must know of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -170,8 +172,6 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     kinematics: Kinematics<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
-    /// No move is faster, whatever its direction.
-    greatest_speed2: f32,
     junction_deviation: f32,
     step_clock_hz: u32,
     pacer: Pacer,
@@ -190,6 +190,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     chain: Chain<N>,
     chain_broken: bool,
+    /// Greatest speed² on the chain under any override: bends that allow it need not be noted.
+    chain_speed2: f32,
     long: Option<LongMove<N>>,
 
     running: Running<N>,
@@ -239,10 +241,6 @@ fn step_clock<const N: usize>(settings: &MotionSettings<N>) -> u32 {
     settings.step_clock_hz.max(10_000)
 }
 
-fn square_sum(values: &[f32]) -> f32 {
-    values.iter().fold(0.0, |sum, value| sum + value * value)
-}
-
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
     ///
@@ -251,14 +249,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     #[inline(always)]
     pub fn new(settings: MotionSettings<N>) -> Self {
         let zero = PerAxis::all(0);
-        let max_rate = rates(&settings);
         let step_clock_hz = step_clock(&settings);
         Self {
             settings,
             kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
-            max_rate,
+            max_rate: rates(&settings),
             acceleration: accelerations(&settings),
-            greatest_speed2: square_sum(&max_rate),
             junction_deviation: deviation(&settings),
             step_clock_hz,
             pacer: Pacer::new(step_clock_hz),
@@ -272,6 +268,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             distance: 0.0,
             chain: Chain::new(),
             chain_broken: true,
+            chain_speed2: 0.0,
             long: None,
             running: Running {
                 active: false,
@@ -308,7 +305,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = rates(&settings);
         self.acceleration = accelerations(&settings);
-        self.greatest_speed2 = square_sum(&self.max_rate);
         self.junction_deviation = deviation(&settings);
         self.step_clock_hz = step_clock(&settings);
         self.pacer = Pacer::new(self.step_clock_hz);
@@ -498,10 +494,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             if self.chain_broken || turn2 > MOST_TURN {
                 self.chain.restart(&start);
                 self.chain_broken = false;
+                self.chain_speed2 = 0.0;
             }
+            let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+            self.chain_speed2 = greater(self.chain_speed2, fastest * fastest);
             let piece = Piece { start: &start, end: &m.target, direction: &unit, length: straight };
             self.chain.extend(&piece, &self.acceleration, |bend| {
-                if bend.speed2 < self.greatest_speed2 {
+                if bend.speed2 < self.chain_speed2 {
                     self.planner.limit(&bend);
                 }
             });
