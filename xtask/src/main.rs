@@ -5,6 +5,7 @@
 mod image;
 mod jobs;
 mod live;
+mod mutants;
 mod programs;
 mod qemu;
 mod recordings;
@@ -34,6 +35,7 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
   cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
 boards: ";
 
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
         ["virtual"] => virtual_board::check(None),
         ["virtual", board] => virtual_board::check(Some(board)),
         ["count"] => suites::count(),
+        ["mutants", ref names @ ..] => mutants::run(names),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));

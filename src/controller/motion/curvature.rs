@@ -63,6 +63,11 @@ struct Span<const N: usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Chain<const N: usize> {
     spans: [Span<N>; SPANS.len()],
+    /// So many of the spans are no longer than the last piece: its ends are their points, and what they know stands here
+    /// only. On moves that are long anyway nothing is gathered at all.
+    whole: usize,
+    direction: [f32; N],
+    length: f32,
 }
 
 /// A piece of the path: where it ends, its unit vector and length.
@@ -97,13 +102,13 @@ pub(super) fn bend_speed2<const N: usize>(
     acceleration: &[f32; N],
 ) -> f32 {
     let [first, second] = lengths;
-    let turn = square_root(turn2);
     // Each end of a piece turns it by NOISE / length.
-    let sure = turn - 2.0 * NOISE * (first + second) / (first * second);
+    let noise = 2.0 * NOISE * (first + second) / (first * second);
     // A turn that is all noise; or back, which is a corner and no bend.
-    if sure <= 0.0 || turn2 >= 3.999 {
+    if turn2 <= noise * noise || turn2 >= 3.999 {
         return UNLIMITED2;
     }
+    let sure = square_root(turn2) - noise;
     let (normal, tangent) = (1.0 / turn2, 1.0 / (4.0 - turn2));
     let mut least2 = UNLIMITED2;
     for ((a, b), limit) in before.iter().zip(after).zip(acceleration) {
@@ -126,11 +131,12 @@ impl<const N: usize> Chain<N> {
             length: 0.0,
             before: 0,
         };
-        Self { spans: [span; SPANS.len()] }
+        Self { spans: [span; SPANS.len()], whole: 0, direction: [0.0; N], length: 0.0 }
     }
 
     /// Begins anew at a corner.
     pub(super) fn restart(&mut self, place: &PerAxis<Coordinate, N>) {
+        self.whole = 0;
         for span in &mut self.spans {
             span.knot = *place;
             span.path = 0.0;
@@ -141,70 +147,77 @@ impl<const N: usize> Chain<N> {
 
     /// Goes on with a straight piece, the next block, and tells what bends have been found.
     pub(super) fn extend(&mut self, piece: &Piece<'_, N>, acceleration: &[f32; N], mut found: impl FnMut(Bend)) {
-        // A piece longer than a span ends what was gathered before it.
-        if SPANS.first().is_some_and(|shortest| piece.length >= *shortest) {
-            self.advance(piece.start, 0.0, 0, piece.length, None, acceleration, &mut |bend: Bend| {
-                // The long piece is the newest block, and begins where the span ends.
+        let whole = SPANS.iter().take_while(|span| **span <= piece.length).count();
+        if self.whole < whole {
+            // Shorter spans end where the piece begins. It is the newest block already.
+            self.advance(self.whole, whole, piece.start, 0.0, 0, acceleration, &mut |bend: Bend| {
                 found(Bend { blocks: bend.blocks + 1, ..bend });
             });
         }
-        self.advance(piece.end, piece.length, 1, 0.0, Some(piece), acceleration, &mut found);
+        for span in self.spans.iter_mut().take(self.whole).skip(whole) {
+            span.knot = *piece.start;
+            span.direction = self.direction;
+            span.length = self.length;
+            span.before = 1;
+            span.path = 0.0;
+            span.blocks = 0;
+        }
+        self.advance(whole, whole, piece.end, piece.length, 1, acceleration, &mut found);
+        self.whole = whole;
+        self.direction = *piece.direction;
+        self.length = piece.length;
     }
 
-    /// Makes `place` a knot of all spans that are long enough with `path` and `blocks` more, or not longer than `least`.
+    /// Makes `place` a point of the spans from `first` on: of those before `forced` in any case, and of those that are long
+    /// enough with `path` and `blocks` more, up to the first that is not.
     #[allow(clippy::too_many_arguments, reason = "one loop for both ends of a piece")]
     #[inline]
     fn advance(
         &mut self,
+        first: usize,
+        forced: usize,
         place: &PerAxis<Coordinate, N>,
         mut path: f32,
         mut blocks: usize,
-        least: f32,
-        whole: Option<&Piece<'_, N>>,
         acceleration: &[f32; N],
         found: &mut impl FnMut(Bend),
     ) {
-        for (span, limit) in self.spans.iter_mut().zip(SPANS) {
+        for (index, (span, limit)) in self.spans.iter_mut().zip(SPANS).enumerate().skip(first) {
             span.path += path;
             span.blocks += blocks;
-            if span.path < limit && least < limit {
+            if span.path < limit && index >= forced {
                 return;
             }
             if span.blocks == 0 {
                 continue;
             }
             (path, blocks) = (span.path, span.blocks);
-            let (direction, length) = match whole {
-                Some(piece) if blocks == 1 => (*piece.direction, piece.length),
-                _ => {
-                    let way = place.zip(&span.knot, |to, from| super::in_mm(to - from));
-                    let mut square = 0.0;
-                    for part in way.iter() {
-                        square += part * part;
-                    }
-                    let length = square_root(square);
-                    if length >= STRAIGHTNESS * path {
-                        (way.0.map(|part| part / length), length)
-                    } else {
-                        ([0.0; N], 0.0)
-                    }
-                }
-            };
+            let way = place.zip(&span.knot, |to, from| super::in_mm(to - from));
+            let mut square = 0.0;
+            for part in way.iter() {
+                square += part * part;
+            }
+            let length = square_root(square);
+            let before = core::mem::replace(&mut span.before, 0);
+            span.knot = *place;
+            span.path = 0.0;
+            span.blocks = 0;
+            if length < STRAIGHTNESS * path || length <= 0.0 {
+                continue;
+            }
+            let direction = way.0.map(|part| part / length);
             // Where both are single blocks the corner itself has been looked at.
-            if span.before > 0 && length > 0.0 && span.before + blocks > 2 {
+            if before > 0 && before + blocks > 2 {
                 let turn2 = turn2(&span.direction, &direction);
                 if turn2 <= MOST_TURN {
                     let lengths = [span.length, length];
                     let speed2 = bend_speed2(&span.direction, &direction, turn2, lengths, acceleration);
-                    found(Bend { speed2, blocks: span.before + blocks });
+                    found(Bend { speed2, blocks: before + blocks });
                 }
             }
-            span.knot = *place;
             span.direction = direction;
             span.length = length;
-            span.before = if length > 0.0 { blocks } else { 0 };
-            span.path = 0.0;
-            span.blocks = 0;
+            span.before = blocks;
         }
     }
 }

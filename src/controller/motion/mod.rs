@@ -59,6 +59,8 @@ const GREATEST_ACCELERATION: f32 = 1.0e7;
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
 const GREATEST_OVERRIDE: f32 = 100.0;
+/// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
+const MOST_OVERRIDE: f32 = 2.0;
 
 /// What motion must know of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -192,8 +194,6 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     backlash: Backlash<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
-    /// No move is faster, whatever its direction.
-    greatest_speed2: f32,
     junction_deviation: f32,
     step_clock_hz: u32,
     pacer: Pacer,
@@ -214,6 +214,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     chain: Chain<N>,
     chain_broken: bool,
+    /// Greatest speed² on the chain under any override: bends that allow it need not be noted.
+    chain_speed2: f32,
     long: Option<LongMove<N>>,
 
     running: Running<N>,
@@ -292,7 +294,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             backlash: Backlash::NONE,
             max_rate: [1.0; N],
             acceleration: [1.0; N],
-            greatest_speed2: 0.0,
             junction_deviation: 0.0,
             step_clock_hz,
             pacer: Pacer::new(step_clock_hz),
@@ -307,6 +308,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             tool_stands: false,
             chain: Chain::new(),
             chain_broken: true,
+            chain_speed2: 0.0,
             long: None,
             running: Running {
                 active: false,
@@ -344,7 +346,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
         self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
-        self.greatest_speed2 = self.max_rate.iter().fold(0.0, |sum, rate| sum + rate * rate);
         self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
@@ -546,10 +547,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             if self.chain_broken || turn2 > MOST_TURN {
                 self.chain.restart(&start);
                 self.chain_broken = false;
+                self.chain_speed2 = 0.0;
             }
+            let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+            self.chain_speed2 = greater(self.chain_speed2, fastest * fastest);
             let piece = Piece { start: &start, end: &m.target, direction: &unit, length: straight };
             self.chain.extend(&piece, &self.acceleration, |bend| {
-                if bend.speed2 < self.greatest_speed2 {
+                if bend.speed2 < self.chain_speed2 {
                     self.planner.limit(&bend);
                 }
             });

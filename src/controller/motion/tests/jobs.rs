@@ -102,7 +102,7 @@ fn circle(radius: f64, chord: f64, turns: f64) -> impl Iterator<Item = [f64; 3]>
 
 #[test]
 fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
-    for (radius, chord) in [(5.0, 0.1), (1.0, 0.02), (20.0, 0.3), (60.0, 0.2)] {
+    for (radius, chord, turns) in [(5.0, 0.1, 1.2), (1.0, 0.02, 2.0), (20.0, 0.3, 0.6), (60.0, 0.2, 0.4)] {
         for lead in [0.0, 30.0] {
             // The junction rule alone allows several times as much.
             let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 500.0));
@@ -111,7 +111,7 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
                 rig.moves.push_back(to([0.0, -lead, 0.0], Speed::Rapid));
                 rig.moves.push_back(to([0.0, 0.0, 0.0], Speed::Feed(300.0)));
             }
-            for point in circle(radius, chord, 1.2) {
+            for point in circle(radius, chord, turns) {
                 rig.moves.push_back(to(point, Speed::Feed(300.0)));
             }
             rig.run();

@@ -1,0 +1,216 @@
+//! Named faults of motion that the tests must see: each is put into a copy of the tree, and the tests of motion have to fail
+//! there. A fault that leaves them green is a hole in the tests; a text that is not found any more, a fault to be written
+//! anew. Some minutes long, so it is run by hand: `cargo xtask mutants [NAME..]`.
+
+use crate::{Failure, root};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// Where a fault goes: file, what stands there, what it becomes.
+struct Edit {
+    file: &'static str,
+    find: &'static str,
+    replace: &'static str,
+}
+
+struct Mutant {
+    name: &'static str,
+    /// All of these are made.
+    edits: &'static [Edit],
+}
+
+const MOTION: &str = "src/controller/motion/mod.rs";
+const PLANNER: &str = "src/controller/motion/planner.rs";
+const STEPPER: &str = "src/controller/motion/stepper.rs";
+
+const MUTANTS: &[Mutant] = &[
+    Mutant {
+        name: "no-reverse-pass",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "let entry2 = lesser(block.max_entry2, reachable2);",
+            replace: "let _ = reachable2;\n            let entry2 = block.max_entry2;",
+        }],
+    },
+    Mutant {
+        name: "one-axis-ignored",
+        edits: &[Edit {
+            file: MOTION,
+            find: "in way.iter().zip(self.acceleration).zip(self.max_rate) {",
+            replace: "in way.iter().zip(self.acceleration).zip(self.max_rate).skip(1) {",
+        }],
+    },
+    Mutant {
+        name: "no-junction-rule",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "lesser(corner2, bend_speed2(",
+            replace: "lesser(corner2 * 1.0e9, bend_speed2(",
+        }],
+    },
+    Mutant {
+        name: "no-curvature-rule",
+        edits: &[
+            Edit {
+                file: PLANNER,
+                find: "lesser(corner2, bend_speed2(",
+                replace: "lesser(corner2, 1.0e9 * bend_speed2(",
+            },
+            Edit { file: MOTION, find: "if bend.speed2 < self.chain_speed2 {", replace: "if bend.speed2 < 0.0 {" },
+        ],
+    },
+    Mutant {
+        name: "no-curvature-of-spans",
+        edits: &[Edit {
+            file: MOTION,
+            find: "if bend.speed2 < self.chain_speed2 {",
+            replace: "if bend.speed2 < 0.0 {",
+        }],
+    },
+    Mutant {
+        name: "fraction-of-a-tick-dropped",
+        edits: &[Edit {
+            file: STEPPER,
+            find: "self.carry = due & FRACTION_MASK;",
+            replace: "self.carry = due & FRACTION_MASK & 0;",
+        }],
+    },
+    Mutant {
+        name: "remainder-of-a-segment-dropped",
+        edits: &[Edit {
+            file: "src/controller/motion/segment.rs",
+            find: "self.remainder = remainder;",
+            replace: "self.remainder = remainder & 0;",
+        }],
+    },
+    Mutant {
+        name: "hold-without-ramp",
+        edits: &[Edit {
+            file: MOTION,
+            find: "self.hold = if self.rest { Hold::Held } else { Hold::Ramp };",
+            replace: "self.hold = Hold::Held;",
+        }],
+    },
+    Mutant {
+        name: "hold-twice-as-hard",
+        edits: &[Edit {
+            file: MOTION,
+            find: "let way = self.pace.speed2 / (2.0 * run.acceleration);",
+            replace: "let way = self.pace.speed2 / (4.0 * run.acceleration);",
+        }],
+    },
+    Mutant {
+        name: "underrun-steps-on",
+        edits: &[Edit {
+            file: STEPPER,
+            find: "            let underrun = !self.last;\n",
+            replace: "            if !self.last {\n                self.ticks = 1;\n                self.segment_ticks += 1;\n                \
+                let interval = self.interval >> INTERVAL_FRACTION_BITS;\n                return Tick { steps, directions: \
+                self.directions, interval, power: self.power, underrun: false };\n            }\n            let underrun = \
+                !self.last;\n",
+        }],
+    },
+    Mutant {
+        name: "direction-one-tick-late",
+        edits: &[
+            Edit {
+                file: STEPPER,
+                find: "        let mut steps = 0;\n",
+                replace: "        let late = self.directions;\n        let mut steps = 0;\n",
+            },
+            Edit {
+                file: STEPPER,
+                find: "Tick { steps, directions: self.directions, interval, power: self.power, underrun: false }",
+                replace: "Tick { steps, directions: late, interval, power: self.power, underrun: false }",
+            },
+        ],
+    },
+    Mutant {
+        name: "override-in-one-jump",
+        edits: &[Edit {
+            file: MOTION,
+            find: "        self.running.nominal2 = nominal2;\n",
+            replace: "        self.running.nominal2 = nominal2;\n        self.pace = Pace { speed: nominal, speed2: nominal2 };\n",
+        }],
+    },
+];
+
+/// What is copied: everything that the tests of motion are built from.
+const COPIED: [&str; 9] =
+    ["Cargo.toml", "Cargo.lock", "rust-toolchain.toml", "src", "boards", "tests", "xtask", "examples", ".cargo"];
+
+/// `cargo xtask mutants [NAME..]`.
+pub fn run(names: &[&str]) -> Result<(), Failure> {
+    for name in names {
+        if !MUTANTS.iter().any(|mutant| mutant.name == *name) {
+            let all: Vec<&str> = MUTANTS.iter().map(|mutant| mutant.name).collect();
+            return Err(format!("there is no mutant `{name}`; there are {}", all.join(", ")));
+        }
+    }
+    let tree = root().join("target/mutants/tree");
+    let mut survivors = Vec::new();
+    copy_all(&tree)?;
+    if !tests_pass(&tree)? {
+        return Err("the tests fail without a fault".into());
+    }
+    for mutant in MUTANTS.iter().filter(|mutant| names.is_empty() || names.contains(&mutant.name)) {
+        copy_all(&tree)?;
+        for edit in mutant.edits {
+            let path = tree.join(edit.file);
+            let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+            if text.matches(edit.find).count() != 1 {
+                return Err(format!("{}: `{}` stands not exactly once in {}", mutant.name, edit.find, edit.file));
+            }
+            fs::write(&path, text.replace(edit.find, edit.replace)).map_err(|error| error.to_string())?;
+        }
+        // A fault that does not compile is no fault.
+        if !tests(&tree, &["--no-run"])? {
+            return Err(format!("{} does not compile", mutant.name));
+        }
+        let seen = !tests_pass(&tree)?;
+        println!("mutant {} ... {}", mutant.name, if seen { "seen" } else { "NOT SEEN" });
+        if !seen {
+            survivors.push(mutant.name);
+        }
+    }
+    if survivors.is_empty() { Ok(()) } else { Err(format!("the tests do not see {}", survivors.join(", "))) }
+}
+
+/// Brings the copy into line, and touches only what differs: the rest need not be built again.
+fn copy_all(tree: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(tree).map_err(|error| error.to_string())?;
+    COPIED.iter().try_for_each(|name| copy(&root().join(name), &tree.join(name)))
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
+    let failure = |error: std::io::Error| format!("{}: {error}", from.display());
+    if from.is_dir() {
+        fs::create_dir_all(to).map_err(failure)?;
+        for entry in fs::read_dir(from).map_err(failure)? {
+            let entry = entry.map_err(failure)?;
+            copy(&entry.path(), &to.join(entry.file_name()))?;
+        }
+        return Ok(());
+    }
+    let wanted = fs::read(from).map_err(failure)?;
+    if fs::read(to).is_ok_and(|there| there == wanted) {
+        return Ok(());
+    }
+    fs::write(to, wanted).map_err(failure)
+}
+
+/// The tests of motion in the copy; the step traces of whole jobs first.
+fn tests_pass(tree: &Path) -> Result<bool, Failure> {
+    Ok(tests(tree, &["--test", "machine", "--", "motion_properties"])?
+        && tests(tree, &["--package", "oxmill-controller", "--lib", "--", "motion::tests::stops", "motion::segment"])?)
+}
+
+fn tests(tree: &Path, arguments: &[&str]) -> Result<bool, Failure> {
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo.current_dir(tree).env("CARGO_TARGET_DIR", root().join("target/mutants/build")).args(["test", "--quiet"]);
+    let all: &[&str] = &["--package", "oxmill", "--package", "oxmill-controller", "--test", "machine", "--lib"];
+    cargo.args(if arguments == ["--no-run"] { all } else { &[] }).args(arguments);
+    let status = cargo.stdout(Stdio::null()).stderr(Stdio::null()).status().map_err(|error| error.to_string())?;
+    Ok(status.success())
+}
