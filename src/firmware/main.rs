@@ -35,7 +35,7 @@ macro_rules! firmware {
     (device: $pac:path, serial: $serial:ident, step: $step:ident, dispatcher: $dispatcher:ident) => {
         /// Calls the step task.
         pub fn pend_step() {
-            rtic::pend(boards::pac::Interrupt::$step);
+            boards::call_step();
         }
 
         /// Calls the serial task.

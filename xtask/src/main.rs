@@ -2,12 +2,16 @@
 //!
 //! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` end here.
 
+mod count;
+mod elf;
 mod image;
 mod jobs;
 mod live;
 mod programs;
 mod qemu;
+mod reach;
 mod suites;
+mod thumb;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -28,7 +32,7 @@ usage:
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
   cargo xtask job NAME       writes a program of examples/ to standard output
-  cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
+  cargo xtask count          what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU
 boards: ";
 
 /// What went wrong, for people.
@@ -46,7 +50,7 @@ fn main() -> ExitCode {
         ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", board] => known(board).and_then(suites::on_board),
         ["job", name] => generate(name),
-        ["count"] => suites::count(),
+        ["count"] => count::count(),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
             return ExitCode::from(2);

@@ -18,6 +18,7 @@
 
 use crate::axes::PerAxis;
 use crate::messages::{INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Finest smoothing: a tick advances one unit.
 pub const MAX_LEVEL: u8 = 4;
@@ -80,8 +81,10 @@ pub struct Stepper<const N: usize> {
     course: Course<N>,
     /// Moment of the next tick, 32 bits of step-clock ticks before 32 of their fraction.
     moment: u64,
-    /// State of the probe that is waited for.
-    watch: Option<bool>,
+    /// A state of the probe is waited for.
+    is_watching: bool,
+    /// The state it is to have.
+    watched: bool,
 
     /// Units of the block at the end of the segment.
     end_units: u32,
@@ -95,6 +98,8 @@ pub struct Stepper<const N: usize> {
     next_units: u32,
     gate_shut: bool,
     stops: u8,
+    /// Where the probe has been seen.
+    touched: Place<N>,
 }
 
 impl<const N: usize> Piece<N> {
@@ -175,7 +180,8 @@ impl<const N: usize> Stepper<N> {
             piece: Piece::REST,
             course: Course::NOWHERE,
             moment: 0,
-            watch: None,
+            is_watching: false,
+            watched: false,
             end_units: 0,
             base: [0; N],
             begun: 0,
@@ -185,6 +191,7 @@ impl<const N: usize> Stepper<N> {
             next_units: 0,
             gate_shut: false,
             stops: 0,
+            touched: Place::START,
         }
     }
 
@@ -226,7 +233,10 @@ impl<const N: usize> Stepper<N> {
                 }
             }
             ToStep::Reenter { units } => self.next_units = units,
-            ToStep::Watch { probe } => self.watch = probe,
+            ToStep::Watch { probe } => {
+                self.is_watching = probe.is_some();
+                self.watched = probe == Some(true);
+            }
             ToStep::Resume { .. } => {}
         }
     }
@@ -258,30 +268,59 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
-    #[inline(always)]
+    #[inline]
     pub fn tick(&mut self) -> Tick {
+        if !self.ends_segment() {
+            return self.tick_within();
+        }
+        let steps = self.step_axes();
+        self.piece.ticks = 0;
+        if self.begin_segment() {
+            return self.set_out(steps);
+        }
+        let underrun = self.run_out();
+        Tick { steps, directions: self.course.directions, interval: 0, power: self.piece.power, underrun }
+    }
+
+    /// The same for a tick that does not end its segment, which most do.
+    #[inline(always)]
+    pub fn tick_within(&mut self) -> Tick {
+        let steps = self.step_axes();
+        self.piece.ticks = self.piece.ticks.wrapping_sub(1);
+        self.set_out(steps)
+    }
+
+    #[inline(always)]
+    fn step_axes(&mut self) -> u8 {
         let mut steps = 0;
         let threshold = self.course.threshold;
-        for (bit, (left, increment)) in self.left.iter_mut().zip(self.piece.increments).enumerate() {
-            let (rest, passed) = left.overflowing_sub(increment);
-            *left = if passed { rest.wrapping_add(threshold) } else { rest };
-            steps |= u8::from(passed) << bit;
-        }
-        if self.ends_segment() {
-            self.piece.ticks = 0;
-            if !self.begin_segment() {
-                let underrun = self.run_out();
-                let Self { course: Course { directions, .. }, piece: Piece { power, .. }, .. } = *self;
-                return Tick { steps, directions, interval: 0, power, underrun };
+        for (bit, (left, increment)) in self.left.iter_mut().zip(&self.piece.increments).enumerate() {
+            let (mut rest, passed) = left.overflowing_sub(*increment);
+            if passed {
+                rest = rest.wrapping_add(threshold);
+                steps |= 1 << bit;
             }
-        } else {
-            self.piece.ticks -= 1;
+            *left = rest;
+            // One axis after the other: all at once they need more registers than an interrupt gets for nothing.
+            compiler_fence(Ordering::SeqCst);
         }
+        steps
+    }
+
+    /// Sets the moment of the next tick.
+    #[inline(always)]
+    fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
         self.moment = self.moment.wrapping_add(u64::from(self.piece.interval) << FRACTION_SHIFT);
         self.piece.interval = self.piece.interval.wrapping_add_signed(self.piece.ramp);
         let interval = self.moment().wrapping_sub(now);
         Tick { steps, directions: self.course.directions, interval, power: self.piece.power, underrun: false }
+    }
+
+    /// Directions of the next step, as in [`Tick::directions`].
+    #[inline]
+    pub fn directions(&self) -> u8 {
+        self.course.directions
     }
 
     /// Whether the next tick is the last of its segment, or begins to move: it costs more than the others.
@@ -379,21 +418,29 @@ impl<const N: usize> Stepper<N> {
     /// Whether [`Stepper::probe`] is to be called after each tick.
     #[inline]
     pub fn is_watching(&self) -> bool {
-        self.watch.is_some()
+        self.is_watching
     }
 
-    /// Looks at the probe. The first time it has the awaited state the place is latched; motion goes on.
-    pub fn probe(&mut self, active: bool) -> Option<StepEvent<N>> {
-        if self.watch != Some(active) {
-            return None;
+    /// Looks at the probe; whether it has the awaited state for the first time. The place is latched, and motion goes on;
+    /// the report is at [`Stepper::probed_event`].
+    #[inline]
+    pub fn probe(&mut self, active: bool) -> bool {
+        let touched = self.is_watching && self.watched == active;
+        if touched {
+            self.is_watching = false;
+            self.touched = self.place();
         }
-        self.watch = None;
-        Some(StepEvent::Probed { position: self.position() })
+        touched
+    }
+
+    /// The report that belongs to [`Stepper::probe`].
+    pub fn probed_event(&self) -> StepEvent<N> {
+        StepEvent::Probed { position: self.touched.position() }
     }
 
     #[cold]
     fn shut(&mut self) {
-        self.watch = None;
+        self.is_watching = false;
         self.base = self.position().0;
         self.course = Course { directions: self.course.directions, ..Course::NOWHERE };
         self.left = [0; N];
@@ -425,20 +472,44 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Net steps of each axis since power-up (wrapping), all steps of the ticks so far included.
-    ///
-    /// Derived from the progress within the block, so that no tick has to count. Steps taken × threshold = steps × units +
-    /// left - half a threshold, to the last bit; so the quotient needs no division: below 2^32 it is the product with the
-    /// inverse of the threshold's odd part.
     pub fn position(&self) -> PerAxis<i32, N> {
-        let (units, threshold) = (self.units(), self.course.threshold);
+        self.place().position()
+    }
+
+    #[inline(always)]
+    fn place(&self) -> Place<N> {
+        let course = &self.course;
+        Place { base: self.base, way: course.way, left: self.left, threshold: course.threshold, units: self.units() }
+    }
+}
+
+/// All that a position follows from, so that no tick has to count and a probe's tick not to compute.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Place<const N: usize> {
+    base: [i32; N],
+    way: [i32; N],
+    left: [u32; N],
+    threshold: u32,
+    units: u32,
+}
+
+impl<const N: usize> Place<N> {
+    const START: Self = Self { base: [0; N], way: [0; N], left: [0; N], threshold: 0, units: 0 };
+
+    /// Net steps. Steps taken × threshold = steps × units + left - half a threshold, to the last bit; so the quotient
+    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
+    #[inline(never)]
+    fn position(&self) -> PerAxis<i32, N> {
+        let threshold = self.threshold;
         let mut position = self.base;
         if threshold == 0 {
             return PerAxis(position);
         }
         let even = threshold.trailing_zeros();
         let inverse = inverse(threshold >> even);
-        for ((value, way), left) in position.iter_mut().zip(self.course.way).zip(self.left) {
-            let sum = u64::from(way.unsigned_abs()) * u64::from(units) + u64::from(left);
+        for ((value, way), left) in position.iter_mut().zip(self.way).zip(self.left) {
+            let sum = u64::from(way.unsigned_abs()) * u64::from(self.units) + u64::from(left);
             let whole = sum.wrapping_sub(u64::from(threshold / 2));
             let taken = ((whole >> even) as u32).wrapping_mul(inverse);
             *value = signed_add(*value, taken, way < 0);
