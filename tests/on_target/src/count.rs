@@ -74,7 +74,7 @@ static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 extern "C" fn unit_step() {
     let before = cortex_m::register::basepri::read();
     // SAFETY: unsafe because a static is changed; safe because `main` has put the task there and nothing interrupts.
-    unsafe { (*(&raw mut STEP)).assume_init_mut().run() };
+    unsafe { (&raw mut STEP).cast::<Step>().as_mut_unchecked().run() };
     // SAFETY: unsafe because a critical section might end; safe because there is none.
     unsafe { cortex_m::register::basepri::write(before) };
 }
@@ -177,7 +177,7 @@ fn step_task() {
     let pins = boards::StepPins::at([pin(1), pin(2), pin(3)], [pin(4), pin(5), pin(6)], pin(15), 19_200, ());
     let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
-    unsafe { (*(&raw mut STEP)).write(step) };
+    unsafe { (&raw mut STEP).cast::<Step>().write(step) };
     let mut registers = Registers;
     row_none();
     let all = [1000; 3];
