@@ -16,6 +16,7 @@
 //! | `SerialPort` | the link to the host |
 //! | `InputPins` | limit switches, probe, buttons, as they are now |
 //! | `SlowPins` | driver enable, spindle, coolant |
+//! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
 //! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle and coolant off |
 //! | `preloaded_job()` | a job that somebody put into RAM before the reset; no board but QEMU has one |
 //! | `job_done()` | the end of a preloaded job |
@@ -50,9 +51,15 @@ pub use chosen::*;
 
 use oxmill_controller::Profile;
 
-/// What the controller must know of a board. No board has a settings store yet.
+/// What the controller must know of a board. No board has pins for a second motor yet.
 const fn profile(board: &profiles::Board) -> Profile {
-    Profile { name: board.name, step_clock_hz: board.step_clock_hz, safe_step_hz: board.safe_step_hz, has_store: false }
+    Profile {
+        name: board.name,
+        step_clock_hz: board.step_clock_hz,
+        safe_step_hz: board.safe_step_hz,
+        has_second_motor: false,
+        has_store: true,
+    }
 }
 
 /// Levels of the slow outputs as they appear on the pins.

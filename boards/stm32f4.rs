@@ -15,6 +15,14 @@ use stm32f4xx_hal::{
 use super::stm32f4_step::{self as step, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
 use super::{Incoming, SlowLevels};
 
+#[path = "stm32f4_flash.rs"]
+mod flash;
+#[path = "stm32f4_shelter.rs"]
+mod shelter;
+
+pub use flash::SettingsFlash;
+use shelter::{Sheltered, Taken, shelter};
+
 /// A whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
@@ -120,18 +128,22 @@ pub const BAUD: u32 = 115_200;
 pub struct Usart<U: Instance> {
     rx: Rx<U>,
     tx: Tx<U>,
+    taken: Taken,
 }
 
 impl<U: Instance> Usart<U> {
     /// Begins to listen.
     pub fn new(tx: Tx<U>, mut rx: Rx<U>) -> Self {
         rx.listen();
-        Usart { rx, tx }
+        Usart { rx, tx, taken: Taken::default() }
     }
 
     /// The next byte, if one has come.
     #[inline]
     pub fn receive(&mut self) -> Incoming {
+        if let Some(byte) = self.taken.next() {
+            return Incoming::Byte(byte);
+        }
         match self.rx.read() {
             Ok(byte) => Incoming::Byte(byte),
             Err(nb::Error::WouldBlock) => Incoming::Nothing,
@@ -230,6 +242,14 @@ pub struct Parts<U: Instance, const S: usize, const D: usize> {
     pub inputs: InputPins,
     /// For `control`.
     pub slow_pins: SlowPins,
+    /// For `control`.
+    pub settings_flash: SettingsFlash,
+}
+
+/// The settings sectors, with a shelter for what the USART receives meanwhile.
+pub fn settings_flash<U: Sheltered>(flash: pac::FLASH, rcc: &mut Rcc) -> SettingsFlash {
+    U::switch_on(rcc);
+    SettingsFlash::new(flash, shelter::<U>)
 }
 
 /// Nobody puts a job into the RAM of a board.

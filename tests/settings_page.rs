@@ -1,6 +1,6 @@
 //! `docs/settings.md` is made from the table of settings; this holds the two together.
 
-use oxmill_controller::settings::{Entry, Kind, PER_AXIS, SCALARS};
+use oxmill_controller::settings::{Entry, Kind, PER_AXIS, SCALARS, Settings};
 use std::fmt::Write;
 
 const HEAD: &str = "# Settings
@@ -15,25 +15,30 @@ In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only. This page i
 |---|---|---|---|---|---|
 ";
 
-fn row(page: &mut String, number: &str, entry: &Entry) {
+fn row(page: &mut String, number: &str, entry: &Entry, default: &str) {
     let values = match entry.kind {
         Kind::Whole(least, greatest) => format!("{least} to {greatest}"),
         Kind::Switch => "0 or 1".into(),
         Kind::Real | Kind::Speed => "0 and above".into(),
         Kind::Place => "any".into(),
+        Kind::Axes => "axes of the machine".into(),
     };
     let known = if entry.grbl { "yes" } else { "" };
-    let _ = writeln!(page, "| {number} | {} | {} | {values} | {} | {known} |", entry.name, entry.unit, entry.default);
+    let _ = writeln!(page, "| {number} | {} | {} | {values} | {default} | {known} |", entry.name, entry.unit);
 }
 
 #[test]
 fn the_page_is_the_table() {
     let mut page = HEAD.to_string();
     for entry in SCALARS {
-        row(&mut page, &entry.number.to_string(), &entry);
+        row(&mut page, &entry.number.to_string(), &entry, &entry.default.to_string());
     }
     for entry in PER_AXIS {
-        row(&mut page, &format!("{}, {}, {}", entry.number, entry.number + 1, entry.number + 2), &entry);
+        let numbers = [0, 1, 2].map(|axis| entry.number + axis);
+        let mut defaults: Vec<String> =
+            numbers.iter().map(|n| Settings::<3>::default().by_number(*n).unwrap_or(f32::NAN).to_string()).collect();
+        defaults.dedup();
+        row(&mut page, &numbers.map(|n| n.to_string()).join(", "), &entry, &defaults.join(", "));
     }
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/settings.md");
     if std::env::var_os("OXMILL_WRITE_DOCS").is_some() {

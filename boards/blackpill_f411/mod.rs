@@ -51,7 +51,8 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SlowPins, StepTimer, call_step, clock_ticks, halt, idle, job_done, preloaded_job, safe_state,
+    InputPins, SettingsFlash, SlowPins, StepTimer, call_step, clock_ticks, halt, idle, job_done, preloaded_job,
+    safe_state,
 };
 pub use super::stm32f4_step::Due;
 use super::{profiles, stm32f4};
@@ -131,5 +132,6 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         serial: SerialPort::new(tx, rx),
         inputs,
         slow_pins,
+        settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
     }
 }

@@ -4,10 +4,12 @@
 //! ```text
 //!   ┌───────────────────────────────────────────────────┐
 //!   │ UART0 ── the host (a TCP port of QEMU)            │
-//!   │ UART1 ── test stand: any byte in, one report out  │
+//!   │ UART1 ── test stand: any byte in, one report out; │
+//!   │          `R` resets the machine                   │
 //!   │ TIMER0 ─ next tick, end of pulse, settling        │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
+//!   │ SSRAM    in place of flash, settings sectors too  │
 //!   │ PSRAM 0x2100_0000  "JOB!", length, text: optional │
 //!   └───────────────────────────────────────────────────┘
 //! ```
@@ -27,6 +29,9 @@ use oxmill_controller::{Profile, digest::Digest};
 pub use mps2_pac as pac;
 
 use super::{Incoming, SlowLevels, profiles};
+
+mod flash;
+pub use flash::SettingsFlash;
 
 /// The row of this board.
 pub const PROFILE: Profile = super::profile(&profiles::QEMU_MPS2);
@@ -55,6 +60,8 @@ pub struct Parts {
     pub inputs: InputPins,
     /// For `control`.
     pub slow_pins: SlowPins,
+    /// For `control`.
+    pub settings_flash: SettingsFlash,
 }
 
 /// Starts timers and UARTs.
@@ -78,6 +85,7 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
         serial: SerialPort(device.UART0),
         inputs: InputPins,
         slow_pins: SlowPins,
+        settings_flash: SettingsFlash::new(),
     }
 }
 
@@ -395,10 +403,13 @@ pub fn idle() {
         semihosting::process::exit(0);
     }
     let asked = critical_section::with(|cs| {
-        REPORTER.borrow_ref(cs).as_ref().is_some_and(|uart| uart.state() & Uart1::RX_FULL != 0 && uart.data() != 0)
+        let reporter = REPORTER.borrow_ref(cs);
+        reporter.as_ref().filter(|uart| uart.state() & Uart1::RX_FULL != 0).map(|uart| uart.data() as u8)
     });
-    if asked {
-        send_record();
+    match asked {
+        Some(b'R') => cortex_m::peripheral::SCB::sys_reset(),
+        Some(_) => send_record(),
+        None => {}
     }
     cortex_m::asm::wfi();
 }

@@ -61,6 +61,16 @@ impl Axis {
     }
 }
 
+/// How the motors move the tool.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Arrangement {
+    /// Each motor moves one axis.
+    #[default]
+    Cartesian,
+    /// The motors of X and Y move the tool by the sum and the difference of X and Y.
+    CoreXy,
+}
+
 /// One value for each axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PerAxis<T, const N: usize>(pub [T; N]);

@@ -140,8 +140,9 @@ pub enum Alarm {
     HomingDoor = 7,
     HomingPullOff = 8,
     HomingNoSwitch = 9,
+    HomingSquaring = 10,
     /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
-    /// 10 on are taken by other controllers, so one above theirs.
+    /// 11 on are taken by other controllers, so one above theirs.
     Underrun = 100,
 }
 
@@ -163,6 +164,7 @@ impl Alarm {
             Alarm::HomingDoor => "the door opened during homing",
             Alarm::HomingPullOff => "homing could not clear the switch by pulling off",
             Alarm::HomingNoSwitch => "homing found no switch within its travel",
+            Alarm::HomingSquaring => "squaring found only one of the two switches of an axis",
             Alarm::Underrun => "motion data ran out at speed; the position may be lost",
         }
     }

@@ -72,7 +72,7 @@ pub struct LineByte {
 }
 
 /// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ToStep {
     /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] and only by machines that have
     /// them.
@@ -94,11 +94,14 @@ pub enum ToStep {
     },
     /// A piece of the current block.
     Segment(Segment),
-    /// Looks for the probe at each tick from here on: latch the place once it is active (`Some(true)`) or no longer
-    /// active (`Some(false)`), and report it with [`StepEvent::Probed`]. `None` ends the watch.
+    /// Looks for the probe at each tick from here on. Once it is active (`Some(true)`) or no longer active
+    /// (`Some(false)`) the place is latched and reported with [`StepEvent::Probed`], what is queued is thrown away, and
+    /// the step task brakes by itself; it takes nothing more until it has been stopped and resumed. `None` ends the watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
+        /// How hard to brake: the deceleration in units per square of a step-clock tick.
+        braking: f32,
     },
     /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
     /// `control` knew of; the gate stays shut when there has been another one since.
@@ -158,7 +161,7 @@ pub enum StepEvent<const N: usize> {
         /// Step counter of each axis: net steps since power-up (wrapping).
         position: PerAxis<i32, N>,
     },
-    /// The probe has reached the awaited state; motion goes on.
+    /// The probe has reached the awaited state; the step task brakes.
     Probed {
         /// Step counter of each axis at the tick that saw it.
         position: PerAxis<i32, N>,
@@ -172,10 +175,13 @@ pub enum StepEvent<const N: usize> {
     },
 }
 
+/// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
+pub const SECOND_SWITCH: u8 = 1 << 6;
+
 /// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Signals {
-    /// Limit switches, bit 0 for X.
+    /// Limit switches, bit 0 for X; [`SECOND_SWITCH`] for the second motor of a ganged axis.
     pub limits: u8,
     /// Probe touches.
     pub probe: bool,
@@ -297,6 +303,26 @@ pub struct Wiring {
     pub limit_invert: bool,
     /// `$6`, probe input inverted.
     pub probe_invert: bool,
+    /// `$14`, bit set = input inverted: 0 reset, 1 hold, 2 start, 3 door.
+    pub control_invert: u8,
+    /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
+    pub ganged: u8,
+    /// `$906`, the second motor turns the other way.
+    pub ganged_invert: bool,
+    /// Which of the two motors take their steps. Changes at rest only.
+    pub ganged_motors: GangedMotors,
+}
+
+/// The motors of a ganged axis that take part in a move.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GangedMotors {
+    /// Both, as always but in squaring.
+    #[default]
+    Both,
+    /// The one on the axis' own pins.
+    First,
+    /// The other one.
+    Second,
 }
 
 /// A record of the settings store: a key and up to 100 bytes.
@@ -323,7 +349,7 @@ pub enum Store {
 }
 
 /// What the controller wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Output {
     /// For the step task.
     Step(ToStep),

@@ -3,9 +3,9 @@
 //! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as
 //! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
 
-use crate::axes::{Axis, PerAxis};
+use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::error::Error;
-use crate::units::{Decimal, StepsPerMm};
+use crate::units::{Decimal, Duration, StepsPerMm};
 
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +20,8 @@ pub enum Kind {
     Speed,
     /// Any sign, printed with three decimals.
     Place,
+    /// A set of axes of this machine, bit 0 for X.
+    Axes,
 }
 
 /// One row of the table.
@@ -56,6 +58,7 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(11, "Junction deviation", "mm", Kind::Real, 0.010, true),
     entry(12, "Arc tolerance", "mm", Kind::Real, 0.002, true),
     entry(13, "Report in inches", "", Kind::Switch, 0.0, true),
+    entry(14, "Control inputs invert (1 reset, 2 hold, 4 start, 8 door)", "mask", Kind::Whole(0, 15), 0.0, false),
     entry(20, "Soft limits", "", Kind::Switch, 0.0, true),
     entry(21, "Hard limits", "", Kind::Switch, 0.0, true),
     entry(22, "Homing", "", Kind::Switch, 0.0, true),
@@ -71,18 +74,34 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false),
     entry(41, "Parking", "", Kind::Switch, 0.0, false),
     entry(42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false),
+    entry(43, "Homing locate passes", "", Kind::Whole(1, 128), 1.0, false),
     entry(56, "Parking pull-out", "mm", Kind::Real, 5.0, false),
     entry(57, "Parking pull-out rate", "mm/min", Kind::Real, 100.0, false),
     entry(58, "Parking place", "mm", Kind::Place, -5.0, false),
     entry(59, "Parking fast rate", "mm/min", Kind::Real, 500.0, false),
+    entry(347, "Squaring fails after (share of the travel)", "%", Kind::Real, 5.0, false),
+    entry(348, "Squaring fails after at least", "mm", Kind::Real, 2.5, false),
+    entry(349, "Squaring fails after at most", "mm", Kind::Real, 25.0, false),
+    entry(392, "Spindle on to coolant on, after a door", "s", Kind::Real, 4.0, false),
+    entry(393, "Coolant on to motion, after a door", "s", Kind::Real, 1.0, false),
+    entry(394, "Spindle on to motion", "s", Kind::Real, 0.0, false),
+    entry(539, "Spindle off to motion", "s", Kind::Real, 0.0, false),
     entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
     entry(901, "An error stops the job", "", Kind::Switch, 0.0, false),
     entry(902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false),
+    entry(903, "Safety door fitted", "", Kind::Switch, 1.0, false),
+    entry(904, "Kinematics (0 Cartesian, 1 CoreXY)", "", Kind::Whole(0, 1), 0.0, false),
+    entry(905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false),
+    entry(906, "Second motor turns the other way", "", Kind::Switch, 0.0, false),
+    entry(907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
 /// [`AxisKey`].
 pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
+    // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
+    // `homing_cycle`.
+    entry(44, "Axes homed in cycle 1, 2, 3", "mask", Kind::Axes, 0.0, false),
     entry(100, "Resolution", "steps/mm", Kind::Real, 250.0, true),
     entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
@@ -104,6 +123,7 @@ pub enum Key {
     JunctionDeviation,
     ArcTolerance,
     ReportInches,
+    ControlInvert,
     SoftLimits,
     HardLimits,
     Homing,
@@ -119,24 +139,38 @@ pub enum Key {
     JogClip,
     Parking,
     ParkingAxis,
+    HomingPasses,
     ParkingPullOut,
     ParkingPullOutRate,
     ParkingTarget,
     ParkingFastRate,
+    SquaringShare,
+    SquaringLeast,
+    SquaringMost,
+    DoorSpindleDelay,
+    DoorCoolantDelay,
+    SpinUp,
+    SpinDown,
     Dialect,
     StopOnError,
     TrustNeeded,
+    DoorFitted,
+    Kinematics,
+    GangedAxis,
+    GangedInvert,
+    GangedSwitch,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 33;
+    pub const COUNT: usize = 47;
 }
 
 /// Names the rows of [`PER_AXIS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the table says what each is")]
 pub enum AxisKey {
+    HomingCycle,
     Resolution,
     MaxRate,
     Acceleration,
@@ -145,7 +179,7 @@ pub enum AxisKey {
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 4;
+    pub const COUNT: usize = 5;
 }
 
 /// Where a setting stands.
@@ -162,9 +196,29 @@ pub struct Settings<const N: usize> {
     per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
 }
 
+/// Axes of the `n`-th homing cycle of a new controller: Z first, out of the way, then X and Y together, then each of the
+/// others.
+pub const fn homing_cycle(n: usize) -> u8 {
+    match n {
+        0 => 0b100,
+        1 => 0b011,
+        n => 1 << (n + 1),
+    }
+}
+
+/// All axes of the machine, bit 0 for X.
+const fn axes_mask<const N: usize>() -> u8 {
+    (1 << N) - 1
+}
+
 impl<const N: usize> Default for Settings<N> {
     fn default() -> Self {
-        Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) }
+        let mut settings =
+            Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) };
+        if let Some(cycles) = settings.per_axis.get_mut(AxisKey::HomingCycle as usize) {
+            *cycles = PerAxis::from_axis(|axis| f32::from(homing_cycle(axis.index()) & axes_mask::<N>()));
+        }
+        settings
     }
 }
 
@@ -180,6 +234,13 @@ impl<const N: usize> Settings<N> {
     /// A value of the first table as a whole number.
     pub fn whole(&self, key: Key) -> u32 {
         self.value(key) as u32
+    }
+
+    /// A value of the first table, in seconds, as a time; a day at most.
+    pub fn seconds(&self, key: Key) -> Duration {
+        let seconds = self.value(key);
+        let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
+        Duration::from_ticks((bounded * 1.0e6) as u64)
     }
 
     /// A value of the first table as yes or no.
@@ -240,6 +301,10 @@ impl<const N: usize> Settings<N> {
                 }
                 whole as f32
             }
+            Kind::Axes => match value.truncate() {
+                mask @ 0..=255 if mask as u8 & !axes_mask::<N>() == 0 => mask as f32,
+                _ => return Err(Error::InvalidStatement),
+            },
             Kind::Switch => match value.truncate() {
                 0 => 0.0,
                 1..=255 => 1.0,
@@ -251,10 +316,8 @@ impl<const N: usize> Settings<N> {
             return Err(Error::SoftLimitNeedsHoming);
         }
         self.put(place, value);
-        if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position.
-            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
-        }
+        // Soft limits mean nothing without a homed position.
+        self.settle();
         Ok(())
     }
 
@@ -265,6 +328,13 @@ impl<const N: usize> Settings<N> {
             && (value >= 0.0 || number == PARKING_PLACE)
         {
             self.put(place, value);
+        }
+    }
+
+    /// All stored values have been taken over: those that mean nothing without another one go.
+    pub fn settle(&mut self) {
+        if !self.is_on(Key::Homing) {
+            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
         }
     }
 
@@ -291,28 +361,48 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// The number of the first setting that makes the set impossible to run: no steps/mm, rate or acceleration, or a
-    /// step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step pulse (`$0`) leaves room for. `None` when motion may run.
-    pub fn unrunnable(&self, safe_step_hz: u32) -> Option<u16> {
+    /// How the motors move the tool (`$904`).
+    pub fn arrangement(&self) -> Arrangement {
+        if self.whole(Key::Kinematics) == 1 { Arrangement::CoreXy } else { Arrangement::Cartesian }
+    }
+
+    /// The axis that two motors move (`$905`).
+    pub fn ganged_axis(&self) -> Option<Axis> {
+        Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
+    }
+
+    /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
+    /// no steps/mm, rate or acceleration; a step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step
+    /// pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves no place for.
+    pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
         // A pulse and the shortest pause after it must fit between two steps.
         let pulses_hz = 1.0e6 / (self.value(Key::StepPulse) + LEAST_PAUSE_US);
         let greatest_hz = if pulses_hz < safe_step_hz as f32 { pulses_hz } else { safe_step_hz as f32 };
+        let core_xy = self.arrangement() == Arrangement::CoreXy;
         let resolution = self.axes(AxisKey::Resolution);
         let rate = self.axes(AxisKey::MaxRate);
         let acceleration = self.axes(AxisKey::Acceleration);
-        Axis::of_machine::<N>().find_map(|axis| {
+        let of_axis = Axis::of_machine::<N>().find_map(|axis| {
             let offset = axis.index() as u16;
             let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
+            // Along the diagonal one motor of a CoreXY machine turns by both ways.
+            let motor_rate = match axis {
+                Axis::X | Axis::Y if core_xy => rate.get(Axis::X)? + rate.get(Axis::Y)?,
+                _ => v,
+            };
             if StepsPerMm::new(r).is_none() {
                 Some(100 + offset)
-            } else if v <= 0.0 || r * v / 60.0 > greatest_hz {
+            } else if v <= 0.0 || r * motor_rate / 60.0 > greatest_hz {
                 Some(110 + offset)
             } else if a <= 0.0 {
                 Some(120 + offset)
             } else {
                 None
             }
-        })
+        });
+        let ganged =
+            self.ganged_axis().filter(|axis| !has_second_motor || (core_xy && *axis != Axis::Z)).map(|_| GANGED_AXIS);
+        of_axis.or(ganged)
     }
 }
 
@@ -322,8 +412,8 @@ const LEAST_PAUSE_US: f32 = 2.0;
 const SOFT_LIMITS: u16 = 20;
 /// Number of the one setting that may be negative.
 const PARKING_PLACE: u16 = 58;
-/// Number of the setting that switches homing on.
-const HOMING: u16 = 22;
+/// Number of the setting that names the axis with two motors.
+const GANGED_AXIS: u16 = 905;
 
 #[cfg(test)]
 mod tests {
@@ -339,15 +429,20 @@ mod tests {
             (Key::StepPulse, 0),
             (Key::StatusReport, 10),
             (Key::ReportInches, 13),
+            (Key::ControlInvert, 14),
             (Key::Homing, 22),
             (Key::HomingPullOff, 27),
             (Key::DirectionSetup, 29),
             (Key::SpindleMinimum, 31),
             (Key::Laser, 32),
             (Key::JogClip, 40),
+            (Key::HomingPasses, 43),
             (Key::ParkingTarget, 58),
+            (Key::SquaringMost, 349),
             (Key::Dialect, 900),
+            (Key::SpinDown, 539),
             (Key::TrustNeeded, 902),
+            (Key::GangedSwitch, 907),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }
@@ -382,15 +477,51 @@ mod tests {
     #[test]
     fn a_set_that_cannot_run_names_its_setting() {
         let mut s = Settings::<3>::default();
-        assert_eq!(s.unrunnable(100_000), None);
+        assert_eq!(s.unrunnable(100_000, true), None);
         set(&mut s, 101, 0).unwrap();
-        assert_eq!(s.unrunnable(100_000), Some(101));
+        assert_eq!(s.unrunnable(100_000, true), Some(101));
         set(&mut s, 101, 250_000).unwrap();
         set(&mut s, 112, 30_000_000).unwrap();
-        assert_eq!(s.unrunnable(100_000), Some(112));
+        assert_eq!(s.unrunnable(100_000, true), Some(112));
         set(&mut s, 112, 500_000).unwrap();
         set(&mut s, 120, 0).unwrap();
-        assert_eq!(s.unrunnable(100_000), Some(120));
+        assert_eq!(s.unrunnable(100_000, true), Some(120));
+    }
+
+    #[test]
+    fn motors_that_pull_together_add_their_rates() {
+        let mut s = Settings::<3>::default();
+        for (number, value) in [(110, 12_000), (111, 9_000)] {
+            set(&mut s, number, value * 1000).unwrap();
+        }
+        // 250 steps/mm: 50,000 and 37,500 steps/s, and along the diagonal of a CoreXY machine 87,500.
+        assert_eq!(s.unrunnable(83_000, true), None);
+        set(&mut s, 904, 1000).unwrap();
+        assert_eq!(s.unrunnable(83_000, true), Some(110));
+        set(&mut s, 0, 3000).unwrap();
+        assert_eq!(s.unrunnable(88_000, true), None);
+    }
+
+    #[test]
+    fn a_second_motor_needs_its_pins() {
+        let mut s = Settings::<3>::default();
+        set(&mut s, 905, 2000).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), None);
+        assert_eq!(s.unrunnable(100_000, false), Some(905));
+        set(&mut s, 904, 1000).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), Some(905));
+    }
+
+    #[test]
+    fn homing_cycles_are_those_of_the_machine() {
+        let cycles = |s: &Settings<3>| s.axes(AxisKey::HomingCycle).0;
+        let mut s = Settings::<3>::default();
+        assert_eq!(cycles(&s), [4.0, 3.0, 0.0]);
+        assert_eq!(set(&mut s, 44, 8000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 47, 1000), Err(Error::InvalidStatement));
+        set(&mut s, 44, 1000).unwrap();
+        assert_eq!(cycles(&s), [1.0, 3.0, 0.0]);
+        assert_eq!(Settings::<4>::default().axes(AxisKey::HomingCycle).0, [4.0, 3.0, 8.0, 0.0]);
     }
 
     #[test]

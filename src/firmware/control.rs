@@ -9,6 +9,7 @@
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
 use crate::crossing::{self, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
+use crate::flash::Settings;
 use crate::outputs::Outputs;
 use crate::{pend_serial, pend_step};
 use core::sync::atomic::Ordering;
@@ -52,6 +53,7 @@ pub struct Control {
     controller: &'static mut BoardController,
     ends: Ends,
     outputs: Outputs,
+    settings: Settings,
     clock: Clock,
     /// Bytes taken out of the line queue since power-up (wrapping).
     line_bytes_out: u32,
@@ -68,9 +70,18 @@ struct Job {
 
 impl Control {
     /// Ready to start.
-    pub fn new(controller: &'static mut BoardController, ends: Ends, outputs: Outputs) -> Control {
+    pub fn new(controller: &'static mut BoardController, ends: Ends, outputs: Outputs, settings: Settings) -> Control {
         let job = boards::preloaded_job().map(|text| Job { text, next: 0 });
-        Control { controller, ends, outputs, clock: Clock::new(), line_bytes_out: 0, job, unsent_wiring: None }
+        Control {
+            controller,
+            ends,
+            outputs,
+            settings,
+            clock: Clock::new(),
+            line_bytes_out: 0,
+            job,
+            unsent_wiring: None,
+        }
     }
 
     /// Power-up is complete.
@@ -82,6 +93,7 @@ impl Control {
     /// Pumps until there is nothing to do, and sets the alarm for the next time.
     pub fn turn(&mut self) {
         while self.pass() {}
+        self.erase_ahead();
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observed().step_idle
@@ -153,11 +165,26 @@ impl Control {
                     crossing::ask_for_stop();
                     pend_step();
                 }
-                // The profile says that there is no store, so nothing is handed to it.
-                Output::Store(_) => self.controller.event(now, Event::StoreFailed),
+                Output::Store(change) => {
+                    let event = self.settings.store(&change);
+                    // Bytes may have come while the processor stood.
+                    pend_serial();
+                    self.controller.event(now, event);
+                }
                 // Events first: a long arc must not keep a stop waiting.
                 Output::Worked => return true,
             }
+        }
+    }
+
+    /// Erases flash when nothing moves, turns or waits: the processor stands for a quarter of a second. What the host
+    /// sends in that time is kept (see the board).
+    fn erase_ahead(&mut self) {
+        let observed = self.observed();
+        let nothing_waits = usize::from(observed.rx_free) == LINES_DEPTH && self.ends.realtime.is_empty();
+        if self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet() {
+            self.settings.erase();
+            pend_serial();
         }
     }
 

@@ -50,7 +50,13 @@ impl Inputs {
         {
             let limits = if wiring.limit_invert { 0xFF << input_bits::LIMITS } else { 0 };
             let probe = u16::from(wiring.probe_invert) << input_bits::PROBE;
-            self.inverted = limits | probe;
+            let control = |bit: u8, input: u32| u16::from(wiring.control_invert >> bit & 1) << input;
+            self.inverted = limits
+                | probe
+                | control(0, input_bits::RESET)
+                | control(1, input_bits::HOLD)
+                | control(2, input_bits::START)
+                | control(3, input_bits::DOOR);
         }
     }
 }

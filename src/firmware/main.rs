@@ -19,6 +19,7 @@ mod boards;
 mod clock;
 mod control;
 mod crossing;
+mod flash;
 mod inputs;
 mod outputs;
 mod panic;

@@ -3,6 +3,7 @@
 use crate::boards::{self, AXES};
 use crate::control::{BoardController, Control, Ends};
 use crate::crossing::Wake;
+use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
 use crate::serial::Serial;
@@ -59,11 +60,12 @@ pub fn start(
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let controller = build(controller);
+    let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
         step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
         inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake),
-        control: Control::new(controller, ends, Outputs::new(parts.slow_pins)),
+        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),
     };
     sampling.set_clock_source(SystClkSource::Core);
     sampling.set_reload(boards::CORE_HZ / boards::SAMPLE_HZ - 1);

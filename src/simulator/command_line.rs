@@ -98,9 +98,12 @@ pub struct MachineOptions {
     /// What is fitted to the machine: switches, a probe plate.
     #[arg(long, value_name = "FILE")]
     pub machine: Option<PathBuf>,
-    /// The flash image, kept between runs.
+    /// The flash image of the settings, kept between runs.
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
+    /// Cuts the power after so many words written to the flash or sectors erased, and ends.
+    #[arg(long, value_name = "OPERATIONS")]
+    pub cut_power: Option<u32>,
 }
 
 impl MachineOptions {

@@ -2,9 +2,10 @@
 //! carriages are and nothing of the controller.
 
 use crate::boards::AXES;
+use crate::machine::Machine;
 use anyhow::{Context, Result, ensure};
 use oxmill_controller::axes::Axis;
-use oxmill_controller::messages::Signals;
+use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -12,11 +13,14 @@ use std::path::Path;
 ///
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
+/// kinematics = "corexy"            # or "cartesian", which need not be said
+/// racked_mm = 0.4                  # how far the second motor of an axis is ahead of the first at power-up
 /// [[switch]]                       # closes at and beyond a place, in mm from where the machine stood at power-up
 /// axis = "x"
 /// at_mm = 2.0
 /// side = "positive"                # the carriage closes it moving to positive
 /// bounce_us = 900                  # how long it chatters when it closes or opens
+/// second_motor = true              # at the second motor of the axis
 /// [plate]                          # a probe plate
 /// axis = "z"
 /// at_mm = -12.5
@@ -26,6 +30,10 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 struct Description {
     steps_per_mm: [f64; AXES],
+    #[serde(default)]
+    kinematics: Kinematics,
+    #[serde(default)]
+    racked_mm: f64,
     #[serde(default)]
     switch: Vec<Contact>,
     plate: Option<Contact>,
@@ -39,6 +47,16 @@ struct Contact {
     side: Side,
     #[serde(default)]
     bounce_us: u32,
+    #[serde(default)]
+    second_motor: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Kinematics {
+    #[default]
+    Cartesian,
+    CoreXy,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -48,11 +66,12 @@ enum Side {
     Negative,
 }
 
-/// One contact in steps.
+/// One contact; places in mm from where the carriages stood at power-up.
 #[derive(Clone, Debug)]
 struct Fitted {
     axis: usize,
-    at: i32,
+    second_motor: bool,
+    at_mm: f64,
     side: Side,
     bounce_us: u32,
     probe: bool,
@@ -61,9 +80,15 @@ struct Fitted {
     chatters_until: u64,
 }
 
+/// Below any step: rounding.
+const A_HAIR_MM: f64 = 1.0e-7;
+
 /// All contacts of a machine.
 #[derive(Clone, Debug, Default)]
 pub struct Fittings {
+    steps_per_mm: [f64; AXES],
+    kinematics: Kinematics,
+    racked_mm: f64,
     contacts: Vec<Fitted>,
 }
 
@@ -81,11 +106,11 @@ impl Fittings {
             let axis =
                 Axis::from_letter(letter).map(Axis::index).filter(|axis| *axis < AXES && contact.axis.len() == 1);
             let axis = axis.with_context(|| format!("`{}` is not an axis of this machine", contact.axis))?;
-            let at = contact.at_mm * description.steps_per_mm[axis];
-            ensure!(at.abs() < f64::from(i32::MAX), "{} mm is out of reach", contact.at_mm);
+            ensure!(contact.at_mm.abs() < 1.0e6, "{} mm is out of reach", contact.at_mm);
             contacts.push(Fitted {
                 axis,
-                at: at.round() as i32,
+                second_motor: contact.second_motor,
+                at_mm: contact.at_mm,
                 side: contact.side,
                 bounce_us: contact.bounce_us,
                 probe,
@@ -93,7 +118,9 @@ impl Fittings {
                 chatters_until: 0,
             });
         }
-        Ok(Self { contacts })
+        let Description { steps_per_mm, kinematics, racked_mm, .. } = description;
+        ensure!(steps_per_mm.iter().all(|s| s.is_finite() && *s > 0.0), "steps_per_mm must be above 0");
+        Ok(Self { steps_per_mm, kinematics, racked_mm, contacts })
     }
 
     /// Reads a file.
@@ -110,15 +137,27 @@ impl Fittings {
         self.contacts.is_empty()
     }
 
-    /// The carriages stand here now. Whether a contact has changed.
-    pub fn moved(&mut self, position: [i32; AXES], now_us: u64) -> bool {
+    /// The motors stand here now. Whether a contact has changed.
+    pub fn moved(&mut self, machine: &Machine, now_us: u64) -> bool {
+        let motors = machine.position();
+        let [a, b, z] = std::array::from_fn(|motor| f64::from(motors[motor]) / self.steps_per_mm[motor]);
+        let places = match self.kinematics {
+            Kinematics::Cartesian => [a, b, z],
+            Kinematics::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
+        };
         let mut changed = false;
         for contact in &mut self.contacts {
-            let place = position[contact.axis];
-            let closed = match contact.side {
-                Side::Positive => place >= contact.at,
-                Side::Negative => place <= contact.at,
+            let place = if contact.second_motor {
+                self.racked_mm + f64::from(machine.second_motor()) / self.steps_per_mm[contact.axis]
+            } else {
+                places[contact.axis]
             };
+            // A contact described at a step closes at that step.
+            let beyond = match contact.side {
+                Side::Positive => place - contact.at_mm,
+                Side::Negative => contact.at_mm - place,
+            };
+            let closed = beyond > -A_HAIR_MM;
             if closed != contact.closed {
                 contact.closed = closed;
                 contact.chatters_until = now_us + u64::from(contact.bounce_us);
@@ -141,6 +180,8 @@ impl Fittings {
             if contact.closed != chatters {
                 if contact.probe {
                     signals.probe = true;
+                } else if contact.second_motor {
+                    signals.limits |= SECOND_SWITCH;
                 } else {
                     signals.limits |= 1 << contact.axis;
                 }
@@ -176,21 +217,36 @@ mod tests {
         side = "negative"
     "#;
 
+    fn run(machine: &mut Machine, to: [i32; AXES]) {
+        while machine.position() != to {
+            let here = machine.position();
+            let off = |axis: usize| u8::from(here[axis] != to[axis]) << axis;
+            let negative = |axis: usize| u8::from(here[axis] > to[axis]) << axis;
+            machine.step(off(0) | off(1) | off(2), negative(0) | negative(1) | negative(2));
+        }
+    }
+
     #[test]
     fn contacts_close_at_their_place() {
         let mut mill = Fittings::parse(MILL).unwrap();
-        assert!(!mill.moved([199, 0, -399], 0));
-        assert!(mill.moved([200, 0, -400], 1000));
+        let mut machine = Machine::default();
+        run(&mut machine, [199, 0, -399]);
+        assert!(!mill.moved(&machine, 0));
+        run(&mut machine, [200, 0, -400]);
+        assert!(mill.moved(&machine, 1000));
         assert!(mill.touches());
         assert_eq!(mill.sample(2000), Signals { limits: 1, probe: true, ..Signals::default() });
-        assert!(mill.moved([0, 0, -600], 3000));
+        run(&mut machine, [0, 0, -600]);
+        assert!(mill.moved(&machine, 3000));
         assert_eq!(mill.sample(9000), Signals { limits: 4, probe: true, ..Signals::default() });
     }
 
     #[test]
     fn a_bouncing_switch_shows_both_levels_for_a_while() {
         let mut mill = Fittings::parse(MILL).unwrap();
-        mill.moved([200, 0, 0], 1000);
+        let mut machine = Machine::default();
+        run(&mut machine, [200, 0, 0]);
+        mill.moved(&machine, 1000);
         let shown: Vec<u8> = (0..10).map(|n| mill.sample(1000 + n * 50).limits).collect();
         assert!(shown.contains(&0) && shown.contains(&1), "{shown:?}");
         assert!(mill.chatter(1499) && !mill.chatter(1500));

@@ -23,9 +23,23 @@ const ROUNDS: u32 = 4096;
 /// Messages of the controller that the report keeps.
 const KEPT_MESSAGES: usize = 50;
 
+/// What a power cut ordered on the command line leaves of the word under way.
+const HALF_WORD: u32 = 0xFFFF;
+
+/// Says so if an ordered power cut has come.
+pub fn check_power(simulator: &Simulator) -> Result<()> {
+    if simulator.power_is_gone() {
+        bail!("the power was cut, as ordered, at operation {} of the flash", simulator.store().operations());
+    }
+    Ok(())
+}
+
 /// A simulator as the options describe it, its settings applied.
 pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
-    let store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
+    let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
+    if let Some(operations) = options.cut_power {
+        store.cut_power_after(operations, HALF_WORD);
+    }
     let fittings = options.machine.as_deref().map_or_else(|| Ok(Fittings::default()), Fittings::read)?;
     let mut simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
     simulator.run_until_idle();
@@ -61,6 +75,7 @@ fn apply_setting(simulator: &mut Simulator, origin: &str, setting: &str) -> Resu
     simulator.take_output();
     simulator.send(format!("${assignment}\n"));
     simulator.run_until_idle();
+    check_power(simulator)?;
     for answer in simulator.take_output().lines() {
         if let Some(code) = answer.strip_prefix("error:").and_then(|code| code.parse().ok()) {
             bail!("{origin} was refused with error:{code}: {}", error_text(code));
@@ -100,6 +115,7 @@ pub fn run(options: &Run) -> Result<bool> {
     let progress = progress_bar(length);
     let outcome = run_text(&mut simulator, JobText::new(reader), &progress);
     progress.finish_and_clear();
+    check_power(&simulator)?;
     let mut job = simulator.unload_job().context("the job was lost")?;
     if let Some(error) = job.failure() {
         return Err(error).with_context(|| format!("cannot read the job {name} to its end"));
@@ -236,7 +252,7 @@ fn summarise(
     let here = simulator.machine_position();
     let counted = simulator.meter().millimetres(machine.position());
     let named = |steps: [i32; 3]| {
-        let place = simulator.meter().millimetres(steps);
+        let place = simulator.meter().carriages_mm(steps);
         std::array::from_fn(|axis| round(place[axis] - counted[axis] + here[axis]))
     };
     Summary {

@@ -2,29 +2,78 @@
 
 use crate::boards::AXES;
 
-/// Carriages, in steps from where they stood at power-up.
+use oxmill_controller::axes::Arrangement;
+use oxmill_controller::messages::{GangedMotors, Wiring};
+
+/// Motors and carriages, in steps from where they stood at power-up.
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
     position: [i32; AXES],
+    /// The second motor of a ganged axis.
+    second: i32,
+    arrangement: Arrangement,
+    ganged: u8,
+    ganged_motors: GangedMotors,
     low: [i32; AXES],
     high: [i32; AXES],
     pulses: [u64; AXES],
 }
 
 impl Machine {
+    /// Which motors follow which pulses from here on.
+    pub fn wire(&mut self, wiring: &Wiring) {
+        self.ganged = wiring.ganged;
+        self.ganged_motors = wiring.ganged_motors;
+    }
+
+    /// How the motors move the carriages. Of importance for the extents only.
+    pub fn arrange(&mut self, arrangement: Arrangement) {
+        if self.arrangement != arrangement {
+            self.arrangement = arrangement;
+            self.restart_extents();
+        }
+    }
+
     /// Step pins rise; `directions` has a bit for each axis that moves to negative.
     #[inline]
-    pub fn step(&mut self, steps: u8, directions: u8) {
+    pub fn step(&mut self, mut steps: u8, directions: u8) {
+        if self.ganged & steps != 0 {
+            if self.ganged_motors != GangedMotors::First {
+                self.second = self.second.wrapping_add(if directions & self.ganged != 0 { -1 } else { 1 });
+            }
+            if self.ganged_motors == GangedMotors::Second {
+                steps &= !self.ganged;
+            }
+        }
         for axis in 0..AXES {
             if steps & (1 << axis) != 0 {
                 let negative = directions & (1 << axis) != 0;
                 let position = self.position[axis].wrapping_add(if negative { -1 } else { 1 });
                 self.position[axis] = position;
-                self.low[axis] = self.low[axis].min(position);
-                self.high[axis] = self.high[axis].max(position);
                 self.pulses[axis] += 1;
             }
         }
+        for (axis, place) in self.carriages().into_iter().enumerate() {
+            self.low[axis] = self.low[axis].min(place);
+            self.high[axis] = self.high[axis].max(place);
+        }
+    }
+
+    /// Places of the carriages in steps; those of a CoreXY machine in half steps of its X and Y.
+    #[inline]
+    fn carriages(&self) -> [i32; AXES] {
+        match self.arrangement {
+            Arrangement::Cartesian => self.position,
+            Arrangement::CoreXy => {
+                let [a, b, z] = self.position;
+                [a.wrapping_add(b), a.wrapping_sub(b), z]
+            }
+        }
+    }
+
+    /// Net steps of the ganged axis' second motor since power-up.
+    pub fn second_motor(&self) -> i32 {
+        self.second
     }
 
     /// Net steps since power-up.
@@ -32,7 +81,7 @@ impl Machine {
         self.position
     }
 
-    /// Least and greatest position since power-up or the last [`Machine::restart`].
+    /// Least and greatest place of each carriage (half steps of X and Y on a CoreXY machine) since power-up or the last [`Machine::restart`].
     pub fn extents(&self) -> ([i32; AXES], [i32; AXES]) {
         (self.low, self.high)
     }
@@ -44,9 +93,13 @@ impl Machine {
 
     /// Counts extents and pulses anew from the present position.
     pub fn restart(&mut self) {
-        self.low = self.position;
-        self.high = self.position;
+        self.restart_extents();
         self.pulses = [0; AXES];
+    }
+
+    fn restart_extents(&mut self) {
+        self.low = self.carriages();
+        self.high = self.low;
     }
 }
 
@@ -66,5 +119,42 @@ mod tests {
         assert_eq!(machine.pulses(), [4, 3, 0]);
         machine.restart();
         assert_eq!(machine.extents(), ([2, -3, 0], [2, -3, 0]));
+    }
+
+    #[test]
+    fn a_second_motor_follows_its_axis_or_goes_alone() {
+        let mut wiring = Wiring { ganged: 0b010, ..wiring() };
+        let mut machine = Machine::default();
+        for (motors, directions) in [(GangedMotors::Both, 0), (GangedMotors::First, 0), (GangedMotors::Second, 0b010)] {
+            wiring.ganged_motors = motors;
+            machine.wire(&wiring);
+            machine.step(0b011, directions);
+        }
+        assert_eq!((machine.position(), machine.second_motor()), ([3, 2, 0], 0));
+    }
+
+    #[test]
+    fn belts_pull_two_carriages() {
+        let mut machine = Machine::default();
+        machine.arrange(Arrangement::CoreXy);
+        machine.step(0b011, 0b010);
+        machine.step(0b011, 0b010);
+        assert_eq!(machine.extents(), ([0, 0, 0], [0, 4, 0]));
+    }
+
+    fn wiring() -> Wiring {
+        Wiring {
+            pulse_us: 10,
+            direction_setup_us: 5,
+            step_invert: 0,
+            direction_invert: 0,
+            enable_invert: false,
+            limit_invert: false,
+            probe_invert: false,
+            control_invert: 0,
+            ganged: 0,
+            ganged_invert: false,
+            ganged_motors: GangedMotors::Both,
+        }
     }
 }

@@ -6,6 +6,7 @@
 
 use crate::boards::AXES;
 use crate::path::{Drawing, Sample};
+use oxmill_controller::axes::Arrangement;
 use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
@@ -61,6 +62,7 @@ pub struct Meter {
     fresh: bool,
     hz: f64,
     steps_per_mm: [f64; AXES],
+    arrangement: Arrangement,
     next_block: Option<BlockSteps>,
     upcoming: VecDeque<(Segment, Option<BlockSteps>)>,
     block: Block,
@@ -82,6 +84,7 @@ impl Meter {
             fresh: true,
             hz: f64::from(hz.max(1)),
             steps_per_mm: [1.0; AXES],
+            arrangement: Arrangement::Cartesian,
             next_block: None,
             upcoming: VecDeque::new(),
             block: Block::default(),
@@ -96,13 +99,27 @@ impl Meter {
     }
 
     /// What a step is worth from the next block on.
-    pub fn set_resolution(&mut self, steps_per_mm: [f64; AXES]) {
+    pub fn set_resolution(&mut self, steps_per_mm: [f64; AXES], arrangement: Arrangement) {
         self.steps_per_mm = steps_per_mm;
+        self.arrangement = arrangement;
     }
 
-    /// A place in steps, in mm.
+    /// The place of the tool in mm when the motors stand at these steps.
     pub fn millimetres(&self, steps: [i32; AXES]) -> [f64; AXES] {
-        std::array::from_fn(|axis| f64::from(steps[axis]) / self.steps_per_mm[axis])
+        let [a, b, z] = std::array::from_fn(|motor| f64::from(steps[motor]) / self.steps_per_mm[motor]);
+        match self.arrangement {
+            Arrangement::Cartesian => [a, b, z],
+            Arrangement::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
+        }
+    }
+
+    /// The place in mm of carriages as [`crate::machine::Machine::extents`] counts them.
+    pub fn carriages_mm(&self, counts: [i32; AXES]) -> [f64; AXES] {
+        let [x, y, z] = std::array::from_fn(|axis| f64::from(counts[axis]) / self.steps_per_mm[axis]);
+        match self.arrangement {
+            Arrangement::Cartesian => [x, y, z],
+            Arrangement::CoreXy => [0.5 * x, 0.5 * y, z],
+        }
     }
 
     /// Also collects what a drawing needs.
@@ -249,10 +266,11 @@ impl Meter {
 
     fn new_block(&mut self, steps: [u32; AXES], directions: u8, position: [i32; AXES]) {
         let start = self.millimetres(position);
-        let delta: [f64; AXES] = std::array::from_fn(|axis| {
-            let mm = f64::from(steps[axis]) / self.steps_per_mm[axis];
-            if directions & (1 << axis) != 0 { -mm } else { mm }
+        let motors = std::array::from_fn(|motor| {
+            let steps = steps[motor] as i32;
+            if directions & (1 << motor) != 0 { -steps } else { steps }
         });
+        let delta = self.millimetres(motors);
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d.abs() / length } else { 0.0 });
         let dominant = steps.iter().copied().max().unwrap_or(0);
@@ -275,7 +293,7 @@ mod tests {
     #[test]
     fn distance_and_speed_come_from_the_segments() {
         let mut meter = Meter::new(1_000_000);
-        meter.set_resolution([100.0, 100.0, 400.0]);
+        meter.set_resolution([100.0, 100.0, 400.0], Arrangement::Cartesian);
         // 3 mm and -4 mm: 5 mm in 400 ticks. 100 ticks of 2 ms, then 300 of 1 ms.
         for message in [
             ToStep::Block { steps: [300, 400, 0], directions: 0b010 },

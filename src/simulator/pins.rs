@@ -1,9 +1,9 @@
-//! The line protocol that moves input pins: `limit x 1`, `probe 1`, `door 1`, `hold 1`, `start 1`, `reset 1`.
+//! The line protocol that moves input pins: `limit x 1`, `second_limit 1` (at the second motor of an axis), `probe 1`, `door 1`, `hold 1`, `start 1`, `reset 1`.
 //!
 //! A level stays until it is changed; 1 is active, whatever the polarity of the wiring.
 
 use oxmill_controller::axes::Axis;
-use oxmill_controller::messages::Signals;
+use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 
 /// The levels after a line of the protocol, or a sentence about what is wrong with it.
 pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, String> {
@@ -15,6 +15,13 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
             let bit = 1 << axis_index(axis, axes)?;
             if level(value)? { after.limits |= bit } else { after.limits &= !bit }
         }
+        ["second_limit", value] => {
+            if level(value)? {
+                after.limits |= SECOND_SWITCH
+            } else {
+                after.limits &= !SECOND_SWITCH
+            }
+        }
         ["probe", value] => after.probe = level(value)?,
         ["door", value] => after.door = level(value)?,
         ["hold", value] => after.hold = level(value)?,
@@ -22,7 +29,7 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
         ["reset", value] => after.reset = level(value)?,
         _ => {
             return Err(format!(
-                "`{}` is not understood; pins are set by `limit AXIS 0|1` and by `probe`, `door`, `hold`, `start` or \
+                "`{}` is not understood; pins are set by `limit AXIS 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start` or \
                  `reset` with 0 or 1",
                 line.trim()
             ));

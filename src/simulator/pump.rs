@@ -21,7 +21,8 @@ use crate::text::JobText;
 use crate::trace::{StepRecord, Trace};
 use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, Realtime, Room, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent, ToStep, Wiring,
+    Event, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent,
+    ToStep, Wiring,
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
@@ -102,11 +103,12 @@ pub struct Simulator {
 impl Simulator {
     /// Powers the board up and lets the controller say its welcome.
     pub fn new(options: Options) -> Self {
-        let Options { board, store, fittings, keep_steps } = options;
+        let Options { board, mut store, fittings, keep_steps } = options;
         let mut controller = Box::new(Controller::new(Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
             safe_step_hz: board.safe_step_hz,
+            has_second_motor: true,
             has_store: true,
         }));
         for record in store.records() {
@@ -152,6 +154,10 @@ impl Simulator {
             meter: Meter::new(board.step_clock_hz),
             trace,
         };
+        if simulator.fittings.moved(&simulator.machine, 0) {
+            // The machine was left on a switch.
+            simulator.sample_due = Some(0);
+        }
         simulator.turn();
         simulator
     }
@@ -255,6 +261,9 @@ impl Simulator {
 
     /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
     pub fn advance_once(&mut self, limit: u64) -> bool {
+        if self.power_is_gone() {
+            return false;
+        }
         let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
         if wake.is_none() && self.step_due.is_none() && self.sample_due.is_none() {
             return false;
@@ -287,12 +296,23 @@ impl Simulator {
             && self.step_due.is_none()
             && self.segments.is_empty()
             && self.unread() == 0
+            && !self.power_is_gone()
             && self.job.as_ref().is_none_or(|job| job.is_used_up())
+    }
+
+    /// Whether an ordered power cut has come: nothing happens any more.
+    pub fn power_is_gone(&self) -> bool {
+        self.store.power_is_gone()
     }
 
     /// Whether something will happen without the host: a motion or a wait is going on.
     pub fn is_active(&self) -> bool {
-        self.step_due.is_some() || self.controller.next_wakeup().is_some()
+        !self.power_is_gone() && (self.step_due.is_some() || self.controller.next_wakeup().is_some())
+    }
+
+    /// Whether the step task is busy.
+    pub fn is_stepping(&self) -> bool {
+        self.step_due.is_some()
     }
 
     /// The virtual clock.
@@ -340,6 +360,11 @@ impl Simulator {
     /// The flash image; give it to another simulator to see what a power cycle leaves.
     pub fn store(&self) -> &Store {
         &self.store
+    }
+
+    /// The flash image, to have its power cut.
+    pub fn store_mut(&mut self) -> &mut Store {
+        &mut self.store
     }
 
     /// Slow outputs; `None` before the controller has written them.
@@ -421,13 +446,20 @@ impl Simulator {
 
     /// What the controller is told: hand and contacts together, with the polarity of the settings.
     fn update_signals(&mut self) {
-        let (limit_invert, probe_invert) = self.wiring.map_or((false, false), |w| (w.limit_invert, w.probe_invert));
-        let mask = if limit_invert { (1 << self.board.axes) - 1 } else { 0 };
-        let signals = Signals {
-            limits: (self.hand.limits | self.contacts.limits) ^ mask,
-            probe: (self.hand.probe | self.contacts.probe) != probe_invert,
+        let mut signals = Signals {
+            limits: self.hand.limits | self.contacts.limits,
+            probe: self.hand.probe | self.contacts.probe,
             ..self.hand
         };
+        if let Some(wiring) = self.wiring {
+            signals.limits ^= if wiring.limit_invert { ((1 << self.board.axes) - 1) | SECOND_SWITCH } else { 0 };
+            signals.probe ^= wiring.probe_invert;
+            let inverted = |bit: u8| wiring.control_invert >> bit & 1 != 0;
+            signals.reset ^= inverted(0);
+            signals.hold ^= inverted(1);
+            signals.start ^= inverted(2);
+            signals.door ^= inverted(3);
+        }
         if signals != self.signals {
             self.signals = signals;
             self.signals_changed = true;
@@ -439,6 +471,9 @@ impl Simulator {
     /// One turn of the control task at the present time: see the head of this file.
     fn turn(&mut self) {
         loop {
+            if self.power_is_gone() {
+                return;
+            }
             let now = self.clock.instant();
             let rx_free = self.free_line_bytes();
             self.controller.observe(Observed {
@@ -456,7 +491,16 @@ impl Simulator {
             if self.deliver_outputs() || busy || self.events_wait() {
                 continue;
             }
+            self.erase_ahead();
             return;
+        }
+    }
+
+    /// Erases flash while the machine is quiet, so that no write has to wait for it.
+    fn erase_ahead(&mut self) {
+        if self.store.needs_erase() && self.step_due.is_none() && self.controller.is_quiet() {
+            // A file that cannot be written shows at the next write.
+            let _ = self.store.erase_ahead();
         }
     }
 
@@ -521,12 +565,16 @@ impl Simulator {
                 }
                 Some(Output::Wiring(wiring)) => {
                     self.wiring = Some(wiring);
+                    self.machine.wire(&wiring);
                     self.update_signals();
                     self.learn_resolution();
                 }
                 Some(Output::Store(change)) => {
                     // A store that cannot be written is the host's fault; the controller tells the host.
                     let stored = self.store.apply(&change);
+                    if self.power_is_gone() {
+                        return false;
+                    }
                     self.stored.push_back(stored.is_ok());
                 }
                 Some(Output::Worked) => return true,
@@ -536,8 +584,10 @@ impl Simulator {
     }
 
     fn learn_resolution(&mut self) {
-        let steps_per_mm = self.controller.settings().axes(AxisKey::Resolution);
-        self.meter.set_resolution(steps_per_mm.0.map(f64::from));
+        let settings = self.controller.settings();
+        let (steps_per_mm, arrangement) = (settings.axes(AxisKey::Resolution), settings.arrangement());
+        self.meter.set_resolution(steps_per_mm.0.map(f64::from), arrangement);
+        self.machine.arrange(arrangement);
     }
 
     // The receive interrupt
@@ -596,7 +646,7 @@ impl Simulator {
         let tick = self.stepper.tick();
         if tick.steps != 0 {
             self.machine.step(tick.steps, self.directions);
-            if !self.fittings.is_empty() && self.fittings.moved(self.machine.position(), self.clock.instant().ticks()) {
+            if !self.fittings.is_empty() && self.fittings.moved(&self.machine, self.clock.instant().ticks()) {
                 self.sample_due.get_or_insert(due);
             }
             self.trace.step(StepRecord {
@@ -613,6 +663,7 @@ impl Simulator {
         let begun = self.stepper.segments_begun();
         if begun != self.begun {
             self.begun = begun;
+            self.trace.segment(due);
             self.meter.begin(self.clock.seconds(due), self.machine.position());
             self.segment_power(tick.power);
         }

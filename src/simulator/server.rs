@@ -4,7 +4,7 @@
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.
 
 use crate::command_line::{Serve, Speed};
-use crate::job::power_up;
+use crate::job::{check_power, power_up};
 use crate::pump::Simulator;
 use anyhow::{Context, Result, anyhow};
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -64,15 +64,14 @@ pub fn serve(options: &Serve) -> Result<()> {
     } else if options.link.stdio {
         let (client, written) = writer(io::stdout());
         thread::spawn(move || serve_stdio(client, &sender, &unread));
-        device.run(&receiver);
+        device.run(&receiver)?;
         // The device is gone, and so is who could give the writer more: what it still has goes out.
         return written.join().map_err(|_| anyhow!("the answers could not be written"));
     } else {
         #[cfg(unix)]
         pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender, unread)?;
     }
-    device.run(&receiver);
-    Ok(())
+    device.run(&receiver)
 }
 
 fn listen(address: &str) -> Result<TcpListener> {
@@ -116,14 +115,15 @@ impl Device {
         }
     }
 
-    fn run(mut self, receiver: &Receiver<Happened>) {
+    fn run(mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
             self.pass_time();
             self.answer();
+            check_power(&self.simulator)?;
             let active = self.simulator.is_active();
             if self.ended && !active && self.simulator.unread() == 0 && self.kept.is_none() {
                 // The writer ends when the last answer has been written and its sender is gone.
-                return;
+                return Ok(());
             }
             self.unread.store(self.simulator.unread(), Ordering::Relaxed);
             let happened = match self.speed {
@@ -135,7 +135,7 @@ impl Device {
                         thread::sleep(BUSY);
                         None
                     }
-                    Err(RecvTimeoutError::Disconnected) => return,
+                    Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 },
             };
             // What came is dated with the time at which it came.

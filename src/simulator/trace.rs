@@ -32,6 +32,7 @@ pub struct Trace {
     last: Option<StepRecord>,
     csv: Option<Csv>,
     list: Option<Vec<StepRecord>>,
+    segments: Vec<u64>,
 }
 
 impl Trace {
@@ -50,6 +51,19 @@ impl Trace {
         self.list.as_deref().unwrap_or(&[])
     }
 
+    /// The step task begins a segment at this tick of the virtual clock.
+    #[inline]
+    pub fn segment(&mut self, at: u64) {
+        if self.list.is_some() {
+            self.segments.push(at);
+        }
+    }
+
+    /// When the segments began whose step events were kept.
+    pub fn segments(&self) -> &[u64] {
+        &self.segments
+    }
+
     /// Forgets what was counted, digested and kept: what follows is a trace of its own.
     pub fn restart(&mut self) {
         self.digest = Digest::default();
@@ -59,6 +73,7 @@ impl Trace {
         if let Some(list) = &mut self.list {
             list.clear();
         }
+        self.segments.clear();
     }
 
     /// Step outputs rose.

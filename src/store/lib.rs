@@ -4,14 +4,18 @@
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
 //!          │ header│ record │ record │ record │ erased ...│
 //!          └───────┴────────┴────────┴────────┴───────────┘
-//!  header  sequence · crc(sequence)              written last when a sector has been filled by a move
+//!  header  sequence · crc(sequence) · mark       mark: the erase came to its end; sequence and crc are written last when
+//!                                                a sector has been filled by a move
 //!  record  kind, length, key · value · crc       the crc is written last: without it the record does not exist
 //! ```
 //! The valid sector with the higher sequence counts; the last record of a key counts. When it is full, the records that
 //! count are copied into the other sector, which becomes valid with its last word, and only then is the old one of no
 //! more use. So at each moment one sector holds all settings, old or new. Erasing deafens the processor (hundreds of
 //! milliseconds on these parts), so it is never done in the course of a write: [`Log::needs_erase`] says when the spare
-//! sector should be erased, and the owner does it while nothing moves ([`Log::erase_spare`]).
+//! sector should be erased, and the owner does it while nothing moves ([`Log::erase_spare`]). Cells of an erase that was
+//! cut short may read as ones and still not hold what is written to them; so a sector without its mark is erased again.
+//!
+//! A change is one record, so a change is atomic; who wants two things to change together gives them one key or a range.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
@@ -74,21 +78,28 @@ impl<E> From<E> for StoreError<E> {
 }
 
 const ERASED: u32 = u32::MAX;
-/// Bytes of a sector's header: sequence and its crc.
-const HEADER: u32 = 8;
+/// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
+const HEADER: u32 = 12;
+/// Where the mark stands, and what it is.
+const MARK_AT: u32 = 8;
+const MARK: u32 = u32::from_le_bytes(*b"wipe");
+/// Bytes of the longest value.
+const LONGEST: u32 = 100;
 /// Kinds of record; both differ from erased and zeroed memory in several bits.
 const PUT: u8 = 0xA5;
 const REMOVE: u8 = 0x5A;
 
 /// The log. One owner; every change is complete in flash when the call returns.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Log<F> {
     flash: F,
     sector: Sector,
     sequence: u32,
-    /// Where the next record goes; the sector's size when nothing more may be appended to it.
+    /// Behind the last record that counts: all before it has been checked or written.
     end: u32,
-    /// The spare sector is all ones.
+    /// What follows is erased, so the next record may be appended.
+    appendable: bool,
+    /// The spare sector holds its mark and nothing else.
     spare_erased: bool,
 }
 
@@ -109,7 +120,7 @@ fn crc(start: u32, words: &[u32]) -> u32 {
 struct Entry {
     kind: u8,
     key: u16,
-    value: heapless::Vec<u8, 100>,
+    value: heapless::Vec<u8, { LONGEST as usize }>,
 }
 
 impl Entry {
@@ -153,13 +164,30 @@ impl Entry {
     }
 }
 
-/// What stands at an address.
-enum Found {
-    Entry(Entry),
-    /// Erased: the log ends here.
-    End,
-    /// A record that was never finished: the log ends here, and nothing can be appended.
-    Torn,
+/// The first word of a record, as far as it can be taken apart.
+#[derive(Clone, Copy, Debug)]
+struct Outline {
+    kind: u8,
+    length: u32,
+    key: u16,
+}
+
+impl Outline {
+    fn read(word: u32) -> Self {
+        let [kind, length, low, high] = word.to_le_bytes();
+        Self { kind, length: u32::from(length), key: u16::from_le_bytes([low, high]) }
+    }
+
+    fn size(self) -> u32 {
+        8 + self.length.next_multiple_of(4)
+    }
+}
+
+/// The sequence of a sector that holds a log.
+fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<u32>, F::Error> {
+    let sequence = flash.read(sector, 0)?;
+    let sum = flash.read(sector, 4)?;
+    Ok((sequence != ERASED && sum == crc(ERASED, &[sequence])).then_some(sequence))
 }
 
 impl<F: Flash> Log<F> {
@@ -168,9 +196,10 @@ impl<F: Flash> Log<F> {
     /// # Errors
     /// If the flash cannot be read, written or erased.
     pub fn open(flash: F) -> Result<Self, F::Error> {
-        let mut log = Self { flash, sector: Sector::A, sequence: 0, end: 0, spare_erased: false };
-        let a = log.sequence_of(Sector::A)?;
-        let b = log.sequence_of(Sector::B)?;
+        let mut log =
+            Self { flash, sector: Sector::A, sequence: 0, end: HEADER, appendable: false, spare_erased: false };
+        let a = sequence_of(&mut log.flash, Sector::A)?;
+        let b = sequence_of(&mut log.flash, Sector::B)?;
         let newest = match (a, b) {
             (Some(a), Some(b)) if (b.wrapping_sub(a) as i32) > 0 => Some((Sector::B, b)),
             (Some(a), _) => Some((Sector::A, a)),
@@ -181,18 +210,48 @@ impl<F: Flash> Log<F> {
             Some((sector, sequence)) => {
                 log.sector = sector;
                 log.sequence = sequence;
-                log.end = log.find_end()?;
+                while let Some(entry) = log.checked_entry(log.end)? {
+                    log.end += entry.size();
+                }
+                log.appendable = log.is_erased(sector, log.end)?;
             }
             None => {
                 // Nothing to lose: this is the only place where the sector in use is erased.
-                log.flash.erase(Sector::A)?;
+                log.wipe(Sector::A)?;
                 log.write_header(Sector::A, 1)?;
                 log.sequence = 1;
-                log.end = HEADER;
+                log.appendable = true;
             }
         }
-        log.spare_erased = log.is_erased(log.sector.other())?;
+        let spare = log.sector.other();
+        log.spare_erased = log.flash.read(spare, 0)? == ERASED
+            && log.flash.read(spare, 4)? == ERASED
+            && log.flash.read(spare, MARK_AT)? == MARK
+            && log.is_erased(spare, HEADER)?;
         Ok(log)
+    }
+
+    /// Whether a memory holds a log, as [`Log::open`] would find it.
+    ///
+    /// # Errors
+    /// If the memory cannot be read.
+    pub fn is_in(flash: &mut F) -> Result<bool, F::Error> {
+        Ok(sequence_of(flash, Sector::A)?.is_some() || sequence_of(flash, Sector::B)?.is_some())
+    }
+
+    /// The memory.
+    pub fn flash(&self) -> &F {
+        &self.flash
+    }
+
+    /// The memory, to be told what is no business of the log.
+    pub fn flash_mut(&mut self) -> &mut F {
+        &mut self.flash
+    }
+
+    /// Gives the memory back.
+    pub fn into_flash(self) -> F {
+        self.flash
     }
 
     /// Hands every record that counts to `take`.
@@ -201,9 +260,11 @@ impl<F: Flash> Log<F> {
     /// If the flash cannot be read.
     pub fn for_each(&mut self, mut take: impl FnMut(Record)) -> Result<(), F::Error> {
         let mut address = HEADER;
-        while let Found::Entry(entry) = self.read_entry(address)? {
-            let next = address + entry.size();
-            if entry.kind == PUT && !self.is_replaced(entry.key, next)? {
+        while address < self.end {
+            let outline = self.outline(address)?;
+            let next = address + outline.size();
+            if outline.kind == PUT && !self.is_replaced(outline.key, next)? {
+                let entry = self.entry(address)?;
                 take(Record { key: entry.key, value: entry.value });
             }
             address = next;
@@ -211,7 +272,7 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Makes a change durable.
+    /// Makes a change durable. A record that stands there already is not written again.
     ///
     /// # Errors
     /// [`StoreError::Full`] when there is no room and the spare sector is not erased; [`StoreError::Flash`] when the
@@ -224,13 +285,16 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        if self.end + entry.size() > self.flash.sector_size() {
-            self.move_to_spare(&entry)?;
+        if self.holds(&entry)? {
+            return Ok(());
         }
-        if self.end + entry.size() > self.flash.sector_size() {
-            return Err(StoreError::Full);
+        if !self.appendable || self.end + entry.size() > self.flash.sector_size() {
+            return self.move_to_spare(&entry);
         }
+        // If the memory fails in the midst of the record, what it has written stays behind the end.
+        self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
+        self.appendable = true;
         Ok(())
     }
 
@@ -244,12 +308,12 @@ impl<F: Flash> Log<F> {
     /// # Errors
     /// If the memory does not do it.
     pub fn erase_spare(&mut self) -> Result<(), F::Error> {
-        self.flash.erase(self.sector.other())?;
+        self.wipe(self.sector.other())?;
         self.spare_erased = true;
         Ok(())
     }
 
-    /// Copies what counts into the spare sector, which then becomes the log.
+    /// Copies what counts into the spare sector, and what is being stored with it; the spare then becomes the log.
     fn move_to_spare(&mut self, coming: &Entry) -> Result<(), StoreError<F::Error>> {
         if !self.spare_erased {
             return Err(StoreError::Full);
@@ -258,17 +322,20 @@ impl<F: Flash> Log<F> {
         self.spare_erased = false;
         let mut address = HEADER;
         let mut end = HEADER;
-        while let Found::Entry(entry) = self.read_entry(address)? {
-            address += entry.size();
-            if entry.kind == PUT && !coming.replaces(entry.key) && !self.is_replaced(entry.key, address)? {
-                if end + entry.size() > self.flash.sector_size() {
+        while address < self.end {
+            let outline = self.outline(address)?;
+            let next = address + outline.size();
+            if outline.kind == PUT && !coming.replaces(outline.key) && !self.is_replaced(outline.key, next)? {
+                if end + outline.size() > self.flash.sector_size() {
                     return Err(StoreError::Full);
                 }
+                let entry = self.entry(address)?;
                 end = self.append(target, end, &entry)?;
             }
+            address = next;
         }
         if coming.kind == PUT {
-            // What is being stored replaces its predecessor in one step: both stand before the header does.
+            // It replaces its predecessor in one step: both stand before the header does.
             if end + coming.size() > self.flash.sector_size() {
                 return Err(StoreError::Full);
             }
@@ -279,6 +346,7 @@ impl<F: Flash> Log<F> {
         self.sector = target;
         self.sequence = sequence;
         self.end = end;
+        self.appendable = true;
         Ok(())
     }
 
@@ -291,19 +359,18 @@ impl<F: Flash> Log<F> {
         Ok(at)
     }
 
+    fn wipe(&mut self, sector: Sector) -> Result<(), F::Error> {
+        self.flash.erase(sector)?;
+        self.flash.write(sector, MARK_AT, MARK)
+    }
+
     fn write_header(&mut self, sector: Sector, sequence: u32) -> Result<(), F::Error> {
         self.flash.write(sector, 0, sequence)?;
         self.flash.write(sector, 4, crc(ERASED, &[sequence]))
     }
 
-    fn sequence_of(&mut self, sector: Sector) -> Result<Option<u32>, F::Error> {
-        let sequence = self.flash.read(sector, 0)?;
-        let sum = self.flash.read(sector, 4)?;
-        Ok((sequence != ERASED && sum == crc(ERASED, &[sequence])).then_some(sequence))
-    }
-
-    fn is_erased(&mut self, sector: Sector) -> Result<bool, F::Error> {
-        for address in (0..self.flash.sector_size()).step_by(4) {
+    fn is_erased(&mut self, sector: Sector, from: u32) -> Result<bool, F::Error> {
+        for address in (from..self.flash.sector_size()).step_by(4) {
             if self.flash.read(sector, address)? != ERASED {
                 return Ok(false);
             }
@@ -311,42 +378,16 @@ impl<F: Flash> Log<F> {
         Ok(true)
     }
 
-    /// Where appending may go on: behind the last record if the rest is erased, else nowhere.
-    fn find_end(&mut self) -> Result<u32, F::Error> {
-        let mut address = HEADER;
-        loop {
-            match self.read_entry(address)? {
-                Found::Entry(entry) => address += entry.size(),
-                Found::Torn => return Ok(self.flash.sector_size()),
-                Found::End => break,
-            }
-        }
-        for rest in (address..self.flash.sector_size()).step_by(4) {
-            if self.flash.read(self.sector, rest)? != ERASED {
-                return Ok(self.flash.sector_size());
-            }
-        }
-        Ok(address)
+    fn outline(&mut self, address: u32) -> Result<Outline, F::Error> {
+        Ok(Outline::read(self.flash.read(self.sector, address)?))
     }
 
-    fn read_entry(&mut self, address: u32) -> Result<Found, F::Error> {
-        let size = self.flash.sector_size();
-        if address + 8 > size {
-            return Ok(Found::End);
-        }
-        let first = self.flash.read(self.sector, address)?;
-        if first == ERASED {
-            return Ok(Found::End);
-        }
-        let [kind, length, low, high] = first.to_le_bytes();
-        let mut entry = Entry { kind, key: u16::from_le_bytes([low, high]), value: heapless::Vec::new() };
-        if !matches!(kind, PUT | REMOVE)
-            || entry.value.resize_default(usize::from(length)).is_err()
-            || address + entry.size() > size
-        {
-            return Ok(Found::Torn);
-        }
-        let sum_at = address + entry.size() - 4;
+    /// The record at an address where there is one.
+    fn entry(&mut self, address: u32) -> Result<Entry, F::Error> {
+        let outline = self.outline(address)?;
+        let mut entry = Entry { kind: outline.kind, key: outline.key, value: heapless::Vec::new() };
+        // Longer ones are refused by `checked_entry`.
+        let _ = entry.value.resize_default(outline.length as usize);
         let mut at = address + 4;
         for bytes in entry.value.chunks_mut(4) {
             let word = self.flash.read(self.sector, at)?.to_le_bytes();
@@ -355,20 +396,61 @@ impl<F: Flash> Log<F> {
             }
             at += 4;
         }
-        let sum = self.flash.read(self.sector, sum_at)?;
-        let valid = entry.words().last() == Some(&sum);
-        Ok(if valid { Found::Entry(entry) } else { Found::Torn })
+        Ok(entry)
     }
 
+    /// The record at an address, if a whole one stands there.
+    fn checked_entry(&mut self, address: u32) -> Result<Option<Entry>, F::Error> {
+        let size = self.flash.sector_size();
+        if address + 8 > size {
+            return Ok(None);
+        }
+        let outline = self.outline(address)?;
+        if !matches!(outline.kind, PUT | REMOVE) || outline.length > LONGEST || address + outline.size() > size {
+            return Ok(None);
+        }
+        let entry = self.entry(address)?;
+        let sum = self.flash.read(self.sector, address + outline.size() - 4)?;
+        Ok((entry.words().last() == Some(&sum)).then_some(entry))
+    }
+
+    /// Whether a record counts no more because of one from `from` on.
     fn is_replaced(&mut self, key: u16, from: u32) -> Result<bool, F::Error> {
         let mut address = from;
-        while let Found::Entry(entry) = self.read_entry(address)? {
-            if entry.replaces(key) {
+        while address < self.end {
+            let outline = self.outline(address)?;
+            let replaces = match outline.kind {
+                PUT => outline.key == key,
+                _ => outline.key <= key && self.entry(address)?.replaces(key),
+            };
+            if replaces {
                 return Ok(true);
             }
-            address += entry.size();
+            address += outline.size();
         }
         Ok(false)
+    }
+
+    /// Whether storing an entry would change nothing.
+    fn holds(&mut self, coming: &Entry) -> Result<bool, F::Error> {
+        let mut holds = coming.kind == REMOVE;
+        let mut address = HEADER;
+        while address < self.end {
+            let outline = self.outline(address)?;
+            if coming.kind == REMOVE {
+                let stands = outline.kind == PUT && coming.replaces(outline.key);
+                if stands && !self.is_replaced(outline.key, address + outline.size())? {
+                    return Ok(false);
+                }
+            } else if outline.kind == REMOVE || outline.key == coming.key {
+                let entry = self.entry(address)?;
+                if entry.replaces(coming.key) {
+                    holds = entry.kind == PUT && entry.value == coming.value;
+                }
+            }
+            address += outline.size();
+        }
+        Ok(holds)
     }
 }
 

@@ -9,6 +9,8 @@ const SIZE: u32 = 512;
 #[derive(Clone, Debug)]
 struct Mock {
     sectors: [Vec<u32>; 2],
+    /// Whether the last erase came to its end. If not, cells that read as ones are weak.
+    whole: [bool; 2],
     power: Option<u32>,
     operations: u32,
     /// Bits that a word write which loses power still programs.
@@ -21,7 +23,7 @@ struct PowerCut;
 impl Mock {
     fn new() -> Self {
         let words = vec![ERASED; SIZE as usize / 4];
-        Self { sectors: [words.clone(), words], power: None, operations: 0, torn_bits: 0 }
+        Self { sectors: [words.clone(), words], whole: [false; 2], power: None, operations: 0, torn_bits: 0 }
     }
 
     fn spend(&mut self) -> bool {
@@ -50,16 +52,23 @@ impl Flash for Mock {
         let torn = self.torn_bits;
         let slot = &mut self.sectors[sector as usize][address as usize / 4];
         assert_eq!(*slot, ERASED, "only erased words are programmed");
+        assert!(self.whole[sector as usize], "an erase that was cut short is made again before anything is written");
         *slot = if powered { word } else { word | !torn };
         if powered { Ok(()) } else { Err(PowerCut) }
     }
     fn erase(&mut self, sector: Sector) -> Result<(), PowerCut> {
         let powered = self.spend();
         let words = &mut self.sectors[sector as usize];
-        let upto = if powered { words.len() } else { words.len() / 2 };
+        // Cut short, the erase may look complete or not.
+        let upto = if powered || self.torn_bits & 1 != 0 { words.len() } else { words.len() / 2 };
         words[..upto].fill(ERASED);
+        self.whole[sector as usize] = powered;
         if powered { Ok(()) } else { Err(PowerCut) }
     }
+}
+
+fn count(log: &Log<Mock>) -> u32 {
+    log.flash.operations
 }
 
 fn put(key: u16, bytes: &[u8]) -> Store {
@@ -127,6 +136,36 @@ fn a_full_log_says_so_and_keeps_what_it_has() {
     assert!(stored.len() >= 9);
     let mut log = Log::open(log.flash).unwrap();
     assert_eq!(contents(&mut log), stored);
+}
+
+#[test]
+fn what_stands_there_already_is_not_written_again() {
+    let mut log = Log::open(Mock::new()).unwrap();
+    change(&mut log, &put(100, &[1, 2, 3, 4])).unwrap();
+    change(&mut log, &put(101, &[1, 2, 3, 4])).unwrap();
+    let before = count(&log);
+    change(&mut log, &put(100, &[1, 2, 3, 4])).unwrap();
+    change(&mut log, &Store::Remove { from: 102, until: 200 }).unwrap();
+    assert_eq!(count(&log), before);
+    change(&mut log, &Store::Remove { from: 100, until: 101 }).unwrap();
+    let before = count(&log);
+    change(&mut log, &Store::Remove { from: 100, until: 101 }).unwrap();
+    assert_eq!(count(&log), before);
+    change(&mut log, &put(100, &[1, 2, 3, 4])).unwrap();
+    assert_eq!(contents(&mut log).len(), 2);
+}
+
+/// A word that does not take what is written to it spoils its record and nothing else.
+#[test]
+fn a_failed_write_spoils_its_record_only() {
+    let mut log = Log::open(Mock::new()).unwrap();
+    change(&mut log, &put(1, b"kept")).unwrap();
+    log.flash.power = Some(1);
+    assert!(log.store(&put(2, b"lost")).is_err());
+    log.flash.power = None;
+    change(&mut log, &put(3, b"later")).unwrap();
+    let mut log = Log::open(log.flash).unwrap();
+    assert_eq!(contents(&mut log), BTreeMap::from([(1, b"kept".to_vec()), (3, b"later".to_vec())]));
 }
 
 fn changes() -> impl Strategy<Value = Vec<Store>> {

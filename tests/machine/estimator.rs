@@ -19,6 +19,10 @@
 //! - At a corner the path speed is bounded by the junction rule: the machine may cut the corner on a circle that passes
 //!   within the junction deviation of it, at the acceleration that the axes allow across. Between the interval before
 //!   the corner and the corner itself the block's acceleration acts for less than the time to the interval after it.
+//! - On a chain of moves without a sharp corner v² is at most a·R, a along the normal, with R from three points of it: the
+//!   ends of neighbouring moves, and points about [`REACHES`] away to both sides, which are taken where the path turns by
+//!   less than [`GENTLE`] between them. Every point may be half a digit off; the part of the bend that this can explain is
+//!   taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
 //!   of the shorter one count as straight on.
 
@@ -28,6 +32,16 @@ use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
 pub const TOLERANCE: f64 = 0.01;
 /// Last digit of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
+
+/// How far away the points are from which a bend is measured, mm; how much the path may turn between, rad, and at one
+/// point; and how far it may be longer than straight.
+const REACHES: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+const GENTLE: f64 = 0.35;
+const SHARP: f64 = 0.6;
+const STRAIGHTNESS: f64 = 0.95;
+
+/// How far a point may be from where it was meant, mm: half a digit in two axes at once, rounded up.
+const NOISE: f64 = 0.0008;
 
 /// Steps per second below which steps are placed on a finer grid; by how much of a step that may move them; and over how
 /// many steps a speed is measured there.
@@ -57,6 +71,8 @@ pub struct Line {
 
 /// A move with what the limits make of it.
 struct Move {
+    from: [f64; AXES],
+    to: [f64; AXES],
     unit: [f64; AXES],
     length: f64,
     speed: f64,
@@ -143,6 +159,8 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
         let unit = delta.map(|d| d / length);
         let rate = limits.along(limits.rate, unit);
         moves.push(Move {
+            from: line.from,
+            to: line.to,
             unit,
             length,
             speed: line.feed.unwrap_or(rate).min(rate),
@@ -161,6 +179,9 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     }
     for (index, pair) in moves.windows(2).enumerate() {
         check_corner(&pair[0], &pair[1], hz, limits).map_err(|e| format!("corner after move {index}: {e}"))?;
+    }
+    for corner in 1..moves.len() {
+        check_bend(&moves, corner, hz, limits).map_err(|e| format!("bend after move {}: {e}", corner - 1))?;
     }
     if let Some(first) = moves.first() {
         check_rest(first, first.times.iter().map(|t| (t - first.times[0]) as f64 / hz))
@@ -255,6 +276,57 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     for reading in [a, b] {
         if reading.speed > junction + acceleration * time + reading.rounding {
             return Err(format!("{} mm/s, {time} s round a corner for {junction} mm/s", reading.speed));
+        }
+    }
+    Ok(())
+}
+
+/// Greatest speed² on the circle through three points, as far as noise cannot explain it; infinite if they say nothing.
+fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
+    let [a, b, c] = points;
+    let first: [f64; AXES] = std::array::from_fn(|i| b[i] - a[i]);
+    let second: [f64; AXES] = std::array::from_fn(|i| c[i] - b[i]);
+    let (l1, l2) = (norm(first), norm(second));
+    let turn: [f64; AXES] = std::array::from_fn(|i| second[i] / l2 - first[i] / l1);
+    let sure = norm(turn) - 2.0 * NOISE * (1.0 / l1 + 1.0 / l2);
+    if !(sure > 0.0 && norm(turn) < greatest_turn) {
+        return f64::INFINITY;
+    }
+    limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure
+}
+
+/// The speeds on both sides of a corner against the bend that it is a part of.
+fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result<(), String> {
+    let (before, after) = (&moves[corner - 1], &moves[corner]);
+    let readings = [readings(before, hz).last().copied(), readings(after, hz).first().copied()];
+    let here = after.from;
+    let mut allowed2 = bend([before.from, here, after.to], SHARP, limits);
+    for reach in REACHES {
+        // The nearest ends of moves so far away along the path.
+        let reached = |mut corners: Box<dyn Iterator<Item = usize> + '_>, far: fn(&Move) -> [f64; AXES]| {
+            let mut path = 0.0;
+            corners.find_map(|i| {
+                path += moves[i].length;
+                (path >= reach).then(|| (far(&moves[i]), path))
+            })
+        };
+        let back = reached(Box::new((0..corner).rev()), |m| m.from);
+        let ahead = reached(Box::new(corner..moves.len()), |m| m.to);
+        let (Some((a, way_back)), Some((c, way_ahead))) = (back, ahead) else { break };
+        let straight = |point: [f64; AXES], way: f64| {
+            way < 1.5 * reach && norm(std::array::from_fn(|i| point[i] - here[i])) > STRAIGHTNESS * way
+        };
+        if straight(a, way_back) && straight(c, way_ahead) {
+            let acceleration = before.acceleration.max(after.acceleration);
+            allowed2 = allowed2.min(bend([a, here, c], GENTLE, limits) + acceleration * reach);
+        }
+    }
+    let slack = TOLERANCE + before.slack + after.slack;
+    for (reading, m) in readings.iter().flatten().flatten().zip([before, after]) {
+        // The reading is a mean over its span, the corner at one end of it.
+        let most = allowed2.sqrt() * (1.0 + slack) + m.acceleration * (reading.span / 2.0 + reading.step);
+        if reading.speed > most + reading.rounding {
+            return Err(format!("{} mm/s on a bend for {}", reading.speed, allowed2.sqrt()));
         }
     }
     Ok(())

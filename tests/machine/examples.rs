@@ -7,6 +7,7 @@ use super::seed::CENTRES;
 use std::path::PathBuf;
 
 #[path = "../../xtask/src/programs/mod.rs"]
+#[allow(dead_code, reason = "the list of the benchmark's jobs is for the command line")]
 mod jobs;
 
 const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;

@@ -4,6 +4,7 @@ mod conversations;
 mod estimator;
 mod examples;
 mod host;
+mod kinematics;
 mod motion_properties;
 mod oracle;
 mod rig;

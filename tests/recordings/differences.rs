@@ -20,6 +20,7 @@ const fn at_its_time(group: &'static str, n: u64, why: &'static str) -> Differen
 
 const CHECKED: &str =
     "whole-number settings and line numbers of $N are checked; Grbl cuts them to 8 bits or writes beyond its area";
+const NUMBER: &str = "a setting that Grbl does not have; the reset input is inverted and so active at once";
 const HELD: &str =
     "the recording host's way out of a hold: the line is `!`, which holds here until the next `~` or reset";
 const REACH: &str = "targets beyond 50 m are refused, so that all arithmetic stays exact";
@@ -35,6 +36,7 @@ const STOPPED: &str = "the machine was stopped by the hand, at a moment that is 
 
 pub const DIFFERENCES: &[Difference] = &[
     differs("02_settings", 10, &["error:3"], CHECKED),
+    differs("02_settings", 89, &["ok", "Grbl 1.1h ['$' for help]"], NUMBER),
     differs("03_startup_build", 9, &["error:3"], CHECKED),
     differs("03_startup_build", 11, &["error:3"], CHECKED),
     differs("07_modal_bad", 104, &[], HELD),

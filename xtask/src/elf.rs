@@ -1,5 +1,13 @@
 //! Reads ELF files: sections, where they are stored, and symbols. What they mean for the firmware is judged elsewhere.
 
+/// What a tool that flashes the image writes.
+pub struct Segment {
+    /// Where to.
+    pub stored: u32,
+    /// How many bytes.
+    pub size: u32,
+}
+
 /// A part of the file.
 pub struct Section {
     /// Its name.
@@ -50,6 +58,20 @@ impl Elf<'_> {
     pub fn half(&self, at: u32) -> Option<u32> {
         let at = at as usize;
         Some(u32::from(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?)))
+    }
+
+    /// The segments that have bytes to be loaded.
+    pub fn segments(&self) -> Option<Vec<Segment>> {
+        let (programs, size, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
+        let mut segments = Vec::new();
+        for i in 0..count {
+            let program = programs + i * size;
+            let segment = Segment { stored: self.word(program + 12)?, size: self.word(program + 16)? };
+            if self.word(program)? == 1 && segment.size > 0 {
+                segments.push(segment);
+            }
+        }
+        Some(segments)
     }
 
     /// All sections; `None` if this is no 32-bit little-endian ELF file.

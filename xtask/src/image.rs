@@ -1,6 +1,6 @@
 //! Builds an image and looks into it: an image without a vector table or without code links just as well.
 
-use crate::elf::{Elf, Section};
+use crate::elf::{Elf, Section, Segment};
 use crate::reach::{self, Allowed};
 use crate::{Failure, QEMU_BOARD, TARGET, cargo, root, run};
 use std::fmt;
@@ -92,11 +92,12 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
         Some(_) => return fail("has too little code, or it is not where the plan wants it"),
         None => return fail("has no code"),
     }
+    let segments = elf.segments().ok_or("the program headers are cut off")?;
+    if segments.iter().any(|s| chip.is_in_settings(s)) {
+        return fail("has a segment that reaches into the settings sectors: flashing it would erase them");
+    }
     let in_flash =
         |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
-    if sections.iter().filter(in_flash).any(|s| s.stored < chip.code && s.stored + s.size > chip.settings) {
-        return fail("reaches into the settings sectors");
-    }
     let flash = sections.iter().filter(in_flash).map(|s| s.size).sum();
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
     // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
@@ -141,6 +142,13 @@ impl Chip {
     }
 }
 
+impl Chip {
+    /// Whether a tool that loads a segment writes to the settings sectors.
+    fn is_in_settings(&self, segment: &Segment) -> bool {
+        segment.stored < self.code && segment.stored + segment.size > self.settings
+    }
+}
+
 /// A number as the linker takes it.
 fn number(text: &str) -> Option<u32> {
     if let Some(hex) = text.strip_prefix("0x") {
@@ -171,6 +179,39 @@ mod tests {
         for board in crate::boards::BOARDS {
             let chip = Chip::read(board).unwrap();
             assert!(chip.flash < chip.settings && chip.settings < chip.code, "{board}");
+        }
+    }
+
+    /// A file with one program header, of the kind that is loaded.
+    fn elf_with_segment(stored: u32, size: u32) -> Vec<u8> {
+        let mut bytes = vec![0_u8; 52 + 32];
+        bytes[..6].copy_from_slice(b"\x7FELF\x01\x01");
+        let mut put = |at: usize, word: u32| bytes[at..at + 4].copy_from_slice(&word.to_le_bytes());
+        put(28, 52);
+        put(42, 32 | 1 << 16);
+        for (at, word) in [(0, 1), (8, stored), (12, stored), (16, size), (20, size)] {
+            put(52 + at, word);
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_segment_in_the_settings_sectors_is_seen() {
+        for board in crate::boards::BOARDS {
+            let chip = Chip::read(board).unwrap();
+            for (from, until, touches) in [
+                (chip.flash, chip.settings, false),
+                (chip.flash, chip.settings + 4, true),
+                (chip.settings + 0x100, chip.settings + 0x200, true),
+                (chip.code - 4, chip.code + 0x1000, true),
+                (chip.code, chip.code + 0x1000, false),
+                (chip.flash, chip.code + 0x1000, true),
+            ] {
+                let bytes = elf_with_segment(from, until - from);
+                let segments = Elf { bytes: &bytes }.segments().unwrap();
+                assert_eq!(segments.len(), 1);
+                assert_eq!(chip.is_in_settings(&segments[0]), touches, "{board}: {from:#x}..{until:#x}");
+            }
         }
     }
 

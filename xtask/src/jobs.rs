@@ -224,6 +224,9 @@ pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
             return Ok(status.trim().to_owned());
         }
         idle_before = idle;
+        if status.contains("<Alarm|") {
+            return Err(format!("streamed: an alarm instead of rest: {status}"));
+        }
         if begin.elapsed() > LIMIT {
             return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));
         }

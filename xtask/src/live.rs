@@ -20,7 +20,8 @@ type Test = fn(&mut Lines) -> Result<(), Failure>;
 /// All of them, each with a machine that was just switched on.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    let tests: [(&str, Test); 4] = [
+    let tests: [(&str, Test); 5] = [
+        ("settings_are_there_again_after_a_reset_of_the_machine", settings),
         ("a_flood_of_lines_behind_a_dwell_loses_nothing", flood),
         ("a_hold_brakes_and_a_resume_goes_on_to_the_end", hold_and_resume),
         ("a_reset_in_motion_stops_for_good_and_raises_an_alarm", reset_in_motion),
@@ -103,6 +104,30 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(&text)?;
     let answers = read_until(&mut lines.host, LIMIT, |text| text.matches("ok\r\n").count() >= 251)?;
     hold_on(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
+}
+
+/// More records than the two sectors hold together, so that the log has moved from one to the other and back.
+fn settings(lines: &mut Lines) -> Result<(), Failure> {
+    const RECORDS: usize = 3_000;
+    let mut text = b"$N1=G17\n$I=mill 7\nG10L2P2X1.5Y-2\n$100=123.5\n".to_vec();
+    for i in 0..RECORDS {
+        text.extend(format!("$101={}\n", 100 + i).bytes());
+    }
+    lines.send(&text)?;
+    let answers = read_until(&mut lines.host, LIMIT, |text| text.matches("ok\r\n").count() >= 4 + RECORDS)?;
+    hold_on(!answers.contains("error") && !answers.contains("MSG"), || format!("answers: {answers}"))?;
+    lines.stand.write_all(b"R").map_err(|error| error.to_string())?;
+    let welcome = lines.expect(">G17:ok\r\n")?;
+    hold_on(welcome.contains("Grbl"), || format!("after the reset: {welcome}"))?;
+    lines.send(b"$$\n")?;
+    let listing = lines.expect("ok\r\n")?;
+    hold_on(listing.contains("$100=123.500\r\n$101=3099.000\r\n"), || listing)?;
+    lines.send(b"$#\n")?;
+    let parameters = lines.expect("ok\r\n")?;
+    hold_on(parameters.contains("[G55:1.500,-2.000,0.000]"), || parameters)?;
+    lines.send(b"$I\n")?;
+    let info = lines.expect("ok\r\n")?;
+    hold_on(info.contains("MILL7"), || info)
 }
 
 fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {

@@ -31,7 +31,9 @@ usage:
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
-  cargo xtask job NAME       writes a program of examples/ to standard output
+  cargo xtask converse       the conversations with the firmware on QEMU alone
+  cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
+  cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask count          what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU
 boards: ";
 
@@ -49,8 +51,10 @@ fn main() -> ExitCode {
         ["test-target"] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
         ["test-target", board] => known(board).and_then(suites::on_board),
+        ["converse"] => live::all(),
         ["job", name] => generate(name),
         ["count"] => count::count(),
+        ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
             return ExitCode::from(2);
@@ -78,7 +82,10 @@ fn known(board: &str) -> Result<&str, Failure> {
 fn generate(name: &str) -> Result<(), Failure> {
     match programs::generate(name, &mut std::io::stdout().lock()) {
         Ok(true) => Ok(()),
-        Ok(false) => Err(format!("there is no program `{name}`; there are {}", programs::NAMES.join(", "))),
+        Ok(false) => {
+            let names = [programs::NAMES, programs::bench::NAMES].concat().join(", ");
+            Err(format!("there is no program `{name}`; there are {names}"))
+        }
         Err(error) => Err(format!("the program could not be written: {error}")),
     }
 }

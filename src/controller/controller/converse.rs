@@ -10,15 +10,20 @@ use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
-use crate::settings::{Key, Settings};
+use crate::settings::{AxisKey, Key, Settings};
 use crate::units::Coordinate;
 
-/// Keys of stored records: a setting has its own number (0 to 999).
+/// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
+/// finds all of it or nothing.
 const KEY_OFFSETS: u16 = 1000;
 const KEY_STARTUP: u16 = 1100;
-/// Number of the dialect setting, above all others.
-const DIALECT: u16 = 900;
 const KEY_BUILD_INFO: u16 = 1200;
+/// The dialect stands above what `$RST` forgets: it is how this host is spoken to.
+const KEY_DIALECT: u16 = 2000;
+/// Number of the dialect setting.
+const DIALECT: u16 = 900;
+/// Number of the setting of the kinematics.
+const KINEMATICS: u16 = 904;
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +64,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
+            KEY_DIALECT => {
+                if let Ok(bytes) = record.value.as_slice().try_into() {
+                    self.settings.restore(DIALECT, f32::from_le_bytes(bytes));
+                }
+            }
             _ => {}
         }
     }
@@ -215,7 +225,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         match system::read(line)? {
             System::Help => {
-                self.say(report::help);
+                let grbl = self.dialect() == Dialect::Grbl;
+                self.say(|out| report::help(out, grbl));
                 self.say(report::ok);
             }
             System::Settings if self.mode == Mode::Normal && !idle => return Err(Error::NotIdle),
@@ -228,7 +239,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::BuildInfo => {
                 let info = self.build_info.clone();
-                self.say(|out| report::build_info(out, &info, BLOCKS, LINES_DEPTH));
+                let letters = self.option_letters();
+                self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
                 self.say(report::ok);
             }
             System::SetBuildInfo(text) => {
@@ -272,17 +284,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        if (100..110).contains(&number) || (number == 22 && self.settings.is_on(Key::Homing)) {
+        if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
             self.trusted = false;
         }
         if number == 13 {
             self.rare_fields.offset_changed();
         }
-        self.save_setting(number);
-        if number == 22 {
-            // Switching homing off switches soft limits off.
+        if number == 22 && self.settings.is_on(Key::Homing) {
+            // Without homing a stored $20 does not count (see `start`) and was left as it was; now it counts again.
             self.save_setting(20);
         }
+        self.save_setting(number);
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
@@ -322,21 +334,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
-            // The dialect stays: it is how this host is spoken to.
             let mut settings = Settings::default();
             settings.restore(DIALECT, self.settings.value(Key::Dialect));
+            self.trusted &= settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.settings.arrangement();
             self.settings = settings;
-            self.forget(0..DIALECT);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();
-            self.forget(KEY_OFFSETS..KEY_STARTUP);
         }
         if what == Restore::All {
             self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
             self.build_info.clear();
-            self.forget(KEY_STARTUP..KEY_BUILD_INFO + 1);
         }
+        self.forget(match what {
+            Restore::Settings => 0..KEY_OFFSETS,
+            Restore::Coordinates => KEY_OFFSETS..KEY_STARTUP,
+            Restore::All => 0..KEY_DIALECT,
+        });
         self.say(|out| report::message(out, "Restoring defaults"));
         self.interpreter.reset();
         self.task = Task::Storing(Answer::Restart);
@@ -344,7 +359,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     // The store
 
-    /// At most three of these come from one command, and the next is read when they are answered: there is room.
+    /// At most two of these come from one command, and the next is read when they are answered: there is room.
     fn hand_to_store(&mut self, store: Store) {
         if self.profile.has_store && self.stores.push_back(store).is_ok() {
             self.unstored += 1;
@@ -363,7 +378,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn save_setting(&mut self, number: u16) {
         if let Some(value) = self.settings.by_number(number) {
-            self.save(number, &value.to_le_bytes());
+            let key = if number == DIALECT { KEY_DIALECT } else { number };
+            self.save(key, &value.to_le_bytes());
         }
     }
 
@@ -379,6 +395,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     // Answers
+
+    /// What `$I` says is switched on, in Grbl's letters and their order.
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
+        let own = self.dialect() != Dialect::Grbl;
+        let on = |key| self.settings.is_on(key);
+        [
+            (true, b'V'),
+            (own, b'N'),
+            (own, b'M'),
+            (on(Key::Kinematics), b'C'),
+            (on(Key::Parking), b'P'),
+            (own, b'H'),
+            (own && on(Key::Parking), b'R'),
+            (on(Key::DoorFitted), b'+'),
+            (on(Key::GangedAxis), b'2'),
+        ]
+        .into_iter()
+        .filter_map(|(on, letter)| on.then_some(letter))
+        .collect()
+    }
 
     pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.has_reply_room() {

@@ -6,7 +6,7 @@ use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::{Alarm, Error};
 use crate::machine::homing::{Homing, HomingSettings, Order};
 use crate::machine::state::Mode;
-use crate::messages::ToStep;
+use crate::messages::{GangedMotors, ToStep};
 use crate::motion::{Move, Speed};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
@@ -28,8 +28,10 @@ pub(super) enum HomingWait {
 pub(super) enum Probing {
     /// Moving, no contact yet.
     Seeking,
-    /// Contact has been made; braking.
+    /// Contact has been made; the step task brakes.
     Braking,
+    /// Contact has been made, and the machine is at rest.
+    Touched,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -42,7 +44,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.motion_locked() {
             return Err(error);
         }
+        let cycles = self.settings.axes(AxisKey::HomingCycle).0.map(|mask| AxisMask(mask as u8));
         let settings = HomingSettings {
+            cycles,
+            passes: self.settings.whole(Key::HomingPasses),
+            squared: self.squared_axis(),
             to_negative: AxisMask(self.settings.whole(Key::HomingDirection) as u8),
             seek_rate: per_second(self.settings.value(Key::HomingSeek)),
             locate_rate: per_second(self.settings.value(Key::HomingLocate)),
@@ -58,13 +64,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Ok(())
     }
 
+    /// The axis that homing squares, and how far one of its motors may go alone: a share of the travel within bounds.
+    fn squared_axis(&self) -> Option<(Axis, f32)> {
+        let axis = self.settings.ganged_axis().filter(|_| self.settings.is_on(Key::GangedSwitch))?;
+        let share = self.settings.value(Key::SquaringShare) / 100.0 * self.settings.axes(AxisKey::Travel).get(axis)?;
+        let (least, most) = (self.settings.value(Key::SquaringLeast), self.settings.value(Key::SquaringMost));
+        let at_least = if share > least { share } else { least };
+        Some((axis, if at_least < most { at_least } else { most }))
+    }
+
     fn switches(&self) -> AxisMask {
         AxisMask(self.signals.limits)
     }
 
     fn carry_out(&mut self, homing: Homing<N>, order: Order<N>) {
         match order {
-            Order::Move { by, rate, watch } => {
+            Order::Move { by, rate, watch, motors } => {
+                self.ganged_motors = motors;
                 let here = self.motion.machine_position();
                 let target = here.zip(&by, |from, by| (from + Coordinate::from_mm_f32(by)).limited());
                 self.motion.line(&seek(target, Speed::Feed(rate)));
@@ -79,8 +95,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         place.set(axis, home);
                     }
                 }
-                // One axis alone does not make the others true.
-                self.trusted |= Axis::of_machine::<N>().all(|axis| axes.has(axis));
+                // One axis alone does not make the others true; one that no cycle has is as true as it can be.
+                let cycles = self.settings.axes(AxisKey::HomingCycle);
+                self.trusted |= !axes.is_empty() && cycles.iter().all(|cycle| *cycle as u8 & !axes.0 == 0);
+                self.ganged_motors = GangedMotors::Both;
                 self.motion.set_machine_position(&place);
                 self.interpreter.set_position(self.motion.machine_position());
                 self.mode = Mode::Normal;
@@ -140,8 +158,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.interpreter.set_position(self.motion.machine_position());
             return false;
         }
-        self.probe_watch = Some(ToStep::Watch { probe: Some(!away) });
         self.motion.line(&seek(*target, speed));
+        self.probe_watch = Some(ToStep::Watch { probe: Some(!away), braking: self.motion.braking() });
         self.start_motion();
         true
     }
@@ -151,19 +169,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.probing == Some(Probing::Seeking) {
             self.probing = Some(Probing::Braking);
             self.probed = self.motion.position_of_counter(counter);
-            self.motion.hold();
+        }
+    }
+
+    /// Once the step task has braked it is asked where it is, and opened again.
+    pub(super) fn settle_probe(&mut self) {
+        if self.probing == Some(Probing::Braking) && self.observed.step_idle && self.stop.awaited.is_none() {
+            self.order_stop(StopReason::Contact);
         }
     }
 
     /// Whether the probe is over; then it has been reported.
     pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
         let touched = match self.probing {
-            Some(Probing::Braking) if self.motion.is_at_rest() => true,
+            Some(Probing::Touched) => true,
             Some(Probing::Seeking) if self.motion.is_idle() => false,
             _ => return false,
         };
         self.probing = None;
-        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.probe_watch = Some(WATCH_ENDS);
         self.motion.discard();
         self.running = false;
         let here = self.motion.machine_position();
@@ -180,6 +204,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         true
     }
 }
+
+/// The probe is of no interest any more.
+pub(super) const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 /// A move that the operator's overrides leave alone.
 fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed) -> Move<N> {

@@ -13,11 +13,6 @@ use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::{Coordinate, Duration, per_second};
 
-/// From a resumed door: spindle on, then this long until the coolant comes on (Grbl's 4.0 s).
-const SPINDLE_RESTORE: Duration = Duration::from_ticks(4_000_000);
-/// From coolant on until motion goes on (Grbl's 1.0 s).
-const COOLANT_RESTORE: Duration = Duration::from_ticks(1_000_000);
-
 /// What the door took away and where parking goes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DoorState<const N: usize> {
@@ -61,6 +56,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Door(Door::Braking);
             }
             Mode::Normal | Mode::Hold => {
+                self.spinning_up = None;
                 self.motion.hold();
                 self.task.suspend(self.now);
                 self.mode = Mode::Door(Door::Braking);
@@ -134,7 +130,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Door::SpindleRestoring(until) if self.now >= until => {
                 self.coolant = self.door.coolant.unwrap_or_default();
                 self.rare_fields.overrides_changed();
-                let delay = if self.coolant == Coolant::default() { Duration::millis(0) } else { COOLANT_RESTORE };
+                let delay = if self.coolant == Coolant::default() {
+                    Duration::millis(0)
+                } else {
+                    self.settings.seconds(Key::DoorCoolantDelay)
+                };
                 self.mode = Mode::Door(Door::CoolantRestoring(self.now + delay));
             }
             Door::CoolantRestoring(until) if self.now >= until => match self.door.way {
@@ -238,7 +238,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.spindle_stopped = false;
         self.rare_fields.overrides_changed();
         let at_once = self.spindle == SpindleDirection::Off || self.settings.is_on(Key::Laser);
-        let delay = if at_once { Duration::millis(0) } else { SPINDLE_RESTORE };
+        let delay = if at_once { Duration::millis(0) } else { self.settings.seconds(Key::DoorSpindleDelay) };
         self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
         // Nothing to wait for: the same call goes on.
         if at_once {

@@ -56,6 +56,8 @@ pub(super) struct Job<const N: usize> {
     checked: Checked<N>,
     stage: Stage<N>,
     jog: bool,
+    /// How long the spindle takes to turn, or to stand, after this line has switched it.
+    spindle_delay: Duration,
 }
 
 #[derive(Debug)]
@@ -158,11 +160,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
                 || self.speed_needs_rest(&checked));
         let stage = if drain { Stage::Drain } else { Stage::Apply };
-        self.task = Task::Job(Job { answer, checked, stage, jog });
+        self.task = Task::Job(Job { answer, checked, stage, jog, spindle_delay: Duration::from_ticks(0) });
     }
 
-    /// A running spindle changes its speed at rest; a laser's power rides with the motion.
+    /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
     fn speed_needs_rest(&self, checked: &Checked<N>) -> bool {
+        self.settings.is_on(Key::Laser) && self.shows_speed(checked)
+    }
+
+    /// Whether the accessories are reported anew because of S.
+    fn shows_speed(&self, checked: &Checked<N>) -> bool {
         checked.speed_changed
             && self.spindle != SpindleDirection::Off
             && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None)
@@ -221,14 +228,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 None
             }
             Stage::Apply => {
-                self.apply(&job.checked, checking);
+                job.spindle_delay = self.apply(&job.checked, checking);
                 Some(Stage::Storing)
             }
             Stage::Storing if self.unstored > 0 => None,
-            Stage::Storing => Some(match job.checked.dwell {
-                Some(time) if !checking => Stage::Dwell(self.now + time),
-                _ => Stage::Via,
-            }),
+            Stage::Storing => {
+                let dwell = job.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+                let wait = dwell + job.spindle_delay;
+                Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
+            }
             Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
             Stage::Via => match job.checked.motion {
                 gcode::Motion::Line { via: Some(via), .. } if !checking => {
@@ -262,7 +270,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                             let speed = Speed::Feed(feed);
                             // There is room for a block, so the move is taken.
                             let mv = self.move_of(&target, speed, &job.checked, job.jog);
-                            self.motion.line(&mv);
+                            self.motion.chord(&mv, arc);
                             self.task = Task::Job(job);
                             return true;
                         }
@@ -291,8 +299,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         progressed
     }
 
-    /// Takes the line's modal state over and sets what does not move.
-    fn apply(&mut self, checked: &Checked<N>, checking: bool) {
+    /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
+    fn apply(&mut self, checked: &Checked<N>, checking: bool) -> Duration {
+        let mut delay = Duration::from_ticks(0);
         let before = self.interpreter.work_offset();
         self.interpreter.commit(checked);
         if self.interpreter.work_offset() != before {
@@ -302,13 +311,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.store_offset(offset);
         }
         if checking {
-            return;
+            return delay;
         }
         self.spindle_speed = checked.speed;
-        if self.speed_needs_rest(checked) {
+        if self.shows_speed(checked) {
             self.rare_fields.overrides_changed();
         }
         if let Some(spindle) = checked.spindle {
+            if spindle != self.spindle && !self.settings.is_on(Key::Laser) {
+                let off = spindle == SpindleDirection::Off;
+                delay = self.settings.seconds(if off { Key::SpinDown } else { Key::SpinUp });
+            }
             self.spindle = spindle;
             self.rare_fields.overrides_changed();
         }
@@ -316,6 +329,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.coolant = coolant;
             self.rare_fields.overrides_changed();
         }
+        delay
     }
 
     /// Program pause and end: both wait for the end of motion.
@@ -373,7 +387,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let power = if self.spindle == SpindleDirection::Off || dark {
             0
         } else {
-            self.spindle_range().output(checked.speed, self.overrides.spindle).0
+            // A spindle is slow: it gets its overrides when its turn comes (`outputs`).
+            let percent = if laser { self.overrides.spindle } else { 100 };
+            self.spindle_range().output(checked.speed, percent).0
         };
         Move {
             target: *target,
@@ -427,7 +443,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the settings allow no motion at all; then the host has been told which.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        let setting = self.settings.unrunnable(self.profile.safe_step_hz)?;
+        let setting = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor)?;
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
         Some(Error::Locked)
     }

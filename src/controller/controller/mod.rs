@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, Signals, SlowOutputs, SpindleDirection,
-    Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, Signals,
+    SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -61,6 +61,8 @@ pub struct Profile {
     pub step_clock_hz: u32,
     /// Greatest step rate that the step task can follow, steps/s of one axis.
     pub safe_step_hz: u32,
+    /// Whether there are pins for a motor more than there are axes.
+    pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
 }
@@ -106,6 +108,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     spindle_speed: f32,
     /// 0x9E in a hold, or a door: the spindle stands although the program has it on.
     spindle_stopped: bool,
+    /// A hold is being left: motion goes on when the spindle turns (`$394`).
+    spinning_up: Option<Instant>,
     coolant: Coolant,
     door: DoorState<N>,
     /// A jog was moving when the door opened: it is forgotten at rest.
@@ -115,7 +119,13 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     probing: Option<Probing>,
     /// `ToStep::Watch` that has to be given out.
     probe_watch: Option<ToStep>,
+    /// Levels as the pins have them, and those that count.
+    pins: Signals,
     signals: Signals,
+    /// Axes whose switches caused the last limit alarm.
+    tripped_limits: u8,
+    /// Motors of the ganged axis that take their steps: one alone in squaring.
+    ganged_motors: GangedMotors,
     /// When the drivers go off after the last motion (`$1`).
     drivers_off_at: Option<Instant>,
     drivers_on: bool,
@@ -146,6 +156,8 @@ struct StopState {
     seen: u8,
     /// The machine was stepping at one of them.
     moving: bool,
+    /// N word of what was running at the last of them, 0 = none.
+    line: u32,
     /// `Output::Stop` has to be given out.
     order: bool,
     /// `ToStep::Resume` has to be given out.
@@ -158,6 +170,8 @@ enum StopReason {
     Alarm(Alarm),
     /// A homing switch.
     Switch,
+    /// The probe: the step task has braked already.
+    Contact,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -194,6 +208,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             spindle: SpindleDirection::Off,
             spindle_speed: 0.0,
             spindle_stopped: false,
+            spinning_up: None,
             coolant: Coolant::default(),
             door: DoorState::CLOSED,
             jog_interrupted: false,
@@ -201,7 +216,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_succeeded: false,
             probing: None,
             probe_watch: None,
+            pins: Signals::default(),
             signals: Signals::default(),
+            tripped_limits: 0,
+            ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
             observed: Observed { step_idle: true, rx_free: LINES_DEPTH as u16, ..Observed::default() },
@@ -221,6 +239,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Power-up is complete: greets the host and runs the startup lines.
     pub fn start(&mut self, now: Instant) {
         self.now = now;
+        self.settings.settle();
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
@@ -272,7 +291,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
-        [moving, door, self.task.wakeup(), self.drivers_off_at].into_iter().flatten().min()
+        // Nor does a dwell that something has ended: its moment would be past for ever.
+        let task = if self.mode.is_suspended() { None } else { self.task.wakeup() };
+        [moving, door, task, self.drivers_off_at, self.spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -299,6 +320,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.status_due
     }
 
+    /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
+    pub fn is_quiet(&self) -> bool {
+        self.is_idle() && self.pins_sent.is_some_and(|pins| pins.spindle == SpindleDirection::Off && pins.power == 0)
+    }
+
     /// No more bytes will come: what is queued is started.
     pub fn input_ended(&mut self) {
         self.input_ended = true;
@@ -318,6 +344,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.alarm
+    }
+
+    /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
+    /// a power-up or a sleep with homing on, until it has been homed.
+    pub fn is_trusted(&self) -> bool {
+        self.trusted
     }
 
     /// The settings that hold.
@@ -387,7 +419,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.stop.resume = false;
             return Some(ToStep::Resume { stops: self.stop.seen });
         }
-        if self.mode.is_alarm() || self.mode == Mode::Sleep {
+        if self.mode.is_alarm() || self.mode == Mode::Sleep || self.probing == Some(Probing::Braking) {
             return None;
         }
         if let Some(watch) = self.probe_watch.take() {
@@ -403,6 +435,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
     fn settle(&mut self) {
+        self.settle_probe();
+        if self.stop.awaited.is_some() {
+            return;
+        }
         if self.running && self.motion.is_idle() {
             self.running = false;
             // Between the moves of homing the drivers stay on.
@@ -418,6 +454,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(door) => self.settle_door(door),
+            Mode::Hold if self.spinning_up.is_some_and(|until| self.now >= until) => {
+                self.spinning_up = None;
+                self.leave_hold();
+            }
             _ => {}
         }
         if self.drivers_off_at.is_some_and(|at| self.now >= at) {
@@ -509,6 +549,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
+                    self.spinning_up = None;
                     if self.spindle_stopped {
                         self.restore_spindle();
                     } else {
@@ -543,7 +584,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn cycle_start(&mut self) {
         match self.mode {
             Mode::Normal => self.start_motion(),
-            Mode::Hold if self.motion.is_at_rest() => self.leave_hold(),
+            Mode::Hold if self.spinning_up.is_some() => {}
+            Mode::Hold if self.motion.is_at_rest() => {
+                let delay = self.settings.seconds(Key::SpinUp);
+                let spin_up = self.spindle_stopped && self.spindle != SpindleDirection::Off;
+                self.restore_spindle();
+                if spin_up && !self.settings.is_on(Key::Laser) && delay > Duration::from_ticks(0) {
+                    self.spinning_up = Some(self.now + delay);
+                } else {
+                    self.leave_hold();
+                }
+            }
             Mode::Door(Door::Parked) => self.close_door(),
             _ => {}
         }
@@ -555,7 +606,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         // After a contact, or on the way to a soft-limit alarm, there is nothing to go on with.
-        if self.probing != Some(Probing::Braking) && !matches!(self.task, Task::SoftLimit) {
+        let touched = matches!(self.probing, Some(Probing::Braking | Probing::Touched));
+        if !touched && !matches!(self.task, Task::SoftLimit) {
             self.motion.resume();
             if !self.motion.is_idle() {
                 self.start_motion();
@@ -583,6 +635,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.darken_laser();
             }
             Mode::Jog { .. } => self.cancel_jog(),
+            Mode::Hold => self.spinning_up = None,
             _ => {}
         }
     }
@@ -608,6 +661,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
         if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
+            self.spinning_up = None;
             self.motion.hold();
             self.mode = Mode::Stopping { locked };
         }
@@ -618,7 +672,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.running = false;
         self.probing = None;
         self.jog_interrupted = false;
-        self.probe_watch = Some(ToStep::Watch { probe: None });
+        self.probe_watch = Some(cycles::WATCH_ENDS);
         self.interpreter.set_position(self.motion.machine_position());
         self.start_idle_delay();
         // A beam does not stand still, and a locked machine does not turn; else the spindle stays as it is.
@@ -649,7 +703,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Jog { cancelling: true };
     }
 
-    fn signals_changed(&mut self, signals: Signals) {
+    fn signals_changed(&mut self, pins: Signals) {
+        self.pins = pins;
+        let signals = self.fitted_signals();
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
             // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
@@ -660,6 +716,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch();
         } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
         {
+            self.tripped_limits = self.axes_of_switches(signals.limits & !before.limits);
             self.order_stop(StopReason::Alarm(Alarm::HardLimit));
         }
         if signals.door && !before.door {
@@ -672,12 +729,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.cycle_start();
         }
     }
+
+    /// The inputs, without those that the settings say are not fitted.
+    fn fitted_signals(&self) -> Signals {
+        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
+        Signals {
+            limits: self.pins.limits & (!SECOND_SWITCH | second),
+            door: self.pins.door && self.settings.is_on(Key::DoorFitted),
+            ..self.pins
+        }
+    }
 }
 
 /// The settings as motion wants them. A resolution that cannot be used stands as 1: motion is locked until
 /// it is mended (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) -> MotionSettings<N> {
     MotionSettings {
+        arrangement: settings.arrangement(),
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
         acceleration: settings.axes(AxisKey::Acceleration),

@@ -1,10 +1,11 @@
 //! Pins, answers and reports: what the outside gets to see.
 
 use super::{Controller, REPLY_RESERVE, motion_settings};
+use crate::axes::AxisMask;
 use crate::gcode::{Dialect, MotionMode};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
-use crate::messages::{Chunk, SlowOutputs, SpindleDirection, Wiring};
+use crate::messages::{Chunk, SECOND_SWITCH, Signals, SlowOutputs, SpindleDirection, Wiring};
 use crate::protocol::line;
 use crate::protocol::report;
 use crate::protocol::text::Text;
@@ -42,7 +43,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
             0
         } else {
-            self.spindle_range().output(self.spindle_speed, self.overrides.spindle).0
+            self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
+        }
+    }
+
+    /// S of the move under way. Without one, and for a laser, whose power the segments carry, that of the last line.
+    fn programmed_speed(&self) -> f32 {
+        if self.settings.is_on(Key::Laser) {
+            return self.spindle_speed;
+        }
+        let range = self.spindle_range();
+        match self.motion.running_power() {
+            Some(power) if power != range.output(self.spindle_speed, 100).0 => range.speed_of(power),
+            _ => self.spindle_speed,
         }
     }
 
@@ -86,6 +99,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             enable_invert: s.is_on(Key::EnableInvert),
             limit_invert: s.is_on(Key::LimitInvert),
             probe_invert: s.is_on(Key::ProbeInvert),
+            control_invert: s.whole(Key::ControlInvert) as u8,
+            ganged: s.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0),
+            ganged_invert: s.is_on(Key::GangedInvert),
+            ganged_motors: self.ganged_motors,
         };
         (self.wiring_sent != Some(wiring)).then(|| {
             self.wiring_sent = Some(wiring);
@@ -136,7 +153,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line: (line > 0 && !grbl).then_some(line),
             feed: per_minute(self.motion.speed().max(self.detour.speed())),
             speed,
-            pins: self.signals,
+            pins: self.shown_signals(),
             show_offset,
             overrides: show_overrides.then_some((
                 [self.overrides.feed, self.overrides.rapid, self.overrides.spindle],
@@ -148,8 +165,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::status(out, &status, inches));
     }
 
+    /// The inputs as a report shows them.
+    fn shown_signals(&self) -> Signals {
+        Signals { limits: self.axes_of_switches(self.signals.limits), ..self.signals }
+    }
+
+    /// A switch at a second motor is one of its axis.
+    pub(super) fn axes_of_switches(&self, switches: u8) -> u8 {
+        match self.settings.ganged_axis() {
+            Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
+            _ => switches & !SECOND_SWITCH,
+        }
+    }
+
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
     pub(super) fn reconfigure(&mut self) {
+        self.signals = self.fitted_signals();
         self.motion.configure(motion_settings(&self.settings, &self.profile));
     }
 }

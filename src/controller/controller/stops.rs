@@ -1,13 +1,15 @@
 //! Stops, alarms and resets: what ends a motion from outside, and how the controller begins anew.
 
+use super::cycles::Probing;
 use super::door::DoorState;
 use super::execute::Task;
 use super::{Controller, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
+use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, SpindleDirection, StepEvent};
+use crate::messages::{Coolant, GangedMotors, SpindleDirection, StepEvent};
 use crate::protocol::report::{self, RareFields};
 use crate::settings::Key;
 
@@ -18,7 +20,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         // A reset wins over everything, an alarm over a homing switch: what they end, the others cannot go on with.
         let weight = |reason| match reason {
             None => 0,
-            Some(StopReason::Switch) => 1,
+            Some(StopReason::Switch | StopReason::Contact) => 1,
             Some(StopReason::Alarm(_)) => 2,
             Some(StopReason::Reset) => 3,
         };
@@ -42,6 +44,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StepEvent::Stopped { stops, moving, position } => {
                 self.stop.seen = stops;
                 self.stop.moving |= moving;
+                self.stop.line = self.motion.line_number();
                 self.motion.stopped(&position);
                 self.detour.stopped(&position);
             }
@@ -69,13 +72,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
             return;
         }
-        let moving = self.stop.moving;
+        let (moving, line) = (self.stop.moving, self.stop.line);
         self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
         self.running = false;
+        self.probe_watch = None;
+        if reason == StopReason::Contact {
+            // The probe goes on from here, or what has begun meanwhile: a hold, a door.
+            self.probing = Some(Probing::Touched);
+            self.motion.discard();
+            return;
+        }
         self.door = DoorState::CLOSED;
         self.jog_interrupted = false;
         self.probing = None;
-        self.probe_watch = None;
         if reason == StopReason::Switch {
             // Homing goes on from here.
             self.motion.discard();
@@ -85,7 +94,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.coolant = Coolant::default();
         self.interpreter.set_accessories(self.spindle, self.coolant);
         match reason {
-            StopReason::Switch => {}
+            StopReason::Switch | StopReason::Contact => {}
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
@@ -93,6 +102,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
+                if alarm == Alarm::HardLimit && self.dialect() != Dialect::Grbl {
+                    let (limits, place) = (self.tripped_limits, self.motion.machine_position());
+                    let inches = self.settings.is_on(Key::ReportInches);
+                    self.say(|out| report::limit_trip(out, limits, &place, line, inches));
+                }
                 if alarm == Alarm::Underrun {
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));
@@ -141,9 +155,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// What every power-up and reset ends with.
     pub(super) fn initialise(&mut self) {
+        self.ganged_motors = GangedMotors::Both;
         self.spindle = SpindleDirection::Off;
         self.spindle_speed = 0.0;
         self.spindle_stopped = false;
+        self.spinning_up = None;
         self.coolant = Coolant::default();
         self.overrides = Overrides::default();
         self.motion.set_overrides(1.0, 1.0);

@@ -27,6 +27,7 @@ pub(super) fn check<const N: usize>(
         line_number: checked.line_number,
         motion: checked.motion,
         position: checked.position,
+        uses_machine_place: checked.uses_machine_place,
         ..Checked::of_state(state)
     })
 }

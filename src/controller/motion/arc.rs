@@ -55,6 +55,8 @@ pub struct Arc<const N: usize> {
     start_radius: i64,
     radius_change: f32,
     length: f32,
+    /// Radius of the curve in space, mm: on a helix more than that of its circle. Infinite for a single chord.
+    curve_radius: f32,
     chords: u32,
     done: u32,
 }
@@ -138,7 +140,11 @@ impl<const N: usize> Arc<N> {
             };
             square += way * way;
         }
-        let along = 0.5 * Coordinate(start_radius.saturating_add(end_radius)).to_mm() * angle;
+        let mean_radius = 0.5 * Coordinate(start_radius.saturating_add(end_radius)).to_mm();
+        let along = mean_radius * angle;
+        let length = square_root(square + along * along);
+        // A helix of radius r bends as a circle of r·(length / way in the plane)².
+        let stretch = if along == 0.0 { 1.0 } else { length / along };
         Self {
             geometry: *geometry,
             centre,
@@ -148,7 +154,8 @@ impl<const N: usize> Arc<N> {
             turn_bits,
             start_radius,
             radius_change: (end_radius - start_radius) as f32,
-            length: square_root(square + along * along),
+            length,
+            curve_radius: if chords == 1 { f32::INFINITY } else { mean_radius * stretch * stretch },
             chords,
             done: 0,
         }
@@ -200,6 +207,17 @@ impl<const N: usize> Arc<N> {
     /// Chords still to come.
     pub fn chords_left(&self) -> u32 {
         self.chords - self.done
+    }
+
+    /// Radius of the curve in space, in mm: on a helix more than that of its circle, on a spiral the mean one. Infinite if a
+    /// single chord is all there is.
+    pub fn curve_radius(&self) -> f32 {
+        self.curve_radius
+    }
+
+    /// Whether an axis takes part in the turn.
+    pub fn bends(&self, axis: Axis) -> bool {
+        axis == self.geometry.axis_0 || axis == self.geometry.axis_1
     }
 
     /// Radius at the start, in mm.

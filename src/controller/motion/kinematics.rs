@@ -1,23 +1,104 @@
-//! From places of the tool to steps of the motors, and back. Cartesian: each motor moves one axis.
+//! From places of the tool to steps of the motors, and back.
 //!
-//! Another machine (CoreXY) changes these two functions and nothing else: blocks are straight in motor steps for any linear
-//! kinematics, while lengths, speeds and limits are those of the axes.
+//! ```text
+//!  Cartesian   each motor moves one axis
+//!  CoreXY      the first two motors pull one belt:  A = X + Y,  B = X - Y;   X = (A + B) / 2,  Y = (A - B) / 2
+//! ```
+//! Blocks are straight in motor steps for any linear kinematics, so nothing else in this room knows the difference:
+//! lengths, speeds and limits are those of the axes. It promises that a step's place leads back to the same step.
 
-use crate::axes::PerAxis;
+use crate::axes::{Arrangement, PerAxis};
 use crate::units::{Coordinate, StepsPerMm};
 
-/// The steps nearest to a place.
-pub(super) fn steps<const N: usize>(
-    steps_per_mm: &PerAxis<StepsPerMm, N>,
-    place: &PerAxis<Coordinate, N>,
-) -> PerAxis<i32, N> {
-    steps_per_mm.zip(place, |scale, coordinate| scale.steps(coordinate))
+/// The arrangement and the resolution of each motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Kinematics<const N: usize> {
+    arrangement: Arrangement,
+    steps_per_mm: PerAxis<StepsPerMm, N>,
+    /// Least way of the tool in a step of each motor, mm.
+    pub least_mm: [f32; N],
 }
 
-/// The place that steps stand for.
-pub(super) fn place<const N: usize>(
-    steps_per_mm: &PerAxis<StepsPerMm, N>,
-    steps: &PerAxis<i32, N>,
+impl<const N: usize> Kinematics<N> {
+    pub(super) fn new(arrangement: Arrangement, steps_per_mm: PerAxis<StepsPerMm, N>) -> Self {
+        let mut least_mm = steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
+        if arrangement == Arrangement::CoreXy {
+            // Along the diagonal one motor does all: it turns by the square root of 2 times the tool's way.
+            for mm in least_mm.iter_mut().take(2) {
+                *mm *= core::f32::consts::FRAC_1_SQRT_2;
+            }
+        }
+        Self { arrangement, steps_per_mm, least_mm }
+    }
+
+    /// The steps nearest to a place.
+    #[inline]
+    pub(super) fn steps(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<i32, N> {
+        let turned;
+        let place = match (self.arrangement, place.0.as_slice()) {
+            (Arrangement::CoreXy, [x, y, ..]) => {
+                turned = with_first_two(place, (*x + *y).limited(), (*x - *y).limited());
+                &turned
+            }
+            _ => place,
+        };
+        self.steps_per_mm.zip(place, |scale, coordinate| scale.steps(coordinate))
+    }
+
+    /// The place that steps stand for.
+    pub(super) fn place(&self, steps: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
+        let place = self.steps_per_mm.zip(steps, |scale, count| scale.coordinate(count));
+        match (self.arrangement, place.0.as_slice()) {
+            (Arrangement::CoreXy, [a, b, ..]) => {
+                // An odd sum loses half a unit of 0.1 nm; see `steps` for why that changes no step.
+                with_first_two(&place, Coordinate((a.0 + b.0).div_euclid(2)), Coordinate((a.0 - b.0).div_euclid(2)))
+            }
+            _ => place,
+        }
+    }
+}
+
+fn with_first_two<const N: usize>(
+    place: &PerAxis<Coordinate, N>,
+    first: Coordinate,
+    second: Coordinate,
 ) -> PerAxis<Coordinate, N> {
-    steps_per_mm.zip(steps, |scale, count| scale.coordinate(count))
+    let mut changed = *place;
+    if let [a, b, ..] = changed.0.as_mut_slice() {
+        (*a, *b) = (first, second);
+    }
+    changed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn kinematics(arrangement: Arrangement, spm: [f32; 3]) -> Kinematics<3> {
+        Kinematics::new(arrangement, PerAxis(spm.map(|v| StepsPerMm::new(v).unwrap())))
+    }
+
+    #[test]
+    fn a_belt_moves_both() {
+        let core_xy = kinematics(Arrangement::CoreXy, [80.0, 80.0, 400.0]);
+        let at = |x, y, z| PerAxis([Coordinate::mm(x), Coordinate::mm(y), Coordinate::mm(z)]);
+        assert_eq!(core_xy.steps(&at(10, 0, 1)).0, [800, 800, 400]);
+        assert_eq!(core_xy.steps(&at(0, 10, 0)).0, [800, -800, 0]);
+        assert_eq!(core_xy.steps(&at(-3, -3, 0)).0, [-480, 0, 0]);
+        assert_eq!(core_xy.place(&PerAxis([800, -800, 400])), at(0, 10, 1));
+    }
+
+    proptest! {
+        #[test]
+        fn a_place_of_steps_leads_back(
+            a in -20_000_000..20_000_000_i32, b in -20_000_000..20_000_000_i32, z in -20_000_000..20_000_000_i32,
+            spm in prop::array::uniform3(40.0_f32..3000.0), core_xy in any::<bool>(),
+        ) {
+            let arrangement = if core_xy { Arrangement::CoreXy } else { Arrangement::Cartesian };
+            let kinematics = kinematics(arrangement, spm);
+            let steps = PerAxis([a, b, z].map(|s| s / 64));
+            prop_assert_eq!(kinematics.steps(&kinematics.place(&steps)), steps);
+        }
+    }
 }

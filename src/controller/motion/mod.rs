@@ -10,6 +10,7 @@
 
 pub mod arc;
 mod block;
+mod curvature;
 mod extent;
 mod flight;
 mod kinematics;
@@ -22,12 +23,14 @@ pub use arc::{Arc, ArcGeometry};
 pub use extent::extent;
 pub use stepper::{Stepper, Tick};
 
-use crate::axes::PerAxis;
+use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
+use curvature::{Chain, MOST_TURN, Piece};
 use flight::{Flight, Record};
-use planner::Planner;
+use kinematics::Kinematics;
+use planner::{Planner, UNLIMITED2};
 use profile::{Curve, Pace, greater, lesser, square_root};
 use segment::{Cut, Pacer};
 use stepper::{signed_add, steps_taken};
@@ -55,6 +58,8 @@ const GREATEST_OVERRIDE: f32 = 100.0;
 /// What motion must know of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings<const N: usize> {
+    /// How the motors move the tool.
+    pub arrangement: Arrangement,
     /// Motor steps of a millimetre.
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
     /// Greatest speed of each axis, mm/s.
@@ -111,6 +116,7 @@ enum Hold {
 struct LongMove<const N: usize> {
     start: PerAxis<Coordinate, N>,
     whole: Move<N>,
+    bend2: f32,
     pieces: u32,
     next: u32,
 }
@@ -161,10 +167,11 @@ struct Far {
 #[derive(Clone, Debug)]
 pub struct Motion<const N: usize, const BLOCKS: usize> {
     settings: MotionSettings<N>,
-    steps_per_mm: PerAxis<StepsPerMm, N>,
-    mm_per_step: [f32; N],
+    kinematics: Kinematics<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
+    /// No move is faster, whatever its direction.
+    greatest_speed2: f32,
     junction_deviation: f32,
     step_clock_hz: u32,
     pacer: Pacer,
@@ -177,8 +184,12 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     planned_steps: PerAxis<i32, N>,
     /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
     carried: f32,
-    /// Unit vector of the last block.
+    /// Unit vector of the last block, and how far apart its ends are.
     direction: [f32; N],
+    distance: f32,
+    /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
+    chain: Chain<N>,
+    chain_broken: bool,
     long: Option<LongMove<N>>,
 
     running: Running<N>,
@@ -218,10 +229,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let zero = PerAxis::all(0);
         let mut motion = Self {
             settings,
-            steps_per_mm: settings.steps_per_mm,
-            mm_per_step: [1.0; N],
+            kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
             max_rate: [1.0; N],
             acceleration: [1.0; N],
+            greatest_speed2: 0.0,
             junction_deviation: 0.0,
             step_clock_hz: settings.step_clock_hz,
             pacer: Pacer::new(settings.step_clock_hz),
@@ -232,6 +243,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             planned_steps: zero,
             carried: 0.0,
             direction: [0.0; N],
+            distance: 0.0,
+            chain: Chain::new(),
+            chain_broken: true,
             long: None,
             running: Running {
                 active: false,
@@ -267,10 +281,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         self.settings = settings;
-        self.steps_per_mm = settings.steps_per_mm;
-        self.mm_per_step = settings.steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
+        self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
         self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
+        self.greatest_speed2 = self.max_rate.iter().fold(0.0, |sum, rate| sum + rate * rate);
         self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
@@ -288,8 +302,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.rest = true;
         self.start = steps;
         self.planned_steps = steps;
-        self.planned = kinematics::place(&self.steps_per_mm, &steps);
+        self.planned = self.kinematics.place(&steps);
         self.block_end = self.planned;
+        self.chain_broken = true;
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
@@ -304,16 +319,31 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub fn line(&mut self, m: &Move<N>) -> bool {
+        self.queue(m, UNLIMITED2)
+    }
+
+    /// Queues a chord of an arc: [`Motion::line`], not faster than the arc's own curve allows.
+    pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
+        let mut acceleration = GREATEST_ACCELERATION;
+        for (axis, most) in Axis::of_machine::<N>().zip(self.acceleration) {
+            if arc.bends(axis) {
+                acceleration = lesser(acceleration, most);
+            }
+        }
+        self.queue(m, acceleration * arc.curve_radius())
+    }
+
+    fn queue(&mut self, m: &Move<N>, bend2: f32) -> bool {
         if self.free_blocks() == 0 {
             return false;
         }
-        let steps = kinematics::steps(&self.steps_per_mm, &m.target);
+        let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
         for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
         }
         if most < MAX_STEPS {
-            self.append(m, &steps);
+            self.append(m, &steps, bend2);
             return true;
         }
         let mut whole = *m;
@@ -322,7 +352,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         // One piece more than the quotient: a piece's own rounding may add a step.
         let pieces = most / (MAX_STEPS / 2) + 1;
-        self.long = Some(LongMove { start: self.planned, whole, pieces, next: 1 });
+        self.long = Some(LongMove { start: self.planned, whole, bend2, pieces, next: 1 });
         self.continue_long_move();
         true
     }
@@ -349,8 +379,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             } else {
                 self.long = None;
             }
-            let steps = kinematics::steps(&self.steps_per_mm, &piece.target);
-            self.append(&piece, &steps);
+            let steps = self.kinematics.steps(&piece.target);
+            self.append(&piece, &steps, long.bend2);
         }
     }
 
@@ -364,8 +394,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         square_root(square)
     }
 
-    /// Makes a block of a move; there is room and it is not too long.
-    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) {
+    /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32) {
         let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| in_mm(to - from));
         let mut square = 0.0;
         for part in way.iter() {
@@ -382,7 +412,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let mut least = 0.0_f32;
         let mut dominant = 0;
         let ends = target_steps.iter().zip(self.planned_steps.iter());
-        for (bit, ((to, from), (steps, mm))) in ends.zip(block.steps.iter_mut().zip(self.mm_per_step)).enumerate() {
+        for (bit, ((to, from), (steps, mm))) in
+            ends.zip(block.steps.iter_mut().zip(self.kinematics.least_mm)).enumerate()
+        {
             *steps = to.abs_diff(*from);
             if to < from {
                 directions |= 1 << bit;
@@ -400,7 +432,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // taken as longer, and the next one as shorter by as much.
         let length = greater(path, least);
         self.carried = greater(path - length, -least);
-        self.block_end = m.target;
+        let start = core::mem::replace(&mut self.block_end, m.target);
         self.planned_steps = *target_steps;
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
@@ -425,13 +457,32 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.length = length;
         block.acceleration = acceleration;
         block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
-        block.limit = limit;
-        block.corner2 = planner::corner_speed2(&self.direction, &unit, &self.acceleration, self.junction_deviation);
+        block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
+        let turn2 = curvature::turn2(&self.direction, &unit);
+        let lengths = [self.distance, straight];
+        block.corner2 =
+            planner::corner_speed2(&self.direction, &unit, turn2, lengths, &self.acceleration, self.junction_deviation);
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         self.direction = unit;
+        self.distance = straight;
         self.planner.push(block, self.overrides);
+        if bend2 < UNLIMITED2 {
+            self.chain_broken = true;
+        } else {
+            if self.chain_broken || turn2 > MOST_TURN {
+                self.chain.restart(&start);
+                self.chain_broken = false;
+            }
+            let piece = Piece { start: &start, end: &m.target, direction: &unit, length: straight };
+            self.chain.extend(&piece, &self.acceleration, |bend| {
+                if bend.speed2 < self.greatest_speed2 {
+                    self.planner.limit(&bend);
+                }
+            });
+        }
+        self.planner.plan();
     }
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
@@ -439,6 +490,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.planner.len() > 0 {
             self.started = true;
         }
+    }
+
+    /// The deceleration of the first move in the queue, in units per square of a step-clock tick.
+    pub fn braking(&self) -> f32 {
+        let clock = self.step_clock_hz as f32;
+        self.planner.first().map_or(0.0, |block| {
+            let units_per_mm = (block.dominant() * UNITS_PER_STEP) as f32 / block.length;
+            block.acceleration * units_per_mm / clock / clock
+        })
     }
 
     /// Brakes to a stop, beginning with the next segment handed over.
@@ -555,13 +615,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Machine position at the end of the segment begun last.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        kinematics::place(&self.steps_per_mm, &self.machine_steps())
+        self.kinematics.place(&self.machine_steps())
     }
 
     /// Declares where the machine is; at rest only. Forgets what is queued.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
         let old = self.prepared_steps();
-        let new = kinematics::steps(&self.steps_per_mm, position);
+        let new = self.kinematics.steps(position);
         let moved = new.zip(&old, i32::wrapping_sub);
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.flight.forget(new);
@@ -569,11 +629,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // The programmed place, not the nearest step: what follows is measured from it.
         self.planned = *position;
         self.block_end = *position;
+        self.chain_broken = true;
     }
 
     /// The machine position at a reading of the step counters.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
-        kinematics::place(&self.steps_per_mm, &counter.zip(&self.origin, i32::wrapping_add))
+        self.kinematics.place(&counter.zip(&self.origin, i32::wrapping_add))
     }
 
     /// End of the queue, as programmed.
@@ -589,6 +650,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Power of the segment being executed; 0 at rest.
     pub fn power(&self) -> u16 {
         self.flight.current().power
+    }
+
+    /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),
+    /// or without one. It is ahead of the step task by the time queued there.
+    pub fn running_power(&self) -> Option<u16> {
+        let block = self.planner.first()?;
+        (block.flags & NO_OVERRIDE == 0).then_some(block.power)
     }
 
     /// N word of the block being executed, 0 if none.

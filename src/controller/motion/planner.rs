@@ -13,6 +13,7 @@
 //! of the queue; the walk stops at the first that stays.
 
 use super::block::{Block, Overrides};
+use super::curvature::{Bend, bend_speed2};
 use super::profile::{lesser, square_root};
 
 /// Corners with less change of direction than this are straight: |difference of the unit vectors|² of 2 × 10⁻⁶ is the
@@ -21,24 +22,27 @@ const STRAIGHT: f32 = 2.0e-6;
 /// |difference of the unit vectors|² beyond which the move turns back on itself (cosine of 0.999999).
 const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// Speed² of a corner that sets no limit; the nominal speeds do.
-const UNLIMITED2: f32 = 1.0e30;
+pub(super) const UNLIMITED2: f32 = 1.0e30;
+/// Last digit of a program, mm: a corner that it can make of a straight line is none.
+const DIGIT: f32 = 0.001;
 
-/// Speed² with which the corner between two directions (unit vectors) may be taken: that of a circle which touches both
-/// and leaves the corner by `deviation`, at the greatest acceleration that no axis minds along the corner's bisector.
+/// Speed² with which the corner between two directions (unit vectors, `turn2` = |difference|²) may be taken: that of a
+/// circle which touches both and leaves the corner by `deviation`, at the greatest acceleration that no axis minds along
+/// the corner's bisector; and if the corner is a bend of a chain, that of the chain (see `curvature`).
 ///
 /// v² = a·d·s / (1 - s) with s = sin(half the inner angle). 1 - s is a small difference for gentle corners; with
 /// |q|² = |current - previous|² = 4·(1 - s²) it is computed as |q|² / (4·(1 + s)) instead.
 pub(super) fn corner_speed2<const N: usize>(
     previous: &[f32; N],
     current: &[f32; N],
+    turn2: f32,
+    lengths: [f32; 2],
     acceleration: &[f32; N],
     deviation: f32,
 ) -> f32 {
-    let mut turn2 = 0.0;
-    for (before, after) in previous.iter().zip(current) {
-        turn2 += (after - before) * (after - before);
-    }
-    if turn2 < STRAIGHT {
+    let [first, second] = lengths;
+    let shorter = lesser(first, second);
+    if turn2 < STRAIGHT || turn2 * shorter * shorter < DIGIT * DIGIT {
         return UNLIMITED2;
     }
     if turn2 > REVERSAL {
@@ -53,7 +57,8 @@ pub(super) fn corner_speed2<const N: usize>(
         }
     }
     let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
-    (least * deviation * sine * (1.0 + sine) / (0.25 * turn2)).min(UNLIMITED2)
+    let corner2 = least * deviation * sine * (1.0 + sine) / (0.25 * turn2);
+    lesser(corner2, bend_speed2(previous, current, turn2, lengths, acceleration))
 }
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
@@ -62,11 +67,13 @@ pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
     blocks: [Block<N>; BLOCKS],
     first: usize,
     len: usize,
+    /// Limits have changed from this place on.
+    changed: usize,
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     pub(super) const fn new() -> Self {
-        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0 }
+        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0 }
     }
 
     #[inline]
@@ -107,7 +114,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         }
     }
 
-    /// Appends a block (its `corner2` is set) and raises the entries before it; `false` if the ring is full.
+    /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
     pub(super) fn push(&mut self, mut block: Block<N>, overrides: Overrides) -> bool {
         if self.len >= BLOCKS {
             return false;
@@ -118,15 +125,32 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         };
         let nominal = lesser(block.nominal(overrides), previous);
         block.max_entry2 = lesser(block.corner2, nominal * nominal);
-        // Nothing that an entry can be: the walk has to set it.
-        block.entry2 = -1.0;
         let slot = self.slot(self.len);
         if let Some(place) = self.blocks.get_mut(slot) {
             *place = block;
+            self.changed = self.len;
             self.len += 1;
         }
-        self.reverse_pass();
         true
+    }
+
+    /// Lowers corners that turn out to lie on a bend. What the machine is too fast for already is braked for, but not in
+    /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
+    pub(super) fn limit(&mut self, bend: &Bend) {
+        for place in self.len.saturating_sub(bend.blocks).max(1)..self.len {
+            let slot = self.slot(place);
+            let Some(block) = self.blocks.get_mut(slot) else { return };
+            block.corner2 = lesser(block.corner2, bend.speed2);
+            if bend.speed2 < block.max_entry2 {
+                block.max_entry2 = bend.speed2;
+                self.changed = self.changed.min(place);
+            }
+        }
+    }
+
+    /// Brings the entries into line with what has been appended and limited.
+    pub(super) fn plan(&mut self) {
+        self.reverse_pass();
     }
 
     /// Applies new overrides to all blocks.
@@ -138,14 +162,14 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
                 let nominal = block.nominal(overrides);
                 let least = nominal.min(previous);
                 block.max_entry2 = block.corner2.min(least * least);
-                block.entry2 = -1.0;
                 previous = nominal;
             }
         }
+        self.changed = 0;
         self.reverse_pass();
     }
 
-    /// From the end of the queue towards the running block, as far as entries change.
+    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
     fn reverse_pass(&mut self) {
         let mut exit2 = 0.0;
         let mut place = self.len;
@@ -155,7 +179,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             let Some(block) = self.blocks.get_mut(slot) else { return };
             let reachable2 = exit2 + 2.0 * block.acceleration * block.length;
             let entry2 = lesser(block.max_entry2, reachable2);
-            if entry2 == block.entry2 {
+            if entry2 == block.entry2 && place < self.changed {
                 return;
             }
             block.entry2 = entry2;

@@ -24,6 +24,8 @@ use core::sync::atomic::{Ordering, compiler_fence};
 pub const MAX_LEVEL: u8 = 4;
 /// Places of an interval's lowest bit in the fraction of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
+/// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
+const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// What to do at an expiry of the step timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,6 +100,10 @@ pub struct Stepper<const N: usize> {
     next_units: u32,
     gate_shut: bool,
     stops: u8,
+    /// How to brake at a contact: units per square of a clock.
+    braking: f32,
+    /// Braking after a contact.
+    brakes: bool,
     /// Where the probe has been seen.
     touched: Place<N>,
 }
@@ -191,6 +197,8 @@ impl<const N: usize> Stepper<N> {
             next_units: 0,
             gate_shut: false,
             stops: 0,
+            braking: 0.0,
+            brakes: false,
             touched: Place::START,
         }
     }
@@ -233,9 +241,10 @@ impl<const N: usize> Stepper<N> {
                 }
             }
             ToStep::Reenter { units } => self.next_units = units,
-            ToStep::Watch { probe } => {
+            ToStep::Watch { probe, braking } => {
                 self.is_watching = probe.is_some();
                 self.watched = probe == Some(true);
+                self.braking = braking;
             }
             ToStep::Resume { .. } => {}
         }
@@ -355,7 +364,7 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     fn begin_segment(&mut self) -> bool {
         if !self.is_next {
-            return false;
+            return self.brakes && self.brake();
         }
         self.is_next = false;
         if self.next_piece.new_block {
@@ -421,16 +430,48 @@ impl<const N: usize> Stepper<N> {
         self.is_watching
     }
 
-    /// Looks at the probe; whether it has the awaited state for the first time. The place is latched, and motion goes on;
-    /// the report is at [`Stepper::probed_event`].
+    /// Looks at the probe; whether it has the awaited state for the first time. Then the place is latched, what is queued is
+    /// void, and braking begins with the next tick; the report is at [`Stepper::probed_event`].
     #[inline]
     pub fn probe(&mut self, active: bool) -> bool {
         let touched = self.is_watching && self.watched == active;
         if touched {
             self.is_watching = false;
             self.touched = self.place();
+            self.gate_shut = true;
+            self.is_next = false;
+            self.next_units = 0;
+            self.piece.last = true;
+            if self.piece.ticks != 0 {
+                // The tick that is under way is the last of its segment.
+                self.end_units = self.units().wrapping_add(self.piece.units_per_tick);
+                self.piece.ticks = 1;
+                self.piece.ramp = 0;
+                self.brakes = true;
+            }
         }
         touched
+    }
+
+    /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
+    ///
+    /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
+    /// the next interval is T / sqrt(1 - 2k), of which the first terms of the series are taken. The last tick of the ramp
+    /// is the one that would take all of v².
+    #[cold]
+    fn brake(&mut self) -> bool {
+        let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
+        let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
+        let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
+        let ends = self.end_units >= self.course.threshold;
+        // Not a number where the tick advances no units: a crawl, which stops where it is.
+        self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
+        if self.brakes {
+            self.end_units = self.end_units.wrapping_add(self.piece.units_per_tick);
+            self.piece.interval = next as u32;
+            self.piece.ticks = 1;
+        }
+        self.brakes
     }
 
     /// The report that belongs to [`Stepper::probe`].
@@ -441,6 +482,7 @@ impl<const N: usize> Stepper<N> {
     #[cold]
     fn shut(&mut self) {
         self.is_watching = false;
+        self.brakes = false;
         self.base = self.position().0;
         self.course = Course { directions: self.course.directions, ..Course::NOWHERE };
         self.left = [0; N];

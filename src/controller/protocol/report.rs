@@ -3,7 +3,7 @@
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::text::{Text, length, put, real, whole};
-use crate::axes::PerAxis;
+use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::messages::{Coolant, Signals, SpindleDirection};
 use crate::settings::{Entry, Kind};
 use crate::units::Coordinate;
@@ -54,9 +54,33 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
+/// `[MSG:...]` that says which limit switches tripped, where, and at which N word (0 = none).
+pub fn limit_trip<const N: usize>(out: &mut Text, limits: u8, place: &PerAxis<Coordinate, N>, line: u32, inches: bool) {
+    put(out, b"[MSG:Limit switch ");
+    let switches = Axis::ALL.into_iter().filter(|axis| limits & AxisMask::NONE.with(*axis).0 != 0);
+    for axis in switches {
+        put(out, &[axis.letter()]);
+    }
+    put(out, b" at machine ");
+    position(out, place, inches);
+    if line > 0 {
+        put(out, b", line ");
+        whole(out, u64::from(line));
+    }
+    put(out, b"]\r\n");
+}
+
 /// The answer to `$`.
-pub fn help(out: &mut Text) {
-    put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n");
+pub fn help(out: &mut Text, grbl: bool) {
+    put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
+    if !grbl {
+        put(out, b"$HX $RST= ");
+    }
+    put(out, b"~ ! ? ctrl-x");
+    if !grbl {
+        put(out, b" 0x19");
+    }
+    put(out, b"]\r\n");
 }
 
 /// One row of `$$`.
@@ -89,14 +113,16 @@ pub fn startup_echo(out: &mut Text, line: &[u8]) {
 }
 
 /// `[VER:...]` and `[OPT:...]`
-pub fn build_info(out: &mut Text, user: &[u8], blocks: usize, rx_bytes: usize) {
+pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
     put(out, b".");
     put(out, env!("CARGO_PKG_VERSION").as_bytes());
     put(out, b":");
     put(out, user);
-    put(out, b"]\r\n[OPT:VNM,");
+    put(out, b"]\r\n[OPT:");
+    put(out, letters);
+    put(out, b",");
     whole(out, blocks as u64);
     put(out, b",");
     whole(out, rx_bytes as u64);

@@ -5,7 +5,13 @@ use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
 
 fn answers(bytes: &[(u8, bool)]) -> String {
-    let profile = Profile { name: "test", step_clock_hz: 1_000_000, safe_step_hz: 100_000, has_store: false };
+    let profile = Profile {
+        name: "test",
+        step_clock_hz: 1_000_000,
+        safe_step_hz: 100_000,
+        has_second_motor: false,
+        has_store: false,
+    };
     let mut controller = Box::new(Controller::<3, 16>::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);

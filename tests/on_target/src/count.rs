@@ -11,7 +11,7 @@
 use core::hint::black_box;
 use core::mem::MaybeUninit;
 use mps2_pac as _;
-use oxmill_controller::axes::{Axis, PerAxis};
+use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Dialect, Interpreter};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
@@ -38,8 +38,13 @@ mod boards {
     use oxmill_controller::Profile;
 
     pub const AXES: usize = 3;
-    pub const PROFILE: Profile =
-        Profile { name: "count", step_clock_hz: 96_000_000, safe_step_hz: 300_000, has_store: false };
+    pub const PROFILE: Profile = Profile {
+        name: "count",
+        step_clock_hz: 96_000_000,
+        safe_step_hz: 300_000,
+        has_second_motor: false,
+        has_store: false,
+    };
     /// Memory of the emulated machine that nothing else uses.
     pub const TIMER: usize = 0x2100_0000;
     pub const PWM: usize = 0x2100_0400;
@@ -204,7 +209,7 @@ fn step_task() {
     // touches at that very tick. Before it, each message is received in an interrupt of its own.
     let probe_port = boards::GPIO + 0x10;
     for turn in 0..20 {
-        send(&mut to_step, &[ToStep::Watch { probe: Some(true) }]);
+        send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
         send(&mut to_step, &block([2; 3], 7, 2, 0, 0));
         registers.interrupt(Registers::CALLED, 0);
         registers.follow_up();
@@ -222,9 +227,11 @@ fn step_task() {
         registers.write(probe_port, 0);
         registers.tick(row_worst_tick);
         power.want();
-        registers.tick(row_none);
+        // Braking so hard that it ends at once.
         registers.tick(row_none);
         while events_out.try_recv().is_ok() {}
+        send(&mut to_step, &[ToStep::Resume { stops: 0 }]);
+        registers.interrupt(Registers::CALLED, 0);
     }
 
     // A stop at speed, asked for while a tick is due.
@@ -256,6 +263,7 @@ fn motion_settings() -> MotionSettings<3> {
         junction_deviation: 0.01,
         arc_tolerance: 0.002,
         step_clock_hz: boards::PROFILE.step_clock_hz,
+        arrangement: Arrangement::Cartesian,
     }
 }
 

@@ -17,6 +17,29 @@ use stm32f4xx_hal as _;
 
 pub mod rig;
 
+/// The board's settings sectors.
+#[cfg(feature = "qemu_mps2")]
+#[path = "../../../boards/qemu_mps2/flash.rs"]
+pub mod flash;
+/// The board's settings sectors.
+#[cfg(all(feature = "board", not(feature = "qemu_mps2")))]
+#[path = "../../../boards/stm32f4_flash.rs"]
+pub mod flash;
+
+/// The board's settings sectors, for one owner after another.
+#[cfg(feature = "board")]
+pub fn settings_flash() -> flash::SettingsFlash {
+    #[cfg(feature = "qemu_mps2")]
+    return flash::SettingsFlash::new();
+    #[cfg(not(feature = "qemu_mps2"))]
+    {
+        // SAFETY: unsafe because the peripherals are taken without asking for their owner; safe because no test uses the
+        // flash interface but through what this gives it, one after the other.
+        let device = unsafe { stm32f4xx_hal::pac::Peripherals::steal() };
+        flash::SettingsFlash::new(device.FLASH, |work| work())
+    }
+}
+
 use core::panic::PanicInfo;
 use cortex_m_rt::{ExceptionFrame, exception};
 

@@ -33,7 +33,13 @@ pub struct Rig {
 impl Rig {
     /// After power-up.
     pub fn new() -> Rig {
-        let profile = Profile { name: "rig", step_clock_hz: STEP_CLOCK_HZ, safe_step_hz: 200_000, has_store: false };
+        let profile = Profile {
+            name: "rig",
+            step_clock_hz: STEP_CLOCK_HZ,
+            safe_step_hz: 200_000,
+            has_second_motor: false,
+            has_store: false,
+        };
         let mut controller = Controller::new(profile);
         controller.start(Instant::from_ticks(0));
         Rig {

@@ -3,6 +3,7 @@
 //! Each program has its own file below; the words and numbers of a line are put together by [`writer`]. Nothing here
 //! knows the controller: the programs are plain G-code that any Grbl 1.1 takes.
 
+pub mod bench;
 mod pcb;
 mod pocket;
 mod relief;
@@ -23,7 +24,7 @@ pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
         "pocket_inch" => pocket::inches(out)?,
         "relief" => relief::write(out)?,
         "pcb_isolation" => pcb::write(out)?,
-        _ => return Ok(false),
+        _ => return bench::generate(name, out),
     }
     Ok(true)
 }

@@ -1,8 +1,10 @@
 //! Whole jobs: times, speeds, power.
 
-use super::super::{Motion, Speed};
+use super::super::{Arc, ArcGeometry, Motion, Move, Speed};
 use super::rig::{Rig, settings, to};
+use crate::axes::{Axis, PerAxis};
 use crate::messages::{Segment, ToStep};
+use crate::units::Coordinate;
 use proptest::prelude::*;
 
 #[test]
@@ -83,6 +85,120 @@ fn corners_are_taken_at_the_junction_rule() {
         let speed = record.path / record.interval as f64 * f64::from(rig.hz);
         assert!((speed / corner - 1.0).abs() < 0.03, "{speed} instead of {corner}");
     }
+}
+
+fn fastest(rig: &Rig<3, 512>) -> f64 {
+    rig.trace.iter().map(|r| r.path / r.interval as f64 * f64::from(rig.hz)).fold(0.0, f64::max)
+}
+
+/// Points of a circle about (-radius, 0) from the origin on, to three decimals.
+fn circle(radius: f64, chord: f64, turns: f64) -> impl Iterator<Item = [f64; 3]> {
+    let count = (turns * std::f64::consts::TAU * radius / chord) as u32;
+    (1..=count).map(move |k| {
+        let angle = f64::from(k) * chord / radius;
+        [radius * angle.cos() - radius, radius * angle.sin(), 0.0].map(|v| (v * 1000.0).round() / 1000.0)
+    })
+}
+
+#[test]
+fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
+    for (radius, chord) in [(5.0, 0.1), (1.0, 0.02), (20.0, 0.3), (60.0, 0.2)] {
+        for lead in [0.0, 30.0] {
+            // The junction rule alone allows several times as much.
+            let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 500.0));
+            if lead > 0.0 {
+                // Into the circle along its tangent, at full speed.
+                rig.moves.push_back(to([0.0, -lead, 0.0], Speed::Rapid));
+                rig.moves.push_back(to([0.0, 0.0, 0.0], Speed::Feed(300.0)));
+            }
+            for point in circle(radius, chord, 1.2) {
+                rig.moves.push_back(to(point, Speed::Feed(300.0)));
+            }
+            rig.run();
+            rig.check_limits();
+            let most = (500.0 * radius).sqrt();
+            let from = if lead > 0.0 { 2 } else { 0 };
+            let on_curve = rig.trace.iter().filter(|r| r.block >= from);
+            let (mut sum, mut path, mut seconds) = (0.0_f64, 0.0, 0.0);
+            for record in on_curve {
+                path += record.path;
+                seconds += record.interval as f64 / f64::from(rig.hz);
+                if path >= 0.1 {
+                    sum = sum.max(path / seconds);
+                    (path, seconds) = (0.0, 0.0);
+                }
+            }
+            // What noise could explain of the bend: 4 % at R = 1 mm; half of that in speed, and 1 % for steps.
+            assert!(sum < most * (1.01 + 0.02 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
+            assert!(sum > most * 0.97, "{sum} of {most}, R = {radius}: slower than it need be");
+        }
+    }
+}
+
+#[test]
+fn an_arc_keeps_the_acceleration_of_its_own_radius() {
+    for (radius, rise) in [(5, 0), (5, 10), (80, 0)] {
+        let mut config = settings(80.0, 500.0, 500.0);
+        // An axis outside the plane does not count, and one inside it does for the whole circle.
+        config.acceleration.0 = [500.0, 700.0, 400.0];
+        let mut rig = Rig::<3, 512>::new(config);
+        let geometry = ArcGeometry {
+            start: PerAxis::all(Coordinate::ZERO),
+            target: PerAxis([Coordinate::ZERO, Coordinate::ZERO, Coordinate::mm(rise)]),
+            axis_0: Axis::X,
+            axis_1: Axis::Y,
+            offset_0: Coordinate::mm(-radius),
+            offset_1: Coordinate::ZERO,
+            clockwise: false,
+            turns: 2,
+        };
+        let mut arc = Arc::new(&geometry, config.arc_tolerance);
+        rig.motion.set_overrides(2.0, 1.0);
+        while let Some(target) = arc.next_chord() {
+            rig.moves.push_back(Move { target, ..to([0.0; 3], Speed::Feed(200.0)) });
+        }
+        rig.arc = Some(arc);
+        rig.run();
+        rig.check_limits();
+        let flat = f64::from(radius) * 6.0 * std::f64::consts::PI;
+        let curve = f64::from(radius) * (1.0 + (f64::from(rise) / flat).powi(2));
+        let most = (500.0 * curve).sqrt();
+        assert!((fastest(&rig) / most - 1.0).abs() < 0.005, "{} of {most}", fastest(&rig));
+    }
+}
+
+#[test]
+fn noise_of_the_last_digit_costs_no_time() {
+    // A slanted line in pieces of 0.1 mm, rounded to 0.001: R = 10 mm if one believes neighbouring points.
+    let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
+    let count = 5000;
+    for k in 1..=count {
+        let along = f64::from(k) * 0.1;
+        let point = [along * 0.7919, along * 0.6106, 0.0].map(|v| (v * 1000.0).round() / 1000.0);
+        rig.moves.push_back(to(point, Speed::Feed(100.0)));
+    }
+    rig.run();
+    rig.check_limits();
+    let a = 200.0 / 0.7919;
+    let whole = 0.1 * f64::from(count) / 100.0 + 100.0 / a;
+    assert!((rig.seconds() / whole - 1.0).abs() < 0.002, "{} of {whole}", rig.seconds());
+}
+
+#[test]
+fn a_corner_between_long_chains_is_no_bend() {
+    // Rows of short pieces with sharp turns: as fast as with one piece for each row.
+    let row = |pieces: u32| {
+        let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
+        for k in 1..=pieces * 4 {
+            let along = f64::from(k) * 40.0 / f64::from(pieces);
+            let x = (along % 80.0 - 40.0).abs();
+            rig.moves.push_back(to([40.0 - x, along * 0.8, 0.0], Speed::Feed(100.0)));
+        }
+        rig.run();
+        rig.seconds()
+    };
+    let (short, long) = (row(400), row(1));
+    assert!((short / long - 1.0).abs() < 0.002, "{short} and {long}");
 }
 
 #[test]

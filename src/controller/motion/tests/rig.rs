@@ -1,7 +1,7 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
-use super::super::{Motion, MotionSettings, Move, Speed, Stepper};
-use crate::axes::PerAxis;
+use super::super::{Arc, Motion, MotionSettings, Move, Speed, Stepper};
+use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
@@ -41,6 +41,8 @@ pub struct Rig<const N: usize, const B: usize> {
     current: Option<(Segment, usize)>,
     pub blocks: Vec<BlockFacts>,
     pub moves: VecDeque<Move<N>>,
+    /// The moves are chords of this.
+    pub arc: Option<Arc<N>>,
     pub time: u64,
     due: u32,
     waited: u64,
@@ -60,6 +62,7 @@ pub struct Rig<const N: usize, const B: usize> {
 
 pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
     MotionSettings {
+        arrangement: Arrangement::Cartesian,
         steps_per_mm: PerAxis::all(StepsPerMm::new(spm).unwrap()),
         max_rate: PerAxis::all(rate),
         acceleration: PerAxis::all(acceleration),
@@ -94,6 +97,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             current: None,
             blocks: Vec::new(),
             moves: VecDeque::new(),
+            arc: None,
             time: 0,
             due: 0,
             waited: 0,
@@ -122,7 +126,11 @@ impl<const N: usize, const B: usize> Rig<N, B> {
     pub fn pump(&mut self) {
         loop {
             while let Some(m) = self.moves.front() {
-                if !self.motion.line(m) {
+                let taken = match &self.arc {
+                    Some(arc) => self.motion.chord(m, arc),
+                    None => self.motion.line(m),
+                };
+                if !taken {
                     break;
                 }
                 self.moves.pop_front();

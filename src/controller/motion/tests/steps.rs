@@ -178,6 +178,7 @@ fn tiny_increments_add_up() {
 fn six_axes_step() {
     let three = settings(50.0, 100.0, 500.0);
     let config = super::super::MotionSettings::<6> {
+        arrangement: three.arrangement,
         steps_per_mm: crate::axes::PerAxis::all(three.steps_per_mm.0[0]),
         max_rate: crate::axes::PerAxis::all(100.0),
         acceleration: crate::axes::PerAxis::all(500.0),

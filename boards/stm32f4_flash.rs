@@ -1,0 +1,147 @@
+//! The settings sectors of an STM32F4: two of its 16 KiB sectors, words written at parallelism 32 (2.7 V and more).
+//!
+//! Promises that only these two sectors are ever touched. While the memory works, every fetch from flash stalls, so the
+//! whole program stands: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
+//! table "Flash memory programming"). Each operation therefore runs in the hands of a guard that the board gives, which
+//! sees to what must not stand still; when to begin one is left to the caller.
+
+use oxmill_store::{Flash, Sector};
+use stm32f4xx_hal::pac;
+
+/// Bytes of a sector.
+const SECTOR_BYTES: u32 = 16 * 1024;
+/// Start of the flash memory; its first four sectors have 16 KiB each (reference manual, flash module organization).
+const FLASH_START: u32 = 0x0800_0000;
+
+/// KEYR: the two words that unlock the control register.
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+// SR
+const BUSY: u32 = 1 << 16;
+/// Operation error, write protection, alignment, parallelism, sequence; a 1 written clears the bit.
+const ERRORS: u32 = 1 << 1 | 1 << 4 | 1 << 5 | 1 << 6 | 1 << 7;
+// CR
+const PROGRAM: u32 = 1 << 0;
+const ERASE: u32 = 1 << 1;
+const SECTOR_SHIFT: u32 = 3;
+const PARALLELISM_32: u32 = 0b10 << 8;
+const START: u32 = 1 << 16;
+const LOCK: u32 = 1 << 31;
+// ACR
+const DATA_CACHE: u32 = 1 << 10;
+const DATA_CACHE_RESET: u32 = 1 << 12;
+
+/// A whole register as a number.
+macro_rules! raw {
+    ($register:expr, $bits:expr) => {{
+        // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because each value
+        // is made of the constants above, and CR names no sector but the two that no program lies in.
+        unsafe { $register.bits($bits) }
+    }};
+}
+
+/// Runs an operation of the memory while it sees to what cannot wait for the processor.
+pub type Guard = fn(&mut dyn FnMut());
+
+/// Why the memory did not take something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlashError {
+    /// The error bits of SR.
+    Refused(u32),
+    /// What is read is not what was written.
+    Unlike,
+}
+
+/// The two sectors.
+pub struct SettingsFlash {
+    flash: pac::FLASH,
+    guard: Guard,
+}
+
+unsafe extern "C" {
+    /// Where the settings sectors begin, from the linker script.
+    static _settings_start: u32;
+}
+
+impl SettingsFlash {
+    /// The sectors that the linker script keeps free.
+    pub fn new(flash: pac::FLASH, guard: Guard) -> SettingsFlash {
+        SettingsFlash { flash, guard }
+    }
+
+    fn address(sector: Sector) -> u32 {
+        let start = &raw const _settings_start as u32;
+        match sector {
+            Sector::A => start,
+            Sector::B => start + SECTOR_BYTES,
+        }
+    }
+
+    /// Unlocks, lets `operation` begin, waits for its end under guard, and locks again.
+    fn operate(&mut self, control: u32, mut operation: impl FnMut(&pac::FLASH)) -> Result<(), FlashError> {
+        let flash = &self.flash;
+        let mut errors = 0;
+        (self.guard)(&mut || {
+            while flash.sr().read().bits() & BUSY != 0 {}
+            flash.sr().write(|w| raw!(w, ERRORS));
+            for key in KEYS {
+                flash.keyr().write(|w| raw!(w, key));
+            }
+            flash.cr().write(|w| raw!(w, control | PARALLELISM_32));
+            operation(flash);
+            while flash.sr().read().bits() & BUSY != 0 {}
+            errors = flash.sr().read().bits() & ERRORS;
+            flash.cr().write(|w| raw!(w, LOCK));
+        });
+        if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }
+    }
+
+    /// Drops what the data cache has kept of the sectors: an erase does not (reference manual, "Flash erase sequences").
+    fn forget_cached(&self) {
+        let acr = self.flash.acr();
+        let before = acr.read().bits();
+        // It can be reset only while it is off.
+        acr.write(|w| raw!(w, before & !DATA_CACHE));
+        acr.write(|w| raw!(w, before & !DATA_CACHE | DATA_CACHE_RESET));
+        acr.write(|w| raw!(w, before & !DATA_CACHE));
+        acr.write(|w| raw!(w, before));
+    }
+}
+
+impl Flash for SettingsFlash {
+    type Error = FlashError;
+
+    fn sector_size(&self) -> u32 {
+        SECTOR_BYTES
+    }
+
+    fn read(&mut self, sector: Sector, address: u32) -> Result<u32, FlashError> {
+        let address = Self::address(sector) + (address & (SECTOR_BYTES - 4));
+        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in the settings sectors, which
+        // are always readable memory.
+        Ok(unsafe { (address as *const u32).read_volatile() })
+    }
+
+    fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), FlashError> {
+        let at = (Self::address(sector) + (address & (SECTOR_BYTES - 4))) as *mut u32;
+        self.operate(PROGRAM, |_| {
+            // SAFETY: unsafe because a raw address is written; safe because it is aligned and lies in the settings
+            // sectors, where the program has neither code nor data.
+            unsafe { at.write_volatile(word) }
+        })?;
+        if self.read(sector, address)? == word { Ok(()) } else { Err(FlashError::Unlike) }
+    }
+
+    fn erase(&mut self, sector: Sector) -> Result<(), FlashError> {
+        let number = (Self::address(sector) - FLASH_START) / SECTOR_BYTES;
+        // Sector 0 has the vectors, sector 4 and on the code.
+        if !(1..=3).contains(&number) {
+            return Err(FlashError::Refused(0));
+        }
+        let control = ERASE | number << SECTOR_SHIFT;
+        let done = self.operate(control, |flash| {
+            flash.cr().write(|w| raw!(w, control | PARALLELISM_32 | START));
+        });
+        self.forget_cached();
+        done
+    }
+}

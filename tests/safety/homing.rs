@@ -1,0 +1,225 @@
+//! Homing with switches that chatter, that stick and that are missing, and what may happen in the midst of it.
+
+use super::bench::{AXES, Bench, STEPS, assert_place};
+
+/// Where the switches close, in steps from the place at power-up.
+const AT: [i32; AXES] = [533, 1217, 841];
+/// `$27` in steps.
+const PULL_OFF: i32 = 375;
+/// `$130` and on in mm.
+const TRAVEL: f64 = 12.0;
+
+const SETTINGS: &str = "$22=1 $24=60 $25=480 $26=20 $27=1.5 $120=100 $121=100 $122=100 $130=12 $131=12 $132=12";
+
+/// Switches at [`AT`], mirrored for axes of the mask that home to negative.
+fn machine(to_negative: u8, bounce_us: u32) -> String {
+    let mut text = format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n");
+    for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
+        let (sign, side) = if to_negative >> axis & 1 == 1 { (-1.0, "negative") } else { (1.0, "positive") };
+        let at_mm = sign * f64::from(AT[axis]) / STEPS;
+        text +=
+            &format!("[[switch]]\naxis = \"{letter}\"\nat_mm = {at_mm}\nside = \"{side}\"\nbounce_us = {bounce_us}\n");
+    }
+    text
+}
+
+fn home(bench: &mut Bench) -> Vec<String> {
+    bench.ask("$H")
+}
+
+/// Asserts that homing has ended where the switches are, by the machine and by the report.
+#[track_caller]
+fn assert_homed(bench: &mut Bench, to_negative: u8, what: &str) {
+    bench.settle();
+    let sign = |axis: usize| if to_negative >> axis & 1 == 1 { -1 } else { 1 };
+    assert_eq!(bench.place(), std::array::from_fn(|axis| sign(axis) * (AT[axis] - PULL_OFF)), "{what}");
+    let pull_off = f64::from(PULL_OFF);
+    let expected =
+        std::array::from_fn(|axis| if sign(axis) < 0 { (pull_off - TRAVEL * STEPS) as i32 } else { -pull_off as i32 });
+    let reported = bench.reported();
+    assert_place(reported, expected, what);
+    assert_eq!(bench.state(), "Idle", "{what}");
+    assert!(bench.mill.controller().is_trusted(), "{what}");
+}
+
+#[test]
+fn a_bouncing_switch_is_found_to_the_step() {
+    for to_negative in [0, 7, 2] {
+        // At $24 a step takes 4 ms.
+        for bounce_us in [0, 50, 300, 1000, 2900] {
+            let mut bench = Bench::new(&machine(to_negative, bounce_us), SETTINGS);
+            assert_eq!(bench.ask(&format!("$23={to_negative}")), ["ok"]);
+            assert_eq!(home(&mut bench), ["ok"]);
+            let what = format!("mask {to_negative}, bounce {bounce_us} us");
+            assert_homed(&mut bench, to_negative, &what);
+            // Once more from there, and from elsewhere.
+            assert_eq!(home(&mut bench), ["ok"]);
+            assert_homed(&mut bench, to_negative, &what);
+            bench.carry_out("G90 G53 G0 X-5 Y-6 Z-7");
+            assert_eq!(home(&mut bench), ["ok"]);
+            assert_homed(&mut bench, to_negative, &what);
+        }
+    }
+}
+
+#[test]
+fn one_axis_alone_is_homed_alone() {
+    let mut bench = Bench::new(&machine(0, 700), SETTINGS);
+    assert_eq!(bench.ask("$HY"), ["ok"]);
+    bench.settle();
+    assert_eq!(bench.place(), [0, AT[1] - PULL_OFF, 0]);
+    assert!(!bench.mill.controller().is_trusted(), "two axes are still where they were");
+}
+
+#[test]
+fn homing_begins_on_a_switch_that_is_closed_already() {
+    // The switch of X closes 1 mm behind the place where the machine is switched on: the pull-off opens it.
+    let text = machine(0, 700).replace(&format!("at_mm = {}", f64::from(AT[0]) / STEPS), "at_mm = -1.0");
+    let mut bench = Bench::new(&text, SETTINGS);
+    // The filter of the inputs takes 0.4 ms.
+    bench.wait(0.01);
+    assert!(bench.status().contains("Pn:X"), "{}", bench.status());
+    assert_eq!(home(&mut bench), ["ok"]);
+    bench.settle();
+    assert_eq!(bench.place()[0], -250 - PULL_OFF);
+}
+
+/// What a homing that failed leaves: announced, answered, locked, at rest, not trusted; and `$X` and `$H` work.
+#[track_caller]
+fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
+    let alarms: Vec<&String> = said.iter().filter(|l| l.starts_with("ALARM")).collect();
+    assert_eq!(alarms, [&format!("ALARM:{alarm}")], "{what}: {said:?}");
+    assert_eq!(said.iter().filter(|l| *l == "ok").count(), 1, "{what}: {said:?}");
+    assert_eq!(bench.state(), "Alarm", "{what}");
+    assert!(!bench.mill.controller().is_trusted(), "{what}");
+    let place = bench.place();
+    let reported = bench.reported();
+    bench.wait(1.0);
+    assert_eq!(bench.place(), place, "{what}: it goes on after the alarm");
+    // Counted from where the machine was when it was switched on.
+    assert_place(reported, place, what);
+    assert_eq!(bench.ask("G0 X0"), ["error:9"], "{what}");
+}
+
+fn until_welcome(bench: &mut Bench, what: &str) -> Vec<String> {
+    bench.read_until(what, |said| said.iter().any(|l| l.contains("to unlock]")))
+}
+
+#[test]
+fn a_switch_that_never_closes_ends_in_an_alarm() {
+    let mut bench = Bench::new("", SETTINGS);
+    bench.send("$H\n");
+    let said = until_welcome(&mut bench, "no switch");
+    assert_failed(&mut bench, &said, 9, "no switch");
+    assert_eq!(bench.place()[2], (1.5 * TRAVEL * STEPS) as i32, "as far as the longest axis and a half");
+    assert_eq!(bench.ask("$X").last().unwrap(), "ok");
+    bench.carry_out("G91 G1 X-1 F400");
+}
+
+#[test]
+fn a_switch_that_is_not_found_again_ends_in_an_alarm() {
+    let mut bench = Bench::new("", SETTINGS);
+    bench.send("$H\n");
+    bench.wait(0.5);
+    bench.pin("limit z 1");
+    bench.wait(0.01);
+    bench.pin("limit z 0");
+    let said = until_welcome(&mut bench, "not found again");
+    assert_failed(&mut bench, &said, 9, "not found again");
+}
+
+#[test]
+fn a_switch_that_does_not_open_again_ends_in_an_alarm() {
+    let mut bench = Bench::new("", SETTINGS);
+    bench.send("$H\n");
+    bench.wait(0.5);
+    bench.pin("limit z 1");
+    let said = until_welcome(&mut bench, "stuck");
+    assert_failed(&mut bench, &said, 8, "stuck");
+    bench.pin("limit z 0");
+}
+
+type Act = fn(&mut Bench);
+
+/// At any moment of the cycle: the right alarm, and everything works afterwards.
+#[test]
+fn homing_is_broken_off_at_any_moment() {
+    let mut whole = Bench::new(&machine(0, 900), SETTINGS);
+    home(&mut whole);
+    let cycle = whole.seconds();
+    let breaks: [(u8, &str, Act); 5] = [
+        (6, "0x18", |b| b.send([0x18])),
+        (6, "reset pin", |b| {
+            b.pin("reset 1");
+            b.pin("reset 0");
+        }),
+        (6, "0x19", |b| b.send([0x19])),
+        (7, "0x84", |b| b.send([0x84])),
+        (7, "door pin", |b| b.pin("door 1")),
+    ];
+    for (number, (alarm, what, act)) in breaks.into_iter().enumerate() {
+        // A prime step, so that all phases are met at different places.
+        let mut moment = 0.003 + number as f64 * 0.017;
+        let mut moments = 0;
+        while moment < cycle {
+            let mut bench = Bench::new(&machine(0, 900), SETTINGS);
+            bench.send("$H\n");
+            bench.wait(moment);
+            if bench.state() != "Home" {
+                break;
+            }
+            act(&mut bench);
+            let what = format!("{what} after {moment:.3} s");
+            let said = until_welcome(&mut bench, &what);
+            assert_failed(&mut bench, &said, alarm, &what);
+            if alarm == 7 {
+                assert_eq!(
+                    bench.ask("$X"),
+                    if what.starts_with("door") { vec!["error:13"] } else { unlocked() },
+                    "{what}"
+                );
+                bench.pin("door 0");
+            }
+            if bench.state() == "Alarm" {
+                assert_eq!(bench.ask("$X"), unlocked(), "{what}");
+            }
+            assert_eq!(home(&mut bench), ["ok"], "{what}");
+            assert_homed(&mut bench, 0, &what);
+            moment += 0.107;
+            moments += 1;
+        }
+        assert!(moments > 30, "{what}: {moments} moments of {cycle} s");
+    }
+}
+
+fn unlocked() -> Vec<&'static str> {
+    vec!["[MSG:Caution: Unlocked]", "[MSG:The position may be lost: home before using machine coordinates]", "ok"]
+}
+
+/// Holds, starts, overrides, jog cancels, lines and other switches do not disturb it.
+#[test]
+fn nothing_else_disturbs_homing() {
+    for bytes in ["!", "~", "\u{85}", "G0 X100\n", "$J=G91X1F100\n", "?????", "$X\n"] {
+        let mut bench = Bench::new(&machine(0, 900), SETTINGS);
+        assert_eq!(bench.ask("$21=1"), ["ok"]);
+        let bytes: Vec<u8> = bytes.chars().map(|c| c as u8).collect();
+        bench.send("$H\n");
+        for _ in 0..100 {
+            bench.wait(0.05);
+            if bench.state() != "Home" {
+                break;
+            }
+            bench.send(&bytes);
+            // The lines wait until homing is over; one is enough.
+            if bytes.ends_with(b"\n") {
+                break;
+            }
+        }
+        bench.read_until("homed", |said| said.iter().any(|l| l == "ok"));
+        if bytes.starts_with(b"G0") || bytes.starts_with(b"$J") {
+            continue;
+        }
+        bench.settle();
+        assert_homed(&mut bench, 0, &format!("{bytes:?}"));
+    }
+}

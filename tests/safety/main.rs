@@ -1,0 +1,6 @@
+//! The machine in danger: homing, probing, stops at any moment, settings that cannot run, and whatever anybody types.
+
+mod bench;
+mod homing;
+mod injection;
+mod probing;
