@@ -18,6 +18,7 @@
 mod boards;
 mod clock;
 mod control;
+mod copy;
 mod crossing;
 mod flash;
 mod inputs;

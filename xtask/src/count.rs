@@ -26,8 +26,8 @@ enum Figure {
     Worst,
     /// This row less another one, for each of so many units by which they differ.
     Per(u64, &'static str),
-    /// This row, plus another one for each of its calls that the unit needs.
-    Sum,
+    /// Nothing by itself: what another row is compared with.
+    Base,
 }
 
 /// A row of the table.
@@ -54,7 +54,7 @@ impl Row {
 
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
-const ROWS: [Row; 14] = [
+const ROWS: [Row; 15] = [
     row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (999, 999)).beside("105 / 138", "137 / 195"),
     row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (999, 999)).beside("83 / 119", "110 / 170"),
     row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (999, 999)).beside("71 / 108", "73 / 133"),
@@ -62,6 +62,7 @@ const ROWS: [Row; 14] = [
         .beside("147 / 206", "209 / 304"),
     row("receive", "fetching a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (999, 999)),
     row("stop", "stop, with its report", Figure::Worst, None, (999, 999)),
+    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (999, 999)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (999, 999)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (9999, 9999))
         .beside("205 / 329", "196 / 313"),
@@ -74,7 +75,7 @@ const ROWS: [Row; 14] = [
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (999, 999)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (99999, 99999))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("walk_near", "", Figure::Sum, None, (u64::MAX, u64::MAX)),
+    row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
 ];
 
 /// Builds the program, runs it and judges the figures.
@@ -119,6 +120,7 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
     let mut calls: HashMap<String, Vec<Cost>> = HashMap::new();
     let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);
     let mut before: Option<(u32, Kind)> = None;
+    let mut masked: Option<Meter> = None;
     let file = File::open(trace).map_err(|error| format!("{}: {error}", trace.display()))?;
     let mut reader = BufReader::new(file);
     let mut line = String::new();
@@ -129,7 +131,7 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
         };
         line.clear();
         if let Some((behind, kind)) = before {
-            if let Some((_, meter)) = &mut open {
+            for meter in open.iter_mut().map(|(_, meter)| meter).chain(&mut masked) {
                 meter.add(kind, at != behind);
             }
             if at != behind && matches!(kind, Kind::Plain | Kind::Float(_) | Kind::Store { .. } | Kind::Undefined) {
@@ -162,6 +164,14 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
                 (instruction.size, instruction.kind)
             }
         };
+        // From `cpsid i` to `msr primask`, which puts back what was before.
+        match (half(at).unwrap_or(0), half(at + 2)) {
+            (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
+            (0xF380..=0xF38F, Some(0x8810)) if let Some(meter) = masked.take() => {
+                calls.entry("masked".into()).or_default().push((meter.instructions, meter.cycles));
+            }
+            _ => {}
+        }
         before = Some((at + size, kind));
     }
     Ok(calls)
@@ -180,10 +190,10 @@ fn table(calls: &HashMap<String, Vec<Cost>>) -> Result<(String, Vec<String>), Fa
         "| unit of work (instructions / cycles) | Grbl | grblHAL | Oxmill | target | |\n|---|---|---|---|---|---|\n",
     );
     let mut faults = Vec::new();
-    for row in ROWS.iter().filter(|row| row.figure != Figure::Sum) {
+    for row in ROWS.iter().filter(|row| row.figure != Figure::Base) {
         let all = of(row.key)?;
         let cost = match row.figure {
-            Figure::Mean | Figure::Sum => mean(all),
+            Figure::Mean | Figure::Base => mean(all),
             Figure::Worst => (all.iter().map(|c| c.0).max().unwrap_or(0), all.iter().map(|c| c.1).max().unwrap_or(0)),
             Figure::Per(units, other) => {
                 let (more, less) = (mean(all), mean(of(other)?));

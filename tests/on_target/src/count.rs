@@ -22,6 +22,8 @@ use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
 use step_timer::Step;
 
+#[path = "../../../src/firmware/copy.rs"]
+mod copy;
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/firmware/crossing.rs"]
 mod crossing;
