@@ -55,25 +55,24 @@ impl Row {
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
 const ROWS: [Row; 15] = [
-    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (999, 999)).beside("105 / 138", "137 / 195"),
-    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (999, 999)).beside("83 / 119", "110 / 170"),
-    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (999, 999)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (999, 999))
+    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (78, 109)).beside("105 / 138", "137 / 195"),
+    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (78, 109)).beside("83 / 119", "110 / 170"),
+    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (72, 104)).beside("71 / 108", "73 / 133"),
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (263, 422))
         .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (999, 999)),
-    row("stop", "stop, with its report", Figure::Worst, None, (999, 999)),
-    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (999, 999)),
-    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (999, 999)).beside("11 / 14", "35 / 50"),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (9999, 9999))
-        .beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (9999, 9999))
+    row("receive", "fetching a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (233, 360)),
+    row("stop", "stop, with its report", Figure::Worst, None, (380, 708)),
+    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
+    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (752, 1321)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2042, 3306))
         .beside("723 / 1210", "727 / 1200"),
-    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (999, 999))
+    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (9999, 9999))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2678, 4062))
         .beside("1092 / 1588", "1930 / 2868"),
-    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (999, 999)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (99999, 99999))
+    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (14022, 24183))
         .beside("2800 / 4400", "4100 / 6500"),
     row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
 ];
