@@ -9,8 +9,8 @@ use std::{env, fs, path::PathBuf};
 pub const BOARDS: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "qemu_mps2"];
 
 /// Puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts. `root` is the workspace
-/// root as seen from the package, `kind` the kind of target in `cargo:rustc-link-arg-KIND`.
-pub fn link(root: &str, kind: &str) {
+/// root as seen from the package, `kinds` the kinds of target in `cargo:rustc-link-arg-KIND`.
+pub fn link(root: &str, kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-changed={root}/boards/build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
@@ -24,9 +24,12 @@ pub fn link(root: &str, kind: &str) {
     println!("cargo:rerun-if-changed={root}/memory.x");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::copy(&chip, out.join("chip.x")).expect("each board has a chip.x");
+    fs::write(out.join("stack.x"), format!("STACK_SIZE = {stack_kib}K;\n")).expect("cargo's OUT_DIR can be written");
     // The linker runs in the workspace root and finds memory.x there.
     println!("cargo:rustc-link-search={}", out.display());
-    for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
-        println!("cargo:rustc-link-arg-{kind}={argument}");
+    for kind in kinds {
+        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+            println!("cargo:rustc-link-arg-{kind}={argument}");
+        }
     }
 }

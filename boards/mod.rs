@@ -21,7 +21,9 @@
 //! | `preloaded_job()` | a job that somebody put into RAM before the reset; no board but QEMU has one |
 //! | `job_done()` | the end of a preloaded job |
 //! | `idle()` | sleeps until the next interrupt |
-//! | `halt(why)` | the end after a panic or a fault; outputs are already safe |
+//! | `Watchdog` | resets the processor if it has not been fed for some seconds |
+//! | `reset_cause()` | why the processor began anew; asked once |
+//! | `restart(why)` | the end after a failure: logs it and resets the processor; outputs are already safe |
 
 #[allow(dead_code, reason = "the rows of the other boards")]
 #[path = "profiles.rs"]

@@ -4,12 +4,14 @@
 //! interrupt touches stands in `stm32f4_step.rs`.
 
 use core::sync::atomic::Ordering;
+use oxmill_controller::ResetCause;
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input, Output, PinExt},
     nb, pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, Rcc, Reset},
     serial::{Instance, Rx, RxListen, Tx, TxListen},
+    watchdog::IndependentWatchdog,
 };
 
 use super::stm32f4_step::{self as step, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
@@ -27,9 +29,19 @@ use shelter::{Sheltered, Taken, shelter};
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only timers
-        // are written so: they reach no memory, and each value is explained where it is written.
+        // and the supply are written so: they reach no memory, and each value is explained where it is written.
         unsafe { $register.bits($bits) }
     }};
+}
+
+/// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
+/// the HAL leaves it there. The scale can be changed only while the PLL is off.
+#[cfg(feature = "blackpill_f411")]
+pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
+    rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
+    // An enabled clock takes two bus cycles to arrive; reading back waits for them.
+    let _ = rcc.apb1enr().read();
+    pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
 }
 
 /// Puts step, spindle and coolant outputs into their safe levels and stops PWM and step timer. The motor drivers stay as
@@ -244,6 +256,8 @@ pub struct Parts<U: Instance, const S: usize, const D: usize> {
     pub slow_pins: SlowPins,
     /// For `control`.
     pub settings_flash: SettingsFlash,
+    /// For `inputs`.
+    pub watchdog: Watchdog,
 }
 
 /// The settings sectors, with a shelter for what the USART receives meanwhile.
@@ -266,10 +280,85 @@ pub fn idle() {
     cortex_m::asm::wfi();
 }
 
-/// The firmware has failed: logs why and stays where it is.
-pub fn halt(why: core::fmt::Arguments<'_>) -> ! {
-    defmt::error!("{}", defmt::Display2Format(&why));
-    loop {
-        cortex_m::asm::wfi();
+/// The independent watchdog: it runs on a clock of its own (32 kHz nominal, 17 to 47 by the data sheet), so its time is
+/// 2 s nominal and at least 1.3 s: more than an erase of flash takes.
+pub struct Watchdog(IndependentWatchdog);
+
+impl Watchdog {
+    /// Not started yet. It stands still while a probe has halted the processor.
+    pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
+        let watchdog = IndependentWatchdog::new(device);
+        watchdog.stop_on_debug(debug, true);
+        Watchdog(watchdog)
     }
+
+    /// From here on it wants to be fed.
+    pub fn start(&mut self) {
+        self.0.start(2_000.millis());
+    }
+
+    /// Feeds it.
+    #[inline]
+    pub fn feed(&mut self) {
+        self.0.feed();
+    }
+}
+
+/// Why the processor began anew (RCC_CSR), and forgets it. Every reset also pulls the reset pin, so the pin comes last.
+pub fn reset_cause() -> ResetCause {
+    // SAFETY: unsafe because the clock control is by-passed; safe because nobody else uses this register.
+    let csr = unsafe { (*pac::RCC::ptr()).csr() };
+    let flags = csr.read();
+    csr.modify(|_, w| w.rmvf().set_bit());
+    let flag = |bit: u32| flags.bits() >> bit & 1 != 0;
+    if flag(29) || flag(30) {
+        ResetCause::Watchdog
+    } else if flag(28) {
+        ResetCause::Software
+    } else if flag(27) {
+        ResetCause::Power
+    } else if flag(25) {
+        ResetCause::BrownOut
+    } else if flag(26) {
+        ResetCause::Pin
+    } else {
+        ResetCause::Other
+    }
+}
+
+/// EXTI line of the voltage detector.
+const VOLTAGE_LINE: u32 = 1 << 16;
+
+/// Watches the supply: below 2.9 V (its highest threshold, PLS = 7) everything is made safe while there still is power.
+/// Its vector has the highest priority of all; it runs once and does not return.
+pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI) {
+    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
+    unsafe { (*pac::RCC::ptr()).apb1enr().modify(|_, w| w.pwren().set_bit()) };
+    pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
+    // Rising edge of the detector's output: the voltage falls.
+    exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
+    exti.pr().write(|w| raw!(w, VOLTAGE_LINE));
+    exti.imr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
+    // SAFETY: unsafe because priorities and masks may break critical sections; safe because the handler only ends the
+    // program.
+    unsafe {
+        cortex_m::Peripherals::steal().NVIC.set_priority(pac::Interrupt::PVD, 0);
+        pac::NVIC::unmask(pac::Interrupt::PVD);
+    }
+}
+
+/// The supply is failing.
+#[allow(non_snake_case, reason = "the name of the vector")]
+#[unsafe(no_mangle)]
+// unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
+extern "C" fn PVD() {
+    crate::panic::low_voltage()
+}
+
+/// The firmware has failed: logs why and begins anew, as soon as the supply is good.
+pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
+    defmt::error!("{}", defmt::Display2Format(&why));
+    // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.
+    while unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() } {}
+    cortex_m::peripheral::SCB::sys_reset()
 }

@@ -51,8 +51,8 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, call_step, clock_ticks, halt, idle, job_done, preloaded_job,
-    safe_state,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
+    reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
 use super::{profiles, stm32f4};
@@ -82,9 +82,13 @@ pub type Parts = stm32f4::Parts<pac::USART1, 1, 1>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
+    stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(CORE_HZ.Hz()));
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
+    // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.
+    let _c = device.GPIOC.split(&mut rcc);
 
     let slow_pins = SlowPins::new([
         b.pb0.into_push_pull_output_in_state(PinState::High).erase(),
@@ -133,5 +137,6 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         inputs,
         slow_pins,
         settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
+        watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

@@ -54,8 +54,8 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, call_step, clock_ticks, halt, idle, job_done, preloaded_job,
-    safe_state,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
+    reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
 use super::{profiles, stm32f4};
@@ -86,6 +86,7 @@ pub type Parts = stm32f4::Parts<pac::USART2, 2, 2>;
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
     let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(CORE_HZ.Hz()));
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
     let c = device.GPIOC.split(&mut rcc);
@@ -137,5 +138,6 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         inputs,
         slow_pins,
         settings_flash: stm32f4::settings_flash::<pac::USART2>(device.FLASH, &mut rcc),
+        watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

@@ -5,7 +5,9 @@
 //!   ┌───────────────────────────────────────────────────┐
 //!   │ UART0 ── the host (a TCP port of QEMU)            │
 //!   │ UART1 ── test stand: any byte in, one report out; │
-//!   │          `R` resets the machine                   │
+//!   │          `s`: the stack; `R` resets the machine;  │
+//!   │          `P` `F` `C` `H`: panic, fault, control   │
+//!   │          hangs, everything hangs                  │
 //!   │ TIMER0 ─ next tick, end of pulse, settling        │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
@@ -24,7 +26,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::NVIC;
 use critical_section::Mutex;
 use mps2_pac::{Interrupt, Timer0, Timer1, Uart0, Uart1};
-use oxmill_controller::{Profile, digest::Digest};
+use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
@@ -62,6 +64,8 @@ pub struct Parts {
     pub slow_pins: SlowPins,
     /// For `control`.
     pub settings_flash: SettingsFlash,
+    /// For `inputs`.
+    pub watchdog: Watchdog,
 }
 
 /// Starts timers and UARTs.
@@ -86,6 +90,7 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
         inputs: InputPins,
         slow_pins: SlowPins,
         settings_flash: SettingsFlash::new(),
+        watchdog: Watchdog(device.WATCHDOG),
     }
 }
 
@@ -376,16 +381,17 @@ fn send_record() {
         let record = RECORD.borrow_ref(cs);
         (record.digest, record.busy, record.net)
     });
+    let [x, y, z] = net;
+    let (time, order) = (digest.time_hash(), digest.order_hash());
+    send(format_args!("time={time:016x} order={order:016x} steps={x},{y},{z} busy={busy}\n"));
+}
+
+/// Sends text to the test stand.
+fn send(text: core::fmt::Arguments<'_>) {
     let Some(uart) = critical_section::with(|cs| REPORTER.borrow_ref_mut(cs).take()) else { return };
     let mut reporter = Reporter(uart);
-    let [x, y, z] = net;
     // Writing to a UART cannot fail.
-    let _ = writeln!(
-        reporter,
-        "time={:016x} order={:016x} steps={x},{y},{z} busy={busy}",
-        digest.time_hash(),
-        digest.order_hash()
-    );
+    let _ = reporter.write_fmt(text);
     critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(reporter.0)));
 }
 
@@ -407,15 +413,99 @@ pub fn idle() {
         reporter.as_ref().filter(|uart| uart.state() & Uart1::RX_FULL != 0).map(|uart| uart.data() as u8)
     });
     match asked {
-        Some(b'R') => cortex_m::peripheral::SCB::sys_reset(),
+        Some(b's') => send(format_args!("stack={} of {}\n", crate::stack::used(), crate::stack::size())),
+        Some(b'R') => reset(),
+        Some(way @ (b'P' | b'F' | b'C' | b'H')) => fail(way),
         Some(_) => send_record(),
         None => {}
     }
     cortex_m::asm::wfi();
 }
 
-/// The firmware has failed: says why and ends QEMU with a status of its own.
-pub fn halt(why: core::fmt::Arguments<'_>) -> ! {
+/// The watchdog of the CMSDK: its first expiry is an interrupt that cannot be masked, the second resets.
+pub struct Watchdog(mps2_pac::Watchdog);
+
+/// Ticks until it expires: 5 s. Virtual time may leap when the host holds QEMU up, so this is generous.
+const WATCHDOG_TICKS: u32 = 5 * 25_000_000;
+
+impl Watchdog {
+    /// From here on it wants to be fed.
+    pub fn start(&mut self) {
+        self.0.set_reload(WATCHDOG_TICKS);
+        self.0.set_control(mps2_pac::Watchdog::INTERRUPT_ENABLE | mps2_pac::Watchdog::RESET_ENABLE);
+    }
+
+    /// Feeds it.
+    pub fn feed(&mut self) {
+        self.0.clear(1);
+    }
+}
+
+/// What QEMU does not say: a reset that nobody asked for is the watchdog's. Start-up code leaves this word alone.
+#[unsafe(link_section = ".uninit.ALIVE")]
+// unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
+static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
+const RUNNING: u32 = u32::from_le_bytes(*b"runs");
+const ASKED: u32 = u32::from_le_bytes(*b"soft");
+
+fn set_alive(word: u32) {
+    // SAFETY: unsafe because a static is written; safe because it is one store, and only a reset reads it.
+    unsafe { (&raw mut ALIVE).cast::<u32>().write_volatile(word) }
+}
+
+/// Why the processor began anew.
+pub fn reset_cause() -> ResetCause {
+    // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as a number.
+    let word = unsafe { (&raw const ALIVE).cast::<u32>().read_volatile() };
+    set_alive(RUNNING);
+    match word {
+        RUNNING => ResetCause::Watchdog,
+        ASKED => ResetCause::Software,
+        _ => ResetCause::Power,
+    }
+}
+
+fn reset() -> ! {
+    set_alive(ASKED);
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// The test stand has asked for a failure.
+static WANTED: AtomicBool = AtomicBool::new(false);
+
+/// The firmware has failed: says why and ends QEMU with a status of its own, unless the test stand wanted it so.
+pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
+    if WANTED.load(Ordering::Relaxed) {
+        reset()
+    }
     semihosting::eprintln!("{why}");
     semihosting::process::exit(101)
+}
+
+/// Fails in one of the ways that firmware can fail in.
+fn fail(way: u8) {
+    WANTED.store(true, Ordering::Relaxed);
+    match way {
+        b'P' => panic!("wanted by the [test stand]"),
+        b'F' => cortex_m::asm::udf(),
+        b'C' => {
+            // Nothing of the lowest priority runs any more; the others do.
+            // SAFETY: unsafe because it may break critical sections; safe because the program is to end.
+            unsafe { cortex_m::register::basepri::write(hardware_priority(1)) };
+            loop {
+                cortex_m::asm::nop();
+            }
+        }
+        _ => {
+            cortex_m::interrupt::disable();
+            loop {
+                cortex_m::asm::nop();
+            }
+        }
+    }
+}
+
+/// A priority of RTIC as the interrupt controller has it.
+const fn hardware_priority(logical: u8) -> u8 {
+    ((1 << pac::NVIC_PRIO_BITS) - logical) << (8 - pac::NVIC_PRIO_BITS)
 }

@@ -38,5 +38,6 @@ pub mod protocol;
 
 mod controller;
 pub use controller::{Controller, Profile};
+pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
 pub use protocol::realtime::{Received, Splitter};

@@ -195,6 +195,11 @@ pub struct Signals {
     pub reset: bool,
 }
 
+impl Signals {
+    /// Nothing is active.
+    pub const NONE: Signals = Signals { limits: 0, probe: false, door: false, hold: false, start: false, reset: false };
+}
+
 /// Something that happened, told to the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event<const N: usize> {
@@ -323,6 +328,66 @@ pub enum GangedMotors {
     First,
     /// The other one.
     Second,
+}
+
+/// Why the processor began anew.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power came on.
+    Power,
+    /// The reset pin.
+    Pin,
+    /// The program asked for it.
+    Software,
+    /// The supply sank and rose again.
+    BrownOut,
+    /// The watchdog was not fed: a task stood still.
+    Watchdog,
+    /// None of these.
+    Other,
+}
+
+/// What brought the program before the reset to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CrashKind {
+    /// A check in the program failed.
+    Panic,
+    /// The processor refused an instruction or an address.
+    Fault,
+    /// The stack ran out of its memory.
+    StackOverflow,
+    /// A task stood still.
+    Stuck,
+    /// The supply sank.
+    Voltage,
+}
+
+/// The last words of the program before the reset.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Crash {
+    /// What happened.
+    pub kind: CrashKind,
+    /// Where, or which task; printable ASCII.
+    pub text: heapless::Vec<u8, 120>,
+}
+
+/// How this start came about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Restart {
+    /// What the processor says.
+    pub cause: ResetCause,
+    /// What the program before it has left, if it came to a bad end.
+    pub crash: Option<Crash>,
+}
+
+impl Restart {
+    /// Power came on, and nothing is known of before.
+    pub const POWER: Restart = Restart { cause: ResetCause::Power, crash: None };
+
+    /// Whether the machine was stopped by a failure and not by somebody.
+    pub fn is_failure(&self) -> bool {
+        self.crash.is_some() || matches!(self.cause, ResetCause::Watchdog | ResetCause::BrownOut)
+    }
 }
 
 /// A record of the settings store: a key and up to 100 bytes.

@@ -106,6 +106,7 @@ pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
     entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
     entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
+    entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
 ];
 
 /// Names the rows of [`SCALARS`].
@@ -175,11 +176,12 @@ pub enum AxisKey {
     MaxRate,
     Acceleration,
     Travel,
+    Backlash,
 }
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
 }
 
 /// Where a setting stands.
@@ -213,16 +215,33 @@ const fn axes_mask<const N: usize>() -> u8 {
 
 impl<const N: usize> Default for Settings<N> {
     fn default() -> Self {
-        let mut settings =
-            Self { scalars: SCALARS.map(|e| e.default), per_axis: PER_AXIS.map(|e| PerAxis::all(e.default)) };
-        if let Some(cycles) = settings.per_axis.get_mut(AxisKey::HomingCycle as usize) {
-            *cycles = PerAxis::from_axis(|axis| f32::from(homing_cycle(axis.index()) & axes_mask::<N>()));
-        }
-        settings
+        Self::new()
     }
 }
 
 impl<const N: usize> Settings<N> {
+    /// The defaults.
+    #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
+    pub const fn new() -> Self {
+        let mut settings = Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT] };
+        let mut i = 0;
+        while i < Key::COUNT {
+            settings.scalars[i] = SCALARS[i].default;
+            i += 1;
+        }
+        i = 0;
+        while i < AxisKey::COUNT {
+            settings.per_axis[i] = PerAxis::all(PER_AXIS[i].default);
+            i += 1;
+        }
+        i = 0;
+        while i < N {
+            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = (homing_cycle(i) & axes_mask::<N>()) as f32;
+            i += 1;
+        }
+        settings
+    }
+
     /// How many lines `$$` has.
     pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
 
@@ -278,7 +297,8 @@ impl<const N: usize> Settings<N> {
     ///
     /// # Errors
     /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
-    /// of range, [`Error::StepPulseTooShort`] for `$0`, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22`.
+    /// of range, [`Error::StepPulseTooShort`] for `$0`, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22` in Grbl's
+    /// dialect.
     pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let negative = value < Decimal::ZERO;
         if negative && number != PARKING_PLACE {
@@ -312,12 +332,16 @@ impl<const N: usize> Settings<N> {
             },
             Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
         };
-        if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) {
+        // Other dialects take it, so that a set can be restored in any order, and lock motion until homing is on.
+        let grbl = self.value(Key::Dialect) == 0.0;
+        if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) && grbl {
             return Err(Error::SoftLimitNeedsHoming);
         }
         self.put(place, value);
-        // Soft limits mean nothing without a homed position.
-        self.settle();
+        if number == HOMING && value == 0.0 {
+            // Soft limits mean nothing without a homed position.
+            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
+        }
         Ok(())
     }
 
@@ -331,15 +355,18 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// All stored values have been taken over: those that mean nothing without another one go.
+    /// All stored values have been taken over: soft limits that homing has taken along when it was switched off go.
     pub fn settle(&mut self) {
-        if !self.is_on(Key::Homing) {
-            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
-        }
+        let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
+        let on = kept && self.is_on(Key::SoftLimits);
+        self.put(Place::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
     }
 
     /// The value of a setting by its number, for storing.
     pub fn by_number(&self, number: u16) -> Option<f32> {
+        if number == SOFT_LIMITS && self.is_on(Key::SoftLimits) && !self.is_on(Key::Homing) {
+            return Some(BEFORE_HOMING);
+        }
         match Self::find(number)? {
             Place::Scalar(i) => self.scalars.get(i).copied(),
             Place::PerAxis(i, axis) => self.per_axis.get(i)?.get(axis),
@@ -392,9 +419,9 @@ impl<const N: usize> Settings<N> {
             };
             if StepsPerMm::new(r).is_none() {
                 Some(100 + offset)
-            } else if v <= 0.0 || r * motor_rate / 60.0 > greatest_hz {
+            } else if !RATES.contains(&v) || r * motor_rate / 60.0 > greatest_hz {
                 Some(110 + offset)
-            } else if a <= 0.0 {
+            } else if !ACCELERATIONS.contains(&a) {
                 Some(120 + offset)
             } else {
                 None
@@ -402,14 +429,49 @@ impl<const N: usize> Settings<N> {
         });
         let ganged =
             self.ganged_axis().filter(|axis| !has_second_motor || (core_xy && *axis != Axis::Z)).map(|_| GANGED_AXIS);
-        of_axis.or(ganged)
+        of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
+    }
+
+    /// The number of the first setting of a cycle that is switched on and could never come to its end, or of the path.
+    fn unrunnable_cycle(&self) -> Option<u16> {
+        let homing = self.is_on(Key::Homing);
+        let parking = homing && self.is_on(Key::Parking);
+        let crawls = |key| !RATES.contains(&self.value(key));
+        if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
+            Some(11)
+        } else if self.value(Key::ArcTolerance) < LEAST_TOLERANCE {
+            Some(12)
+        } else if self.is_on(Key::SoftLimits) && !homing {
+            Some(SOFT_LIMITS)
+        } else if homing && crawls(Key::HomingLocate) {
+            Some(24)
+        } else if homing && crawls(Key::HomingSeek) {
+            Some(25)
+        } else if parking && crawls(Key::ParkingPullOutRate) {
+            Some(57)
+        } else if parking && crawls(Key::ParkingFastRate) {
+            Some(59)
+        } else {
+            None
+        }
     }
 }
 
+/// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
+const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
+const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
+/// Greatest junction deviation and least arc tolerance, mm.
+const GREATEST_DEVIATION: f32 = 1.0e3;
+const LEAST_TOLERANCE: f32 = 1.0e-4;
 /// Shortest low time of a step output in microseconds; the slowest common driver (DRV8825) asks for 1.9.
 const LEAST_PAUSE_US: f32 = 2.0;
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
+/// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
+/// both off, whenever the power is cut.
+const BEFORE_HOMING: f32 = 2.0;
+/// Number of the setting that switches homing on.
+const HOMING: u16 = 22;
 /// Number of the one setting that may be negative.
 const PARKING_PLACE: u16 = 58;
 /// Number of the setting that names the axis with two motors.
@@ -467,6 +529,7 @@ mod tests {
     #[test]
     fn soft_limits_live_and_die_with_homing() {
         let mut s = Settings::<3>::default();
+        set(&mut s, 900, 0).unwrap();
         assert_eq!(set(&mut s, 20, 1_000), Err(Error::SoftLimitNeedsHoming));
         set(&mut s, 22, 1_000).unwrap();
         set(&mut s, 20, 1_000).unwrap();

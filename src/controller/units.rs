@@ -48,7 +48,9 @@ impl Decimal {
 
     /// The nearest `f32`, computed with one exact conversion and one division, so equal on every machine.
     pub fn to_f32(self) -> f32 {
-        self.0 as f32 / DECIMAL_ONE as f32
+        // Apart, so that the wide integer is not rounded before it is divided: a printed setting reads back as itself.
+        let (whole, rest) = (self.0 / DECIMAL_ONE, self.0 % DECIMAL_ONE);
+        whole as f32 + rest as f32 / DECIMAL_ONE as f32
     }
 
     /// The whole part, cut towards zero, kept within `i32`.

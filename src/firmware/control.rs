@@ -8,7 +8,7 @@
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
-use crate::crossing::{self, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
+use crate::crossing::{self, CONTROL_ASKED, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
 use crate::flash::Settings;
 use crate::outputs::Outputs;
 use crate::{pend_serial, pend_step};
@@ -110,6 +110,7 @@ impl Control {
 
     /// One round of the rule; whether another may find more to do.
     fn pass(&mut self) -> bool {
+        CONTROL_ASKED.store(false, Ordering::Relaxed);
         let now = self.clock.now();
         let observed = self.observed();
         self.controller.observe(observed);
@@ -142,7 +143,7 @@ impl Control {
                 Output::Step(message) => {
                     // There is room, and nobody else sends.
                     let _ = self.ends.segments.try_send(message);
-                    if STEP_WANTS.load(Ordering::Relaxed) {
+                    if STEP_WANTS.load(Ordering::Relaxed) != 0 {
                         pend_step();
                     }
                     return true;

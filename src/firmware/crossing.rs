@@ -11,8 +11,14 @@ pub static SEGMENTS_BEGUN: AtomicU32 = AtomicU32::new(0);
 /// `step`: nothing moves and nothing is loaded.
 pub static STEP_AT_REST: AtomicBool = AtomicBool::new(true);
 /// `step`: there is room for a message ahead of its time; whoever queues one then pends the step vector, for the next tick
-/// may be too late.
-pub static STEP_WANTS: AtomicBool = AtomicBool::new(true);
+/// may be too late. Each run writes 0 or 1, so the watchdog's [`STEP_ASKED`] in it stays only if there was none.
+pub static STEP_WANTS: AtomicU8 = AtomicU8::new(1);
+/// `inputs`, in [`STEP_WANTS`]: no run since. Counts as a wish.
+pub const STEP_ASKED: u8 = 2;
+/// `inputs` sets it, each run of `serial` clears it.
+pub static SERIAL_ASKED: AtomicBool = AtomicBool::new(false);
+/// `inputs` sets it, each round of `control` clears it.
+pub static CONTROL_ASKED: AtomicBool = AtomicBool::new(false);
 /// `serial`: bytes put into the line queue since power-up (wrapping).
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.

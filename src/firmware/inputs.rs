@@ -1,4 +1,5 @@
-//! Samples the input pins, filters them, and tells `control` what changed. Also looks at the alarm clock of `control`.
+//! Samples the input pins, filters them, and tells `control` what changed. Also looks at the alarm clock of `control`, and
+//! whether all tasks are alive.
 //!
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
@@ -6,6 +7,7 @@
 use crate::boards::{InputPins, input_bits};
 use crate::clock;
 use crate::crossing::Wake;
+use crate::watchdog::Supervisor;
 use oxmill_controller::machine::filter::Filter;
 use oxmill_controller::messages::{SIGNALS_DEPTH, Signals, Wiring};
 use rtic_sync::channel::{Receiver, Sender};
@@ -20,6 +22,7 @@ pub struct Inputs {
     signals: Sender<'static, Signals, SIGNALS_DEPTH>,
     sent: Signals,
     wake: Wake,
+    supervisor: Supervisor,
 }
 
 impl Inputs {
@@ -29,12 +32,14 @@ impl Inputs {
         wiring: Receiver<'static, Wiring, 2>,
         signals: Sender<'static, Signals, SIGNALS_DEPTH>,
         wake: Wake,
+        supervisor: Supervisor,
     ) -> Inputs {
-        Inputs { pins, filter: Filter::new(), inverted: 0, wiring, signals, sent: Signals::default(), wake }
+        Inputs { pins, filter: Filter::new(), inverted: 0, wiring, signals, sent: Signals::default(), wake, supervisor }
     }
 
     /// One sample.
     pub fn sample(&mut self) {
+        self.supervisor.sample(&mut self.wake);
         if clock::alarm() {
             self.wake.write(());
         }

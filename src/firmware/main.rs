@@ -24,9 +24,12 @@ mod flash;
 mod inputs;
 mod outputs;
 mod panic;
+mod record;
 mod serial;
+mod stack;
 mod startup;
 mod step_timer;
+mod watchdog;
 
 use defmt_rtt as _;
 
@@ -53,7 +56,6 @@ macro_rules! firmware {
             use crate::serial::Serial;
             use crate::startup::{self, Channels};
             use crate::step_timer::Step;
-            use core::mem::MaybeUninit;
             use oxmill_controller::messages::*;
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
@@ -81,9 +83,11 @@ macro_rules! firmware {
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
-                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
+                // Computed by the compiler and copied to its place with the other data: it is too big for the stack.
+                controller: BoardController = BoardController::new(boards::PROFILE),
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
+                crate::stack::paint();
                 let local = cx.local;
                 let channels = Channels {
                     realtime: local.realtime,
@@ -131,7 +135,9 @@ macro_rules! firmware {
 
             #[idle]
             fn idle(_: idle::Context) -> ! {
+                let mut watch = crate::stack::Watch::new();
                 loop {
+                    watch.look();
                     boards::idle();
                 }
             }

@@ -1,13 +1,34 @@
-//! The end after a bug: outputs into the safe state first, then the reason into the log, then nothing more.
+//! The end after a failure: outputs into the safe state first, then the reason into RAM that outlives the reset and into
+//! the log, then a reset. The host is told of it at the next welcome line, by a machine that is locked.
 
-use crate::boards;
+use crate::{boards, record};
 use core::panic::PanicInfo;
+use oxmill_controller::messages::CrashKind;
+
+/// Ends the program.
+pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
+    cortex_m::interrupt::disable();
+    boards::safe_state();
+    record::keep(kind, why);
+    boards::restart(why)
+}
+
+/// The supply sinks: for boards that can tell.
+#[cfg(not(feature = "qemu_mps2"))]
+pub fn low_voltage() -> ! {
+    fail(CrashKind::Voltage, format_args!("supply below 2.9 V"))
+}
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
-    cortex_m::interrupt::disable();
-    boards::safe_state();
-    boards::halt(format_args!("{info}"))
+    match info.location() {
+        // The file's name is enough, and leaves room for the message.
+        Some(place) => {
+            let file = place.file().rsplit('/').next().unwrap_or_default();
+            fail(CrashKind::Panic, format_args!("{file}:{}: {}", place.line(), info.message()))
+        }
+        None => fail(CrashKind::Panic, format_args!("{}", info.message())),
+    }
 }
 
 /// Bus, usage and memory faults, a stack that has run out of RAM among them.
@@ -43,7 +64,7 @@ extern "C" fn hard_fault(frame: usize) -> ! {
     if frame.is_multiple_of(4) && stack.contains(&frame) && stack.contains(&counter) {
         // SAFETY: unsafe because the address comes from a fault; safe because it is aligned and lies within the stack.
         let counter = unsafe { (counter as *const u32).read_volatile() };
-        boards::halt(format_args!("hard fault at {counter:#010x}"))
+        fail(CrashKind::Fault, format_args!("at {counter:#010x}"))
     }
-    boards::halt(format_args!("hard fault: the stack has overflowed"))
+    fail(CrashKind::StackOverflow, format_args!("stack pointer {frame:#010x}"))
 }

@@ -3,7 +3,7 @@
 //! A reset stops the step task from here, before anyone has queued or decided anything.
 
 use crate::boards::{BACK_PRESSURE, Incoming, SerialPort};
-use crate::crossing::{self, LINE_BYTES_IN, RX_HELD, Wake};
+use crate::crossing::{self, LINE_BYTES_IN, RX_HELD, SERIAL_ASKED, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{Received, Splitter};
@@ -52,6 +52,7 @@ impl Serial {
     /// Called for a received byte, for a sender that has become free, and by `control` (an answer to send; room in the
     /// line queue).
     pub fn run(&mut self) {
+        SERIAL_ASKED.store(false, Ordering::Relaxed);
         let received = self.receive();
         let sent = self.send();
         if received || sent {

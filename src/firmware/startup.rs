@@ -6,13 +6,14 @@ use crate::crossing::Wake;
 use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
+use crate::record;
 use crate::serial::Serial;
 use crate::step_timer::Step;
-use core::mem::MaybeUninit;
+use crate::watchdog::Supervisor;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, SEGMENTS_DEPTH, SIGNALS_DEPTH,
-    Signals, StepEvent, ToStep, Wiring,
+    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
+    SIGNALS_DEPTH, Signals, StepEvent, ToStep, Wiring,
 };
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -40,12 +41,12 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// Sets the board up and deals everything out. `controller` is where the controller lives: it is too big for a stack.
+/// Sets the board up and deals everything out.
 pub fn start(
     device: boards::pac::Peripherals,
     mut sampling: SYST,
     channels: Channels,
-    controller: &'static mut MaybeUninit<BoardController>,
+    controller: &'static mut BoardController,
 ) -> Tasks {
     let parts = boards::setup(device);
     let (realtime_in, realtime) = channels.realtime.split();
@@ -59,12 +60,12 @@ pub fn start(
     let wake: Wake = channels.wake.writer();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
-    let controller = build(controller);
+    controller.restarted(Restart { cause: boards::reset_cause(), crash: record::take() });
     let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
         step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, realtime_in, lines_in, replies_out, wake.clone()),
-        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake),
+        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
         control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),
     };
     sampling.set_clock_source(SystClkSource::Core);
@@ -73,11 +74,4 @@ pub fn start(
     sampling.enable_counter();
     sampling.enable_interrupt();
     tasks
-}
-
-/// Builds the controller in its place. On the way there it lies on the stack; not inlined, so that this part of the stack
-/// is free again afterwards instead of belonging to `main` for ever.
-#[inline(never)]
-fn build(place: &'static mut MaybeUninit<BoardController>) -> &'static mut BoardController {
-    place.write(BoardController::new(boards::PROFILE))
 }

@@ -283,7 +283,7 @@ impl Step {
             self.wake.write(());
         }
         STEP_AT_REST.store(at_rest, Ordering::Relaxed);
-        STEP_WANTS.store(self.stepper.wants(), Ordering::Relaxed);
+        STEP_WANTS.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
         if self.touched || self.unsent.is_some() {
             self.send_all();
             if self.unsent.is_some() && at_rest {

@@ -14,6 +14,7 @@ use std::path::Path;
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
 /// kinematics = "corexy"            # or "cartesian", which need not be said
+/// backlash_mm = [0.05, 0.03, 0]    # how far each motor turns before its carriage follows
 /// racked_mm = 0.4                  # how far the second motor of an axis is ahead of the first at power-up
 /// [[switch]]                       # closes at and beyond a place, in mm from where the machine stood at power-up
 /// axis = "x"
@@ -32,6 +33,8 @@ struct Description {
     steps_per_mm: [f64; AXES],
     #[serde(default)]
     kinematics: Kinematics,
+    #[serde(default)]
+    backlash_mm: [f64; AXES],
     #[serde(default)]
     racked_mm: f64,
     #[serde(default)]
@@ -88,8 +91,11 @@ const A_HAIR_MM: f64 = 1.0e-7;
 pub struct Fittings {
     steps_per_mm: [f64; AXES],
     kinematics: Kinematics,
+    backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
+    /// Where each motor's drive holds its carriage, mm: behind the motor by no more than the backlash.
+    driven_mm: [f64; AXES],
 }
 
 impl Fittings {
@@ -118,9 +124,10 @@ impl Fittings {
                 chatters_until: 0,
             });
         }
-        let Description { steps_per_mm, kinematics, racked_mm, .. } = description;
+        let Description { steps_per_mm, kinematics, backlash_mm, racked_mm, .. } = description;
+        ensure!(backlash_mm.iter().all(|b| b.is_finite() && *b >= 0.0), "backlash_mm must not be negative");
         ensure!(steps_per_mm.iter().all(|s| s.is_finite() && *s > 0.0), "steps_per_mm must be above 0");
-        Ok(Self { steps_per_mm, kinematics, racked_mm, contacts })
+        Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
     }
 
     /// Reads a file.
@@ -132,15 +139,19 @@ impl Fittings {
         Self::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))
     }
 
-    /// Whether nothing is fitted.
+    /// Whether nothing is fitted that follows the motors.
     pub fn is_empty(&self) -> bool {
-        self.contacts.is_empty()
+        self.contacts.is_empty() && self.backlash_mm == [0.0; AXES]
     }
 
     /// The motors stand here now. Whether a contact has changed.
     pub fn moved(&mut self, machine: &Machine, now_us: u64) -> bool {
         let motors = machine.position();
-        let [a, b, z] = std::array::from_fn(|motor| f64::from(motors[motor]) / self.steps_per_mm[motor]);
+        for (motor, driven) in self.driven_mm.iter_mut().enumerate() {
+            let turned = f64::from(motors[motor]) / self.steps_per_mm[motor];
+            *driven = driven.clamp(turned - self.backlash_mm[motor], turned);
+        }
+        let [a, b, z] = self.driven_mm;
         let places = match self.kinematics {
             Kinematics::Cartesian => [a, b, z],
             Kinematics::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
@@ -165,6 +176,11 @@ impl Fittings {
             }
         }
         changed
+    }
+
+    /// Where the drives of the motors hold the carriages, mm from where they stood at power-up.
+    pub fn driven_mm(&self) -> [f64; AXES] {
+        self.driven_mm
     }
 
     /// Whether the plate is touched, as the step task sees it.

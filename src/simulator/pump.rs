@@ -343,6 +343,11 @@ impl Simulator {
     }
 
     /// The machine.
+    pub fn fittings(&self) -> &Fittings {
+        &self.fittings
+    }
+
+    /// Motors and carriages.
     pub fn machine(&self) -> &Machine {
         &self.machine
     }

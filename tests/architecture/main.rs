@@ -216,13 +216,15 @@ fn the_simulator_is_safe_and_knows_no_hardware() {
     assert!(text.contains("forbid(unsafe_code)"));
 }
 
-/// Boards know pins: of the controller they may fill in the profile, and digest steps where there are no pins; of the
-/// tasks they know nothing.
+/// Boards know pins: of the controller they may fill in the profile, say why the processor began anew, and digest steps where
+/// there are no pins; of the tasks they know nothing.
 fn board_faults(_: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for path in source::paths(&source::bare(text)) {
         let known = match path[0].as_str() {
-            "oxmill_controller" => path.get(1).is_some_and(|name| name == "Profile" || name == "digest"),
+            "oxmill_controller" => {
+                matches!(path.get(1).map(String::as_str), Some("Profile" | "digest" | "ResetCause"))
+            }
             "rtic" | "rtic_sync" | "oxmill_simulator" => false,
             _ => true,
         };

@@ -1,10 +1,12 @@
 //! Tests of the whole machine: bytes in, pulses out.
 
+mod backlash;
 mod conversations;
 mod estimator;
 mod examples;
 mod host;
 mod kinematics;
+mod known_jobs;
 mod motion_properties;
 mod oracle;
 mod rig;

@@ -65,7 +65,14 @@ enum Piece {
     Feed(u32),
 }
 
+/// Realtime commands that change what is under way: feed overrides, rapid overrides, hold, start.
+const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x95, 0x97, b'!', b'!', b'~'];
+
 fn pieces() -> impl Strategy<Value = Vec<Piece>> {
+    prop::collection::vec(piece(), 1..12)
+}
+
+fn piece() -> impl Strategy<Value = Piece> {
     let far = || [-30_000_i64..30_000, -30_000_i64..30_000, -5_000_i64..5_000];
     let near = || [-2_000_i64..2_000, -2_000_i64..2_000, -500_i64..500];
     let one_axis = (0..AXES, -20_000_i64..20_000).prop_map(|(axis, by)| {
@@ -73,7 +80,7 @@ fn pieces() -> impl Strategy<Value = Vec<Piece>> {
         delta[axis] = by;
         delta
     });
-    let piece = prop_oneof![
+    prop_oneof![
         4 => (far(), any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
         4 => (near(), any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
         2 => (one_axis, any::<bool>()).prop_map(|(d, rapid)| Piece::Straight(d, rapid)),
@@ -83,8 +90,7 @@ fn pieces() -> impl Strategy<Value = Vec<Piece>> {
         2 => ([-40_i64..40, -40_i64..40, -3_i64..3], 5_usize..200)
             .prop_map(|(step, count)| Piece::Crumbs { step, count }),
         3 => (10_u32..12_000).prop_map(Piece::Feed),
-    ];
-    prop::collection::vec(piece, 1..12)
+    ]
 }
 
 /// Directions at 15 degrees from each other, × 1000.
@@ -177,6 +183,51 @@ proptest! {
         let mut rig = Rig::with(&settings(&limits));
         rig.run_clean(&job.text);
         prop_assert_eq!(rig.place, limits.place(mm(job.at)));
+        if let Err(fault) = check(&rig.trace, HZ as f64, &job.lines, &limits) {
+            return Err(TestCaseError::fail(format!("{fault}\n{}", job.text)));
+        }
+    }
+
+    /// The same jobs under overrides and holds at any moments: the same path to the same end, and limits kept throughout.
+    #[test]
+    fn overrides_and_holds_keep_path_and_limits(
+        limits in machines(),
+        pieces in prop::collection::vec(piece(), 1..6),
+        touches in prop::collection::vec((1_u64..700, prop::sample::select(&TOUCHES[..])), 1..12),
+    ) {
+        let mut job = Job::new();
+        for piece in &pieces {
+            job.add(piece);
+        }
+        let mut rig = Rig::with(&settings(&limits));
+        rig.send(job.text.as_bytes());
+        let mut held = false;
+        for (milliseconds, touch) in touches {
+            rig.run_for(milliseconds as f64 / 1000.0);
+            if touch == b'!' {
+                held = true;
+            } else if touch == b'~' {
+                held = false;
+            }
+            rig.send(&[touch]);
+            if held && touch == b'!' {
+                // Long enough for any ramp here to end: nothing moves until the start.
+                rig.run_for(1.2);
+                let place = rig.place;
+                rig.run_for(0.2);
+                prop_assert_eq!(rig.place, place, "it moves in a hold");
+            }
+        }
+        rig.send(b"~");
+        rig.settle();
+        let answers = rig.read_lines();
+        prop_assert!(answers.iter().all(|answer| answer == "ok"), "{:?}", answers);
+        prop_assert_eq!(answers.len(), job.text.lines().count());
+        prop_assert_eq!(rig.place, limits.place(mm(job.at)));
+        // Overrides go up to twice the feed.
+        for line in &mut job.lines {
+            line.feed = line.feed.map(|feed| feed * 2.0);
+        }
         if let Err(fault) = check(&rig.trace, HZ as f64, &job.lines, &limits) {
             return Err(TestCaseError::fail(format!("{fault}\n{}", job.text)));
         }
@@ -300,6 +351,20 @@ proptest! {
             prop_assert!((rig.place[axis] as f64 - steps).abs() <= 0.5 + half, "{:?}", rig.place);
         }
         assert_near(rig.place.map(|v| v as f64), rig.place_from_report(limits.steps_per_mm), 0.21);
+    }
+}
+
+/// 20,000 steps at an even speed take their time to the last tick of the step clock, whatever fraction of a tick a step is.
+#[test]
+fn fractions_of_a_tick_add_up() {
+    for feed in [3210.7, 5999.3, 7411.0] {
+        let mut rig = Rig::with("$0=1\n$100=1000\n$110=9000\n$120=20000\n");
+        rig.run_clean(&format!("G21 G91\nG1 X24 F{feed}\n"));
+        let (from, to) = (rig.trace[2_000].at, rig.trace[22_000].at);
+        let expected = 20_000.0 * HZ as f64 * 60.0 / feed / 1000.0;
+        // The speed is an f32: 24 bits.
+        let off = (to - from) as f64 - expected;
+        assert!(off.abs() < expected * 3e-7 + 2.0, "{off} of {expected} ticks at F{feed}");
     }
 }
 

@@ -5,11 +5,12 @@
 //! the wall time of the recording. The test prints how many of each there were.
 
 mod differences;
+mod record;
 mod rules;
 
 use oxmill_controller::messages::Signals;
 use oxmill_simulator::{Fittings, Options, Simulator};
-use serde_json::Value;
+use record::{Record, Tally, answers, read};
 use std::time::Duration;
 
 /// How long the recording host listened for an answer before it took silence for one.
@@ -31,37 +32,6 @@ const SWITCHES_AT_2_MM: &str = r#"
     ]
 "#;
 
-/// One line of a recording.
-struct Record {
-    n: u64,
-    kind: String,
-    send: Vec<u8>,
-    reply: Vec<String>,
-    acked: bool,
-    wait: f64,
-}
-
-fn read(text: &str) -> Vec<Record> {
-    text.lines()
-        .map(|line| {
-            let value: Value = serde_json::from_str(line).expect("a recording is JSON lines");
-            let text = |key: &str| value[key].as_str().unwrap_or_default().to_string();
-            Record {
-                n: value["n"].as_u64().expect("n"),
-                kind: text("kind"),
-                // Bytes above 0x7F were recorded as the characters of the same number.
-                send: text("send").chars().map(|c| c as u32 as u8).collect(),
-                reply: value["reply"]
-                    .as_array()
-                    .map(|lines| lines.iter().map(|l| l.as_str().expect("a line").to_string()).collect())
-                    .unwrap_or_default(),
-                acked: value["acked"].as_bool().unwrap_or(false),
-                wait: value["wait"].as_f64().unwrap_or(0.0),
-            }
-        })
-        .collect()
-}
-
 /// A machine as the recordings begin with it, spoken to in Grbl's dialect.
 fn power_up(group: &str) -> Simulator {
     let fittings = if group.starts_with("27") { Fittings::parse(SWITCHES_AT_2_MM) } else { Ok(Fittings::default()) };
@@ -73,14 +43,6 @@ fn power_up(group: &str) -> Simulator {
     mill.send([0x18]);
     mill.run_until_idle();
     mill
-}
-
-fn lines(text: &str) -> Vec<String> {
-    text.split("\r\n").filter(|line| !line.is_empty()).map(str::to_string).collect()
-}
-
-fn answers(text: &str) -> usize {
-    lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
 }
 
 /// Does what the recording host did and gives what came back.
@@ -156,41 +118,12 @@ fn set_pin(pins: &mut Signals, what: &[u8]) {
     }
 }
 
-#[derive(Default)]
-struct Tally {
-    equal: usize,
-    by_rule: usize,
-    listed: usize,
-    used: Vec<bool>,
-    other: Vec<String>,
-}
-
 fn replay(group: &str, text: &str, tally: &mut Tally) {
     let mut mill = power_up(group);
     let mut boot = mill.take_output();
     for record in read(text) {
         let said = if record.kind == "boot" { std::mem::take(&mut boot) } else { hold(&mut mill, &record) };
-        let got = lines(&said);
-        let listed = differences::DIFFERENCES.iter().position(|d| d.group == group && d.n == record.n);
-        if got == record.reply {
-            tally.equal += 1;
-        } else if let Some(index) = listed {
-            let difference = &differences::DIFFERENCES[index];
-            tally.used[index] = true;
-            if difference.answers.is_none_or(|answers| answers == got) {
-                tally.listed += 1;
-            } else {
-                tally.other.push(format!("{group} {}: listed, but answered {got:?}", record.n));
-            }
-        } else if rules::equal(&record.kind, &record.reply, &got) {
-            tally.by_rule += 1;
-        } else {
-            let send = String::from_utf8_lossy(&record.send);
-            tally.other.push(format!(
-                "{group} {} {} {send:?}\n    recorded {:?}\n    answered {got:?}",
-                record.n, record.kind, record.reply
-            ));
-        }
+        tally.judge(group, &record, &said);
     }
 }
 
@@ -201,24 +134,13 @@ fn recordings_answer_as_grbl_did() {
         std::fs::read_dir(folder).expect("the recordings").map(|e| e.expect("a file").path()).collect();
     files.sort();
     assert_eq!(files.len(), 31);
-    let mut tally = Tally { used: vec![false; differences::DIFFERENCES.len()], ..Tally::default() };
+    let mut tally = Tally::new();
     for file in files {
         let group = file.file_stem().expect("a name").to_string_lossy().into_owned();
         replay(&group, &std::fs::read_to_string(&file).expect("a recording"), &mut tally);
     }
-    let unused: Vec<String> = differences::DIFFERENCES
-        .iter()
-        .zip(&tally.used)
-        .filter(|(_, used)| !**used)
-        .map(|(d, _)| format!("{} {}", d.group, d.n))
-        .collect();
-    println!(
-        "{} equal, {} equal but for wall time, {} listed differences, {} other",
-        tally.equal,
-        tally.by_rule,
-        tally.listed,
-        tally.other.len()
-    );
+    println!("{tally}");
     assert!(tally.other.is_empty(), "{}", tally.other.join("\n"));
+    let unused = tally.unused();
     assert!(unused.is_empty(), "listed as different, but equal: {unused:?}");
 }

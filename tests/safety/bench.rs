@@ -135,3 +135,20 @@ pub fn assert_place(reported: [f64; AXES], steps: [i32; AXES], what: &str) {
         assert!((reported[axis] - f64::from(steps[axis])).abs() < 0.01, "{what}: reported {reported:?}, is {steps:?}");
     }
 }
+
+/// Xorshift: random numbers that are the same every time.
+pub struct Random(pub u64);
+
+impl Random {
+    fn bits(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    /// A number below `end`.
+    pub fn below(&mut self, end: u64) -> u64 {
+        (self.bits() >> 11) % end
+    }
+}

@@ -4,3 +4,5 @@ mod bench;
 mod homing;
 mod injection;
 mod probing;
+mod restore;
+mod states;

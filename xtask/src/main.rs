@@ -10,8 +10,10 @@ mod live;
 mod programs;
 mod qemu;
 mod reach;
+mod recordings;
 mod suites;
 mod thumb;
+mod virtual_board;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -31,9 +33,11 @@ usage:
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
+  cargo xtask recordings [N..]  the recorded conversations on QEMU alone; or only some groups
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
+  cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask count          what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU
 boards: ";
 
@@ -48,11 +52,14 @@ fn main() -> ExitCode {
         ["flash-board", board] => known(board).and_then(flash),
         ["qemu"] => qemu::serve(),
         ["qemu", "--job", file] => jobs::show(Path::new(file)),
-        ["test-target"] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
-        ["test-target", QEMU_BOARD] => suites::on_qemu().and_then(|()| live::all()).and_then(|()| jobs::compare_all()),
+        ["test-target"] => on_qemu(),
+        ["test-target", QEMU_BOARD] => on_qemu(),
         ["test-target", board] => known(board).and_then(suites::on_board),
+        ["recordings", ref groups @ ..] => recordings::replay_all(groups),
         ["converse"] => live::all(),
         ["job", name] => generate(name),
+        ["virtual"] => virtual_board::check(None),
+        ["virtual", board] => virtual_board::check(Some(board)),
         ["count"] => count::count(),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
@@ -67,6 +74,14 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// All that runs on QEMU.
+fn on_qemu() -> Result<(), Failure> {
+    suites::on_qemu()?;
+    live::all()?;
+    recordings::replay_all(&[])?;
+    jobs::compare_all()
 }
 
 /// The board, if there is one of this name.

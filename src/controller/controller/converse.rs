@@ -265,22 +265,29 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Home(axis) => self.begin_homing(axis)?,
             System::Jog(text) => return self.jog(text),
             System::Restore(what) => self.restore_defaults(what),
+            System::ResetCause => {
+                let restart = self.restart.clone();
+                self.restart_told = true;
+                self.say(|out| report::restart(out, &restart));
+                self.say(report::ok);
+            }
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
                 self.fall_asleep();
             }
             System::Set(number, value) => {
+                let soft_limits = self.settings.is_on(Key::SoftLimits);
                 self.settings.set(number, value)?;
-                self.changed(number);
+                self.changed(number, soft_limits);
                 self.task = Task::Storing(Answer::Host);
             }
         }
         Ok(())
     }
 
-    /// A setting has a new value: derived numbers follow, and it is stored.
-    fn changed(&mut self, number: u16) {
+    /// A setting has a new value: derived numbers follow, and it is stored. `soft_limits`: they were on before.
+    fn changed(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
@@ -290,11 +297,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if number == 13 {
             self.rare_fields.offset_changed();
         }
-        if number == 22 && self.settings.is_on(Key::Homing) {
-            // Without homing a stored $20 does not count (see `start`) and was left as it was; now it counts again.
-            self.save_setting(20);
+        if number == 22 {
+            self.store_soft_limits_before_homing(soft_limits);
         }
         self.save_setting(number);
+    }
+
+    /// `$20` is stored so that the record of `$22`, which follows, changes both at once: see `Settings::settle`.
+    fn store_soft_limits_before_homing(&mut self, soft_limits: bool) {
+        let record: f32 = match (self.settings.is_on(Key::Homing), soft_limits) {
+            (true, true) => return,
+            (false, true) => 1.0,
+            (_, false) => 0.0,
+        };
+        self.save(20, &record.to_le_bytes());
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
@@ -484,7 +500,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             ],
             spindle: modal.spindle,
             coolant: modal.coolant,
-            parking_override: modal.parking_override,
+            parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
             tool: u32::from(modal.tool),
             feed: modal.feed.to_f32(),
             speed: modal.speed,

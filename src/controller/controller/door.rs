@@ -61,6 +61,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task.suspend(self.now);
                 self.mode = Mode::Door(Door::Braking);
             }
+            Mode::Stopping { locked: false } => {
+                // The stop stays one: nothing goes on when the door is closed.
+                self.door.forget_job = true;
+                self.mode = Mode::Door(Door::Braking);
+            }
             Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
             Mode::Door(Door::Returning | Door::Plunging) => {
                 self.detour.hold();
@@ -140,6 +145,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Door::CoolantRestoring(until) if self.now >= until => match self.door.way {
                 Some(way) => {
                     self.detour_to(&way.left, Key::ParkingPullOutRate);
+                    // The job's block is entered with the slack where it was.
+                    self.detour.end_with_lead(self.motion.lead());
                     self.mode = Mode::Door(Door::Plunging);
                 }
                 None => self.leave_door(),
@@ -169,6 +176,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Some(way) => {
                 let here = self.motion.machine_position();
                 self.detour.configure(self.motion.settings());
+                self.detour.set_lead(self.motion.lead());
                 self.detour.set_machine_position(&here);
                 self.detour_to(&way.clear, Key::ParkingPullOutRate);
                 self.mode = Mode::Door(Door::PullingOut);
@@ -178,14 +186,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Where parking leads. None with homing off, with a laser, with an untrusted position, where a program holds it off
-    /// (M56), and where the tool is beyond the parking place already.
+    /// (M56 P0), and where the tool is beyond the parking place already.
     fn parking_way(&self) -> Option<ParkingWay<N>> {
         let modal = self.interpreter.modal();
         if !self.settings.is_on(Key::Parking)
             || !self.settings.is_on(Key::Homing)
             || self.settings.is_on(Key::Laser)
             || !self.trusted
-            || modal.parking_override
+            || modal.no_parking
         {
             return None;
         }

@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, LINES_DEPTH, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, Signals,
-    SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, LINES_DEPTH, LineByte, Observed, Output, Realtime, Restart, Room, SECOND_SWITCH,
+    Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -142,6 +142,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Stores that have not been answered yet.
     unstored: u8,
     store_failed: bool,
+    restart: Restart,
+    /// The host knows of the failure before this start.
+    restart_told: bool,
     now: Instant,
 }
 
@@ -164,6 +167,11 @@ struct StopState {
     resume: bool,
 }
 
+impl StopState {
+    const NONE: StopState =
+        StopState { awaited: None, expected: 0, seen: 0, moving: false, line: 0, order: false, resume: false };
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StopReason {
     Reset,
@@ -176,19 +184,16 @@ enum StopReason {
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
-    /// [`Controller::start`].
-    pub fn new(profile: Profile) -> Self {
-        let settings = Settings::default();
-        let motion = Motion::new(motion_settings(&settings, &profile));
-        let detour = Motion::new(motion_settings(&settings, &profile));
+    /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
+    pub const fn new(profile: Profile) -> Self {
         Self {
             profile,
-            settings,
+            settings: Settings::new(),
             startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
-            motion,
-            detour,
+            motion: Motion::unconfigured(profile.step_clock_hz),
+            detour: Motion::unconfigured(profile.step_clock_hz),
             line: Line::new(),
             held: None,
             epoch: 0,
@@ -204,27 +209,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             well_filled: false,
             input_ended: false,
             task: Task::None,
-            overrides: Overrides::default(),
+            overrides: Overrides::NONE,
             spindle: SpindleDirection::Off,
             spindle_speed: 0.0,
             spindle_stopped: false,
             spinning_up: None,
-            coolant: Coolant::default(),
+            coolant: Coolant { flood: false, mist: false },
             door: DoorState::CLOSED,
             jog_interrupted: false,
-            probed: PerAxis::default(),
+            probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
             probing: None,
             probe_watch: None,
-            pins: Signals::default(),
-            signals: Signals::default(),
+            pins: Signals::NONE,
+            signals: Signals::NONE,
             tripped_limits: 0,
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
-            observed: Observed { step_idle: true, rx_free: LINES_DEPTH as u16, ..Observed::default() },
-            stop: StopState::default(),
-            rare_fields: RareFields::default(),
+            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 },
+            stop: StopState::NONE,
+            rare_fields: RareFields::DUE,
             status_due: false,
             replies: heapless::Deque::new(),
             pins_sent: None,
@@ -232,8 +237,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,
+            restart: Restart::POWER,
+            restart_told: false,
             now: Instant::from_ticks(0),
         }
+    }
+
+    /// What is known of the end before this start; before [`Controller::start`]. After a failure the machine is locked, for a
+    /// host that noticed nothing may still be sending its job.
+    pub fn restarted(&mut self, restart: Restart) {
+        if restart.is_failure() {
+            self.mode = Mode::Alarm;
+            self.trusted = false;
+        }
+        self.restart = restart;
     }
 
     /// Power-up is complete: greets the host and runs the startup lines.
@@ -268,7 +285,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.unstored = self.unstored.saturating_sub(1);
                 self.store_failed = true;
             }
-            Event::Connected => self.say(report::welcome),
+            Event::Connected => {
+                self.say(report::welcome);
+                self.tell_failure();
+            }
         }
     }
 
@@ -365,7 +385,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.now = now;
+        let wanted = self.wants_line();
         self.settle();
+        if self.wants_line() && !wanted {
+            // Bytes that have waited may come now, and nothing else would wake the pump for them.
+            return Some(Output::Worked);
+        }
         if self.stop.order {
             self.stop.order = false;
             return Some(Output::Stop);
@@ -749,6 +774,7 @@ fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) ->
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
         acceleration: settings.axes(AxisKey::Acceleration),
+        backlash: settings.axes(AxisKey::Backlash),
         junction_deviation: settings.value(Key::JunctionDeviation),
         arc_tolerance: settings.value(Key::ArcTolerance),
         step_clock_hz: profile.step_clock_hz,

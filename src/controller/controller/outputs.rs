@@ -126,6 +126,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// At each welcome line until the host has asked for the record: nobody may have listened to the first one.
+    pub(super) fn tell_failure(&mut self) {
+        if self.restart.is_failure() && !self.restart_told {
+            let restart = self.restart.clone();
+            self.say(|out| report::failure(out, &restart));
+        }
+    }
+
     pub(super) fn reply_chunk(&mut self) -> Option<Chunk> {
         let mut chunk = Chunk { len: 0, bytes: [0; 15] };
         for slot in &mut chunk.bytes {

@@ -170,6 +170,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.rare_fields = RareFields::default();
         self.status_due = false;
         self.say(report::welcome);
+        self.tell_failure();
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;
             self.say(|out| report::message(out, "Check Limits"));

@@ -308,10 +308,10 @@ impl<'a, const N: usize> Check<'a, N> {
         self.checked.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
     }
 
-    /// M56 alone and with P other than 0 is on, with P0 off.
+    /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
     fn parking_override(&mut self) {
         if self.line.parking_override {
-            self.checked.modal.parking_override = !self.line.values.has(b'P') || self.line.p != Decimal::ZERO;
+            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.p == Decimal::ZERO;
             self.unused.remove(Letters::of(b"P"));
         }
     }

@@ -26,13 +26,13 @@ impl<const N: usize> Default for Interpreter<N> {
 
 impl<const N: usize> Interpreter<N> {
     /// The state after power-up of a new machine.
-    pub fn new() -> Self {
-        Self { modal: Modal::default(), offsets: Offsets::default(), position: PerAxis::all(Coordinate::ZERO) }
+    pub const fn new() -> Self {
+        Self { modal: Modal::INITIAL, offsets: Offsets::new(), position: PerAxis::all(Coordinate::ZERO) }
     }
 
     /// What a reset forgets: modal state, G92 and tool length offset. Stored offsets and the position stay.
     pub fn reset(&mut self) {
-        self.modal = Modal::default();
+        self.modal = Modal::INITIAL;
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
         self.offsets.tool_length = Coordinate::ZERO;
     }

@@ -210,8 +210,8 @@ impl CoordinateSystem {
     }
 }
 
-/// All that stays in force. Its default is the state after power-up.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// All that stays in force.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Modal {
     /// Motion mode.
     pub motion: MotionMode,
@@ -234,14 +234,34 @@ pub struct Modal {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// M56: parking is held off.
-    pub parking_override: bool,
+    /// M56 P0: the tool does not park.
+    pub no_parking: bool,
     /// T.
     pub tool: u8,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
     /// S, in revolutions per minute.
     pub speed: f32,
+}
+
+impl Modal {
+    /// The state after power-up.
+    pub const INITIAL: Modal = Modal {
+        motion: MotionMode::Rapid,
+        straight: MotionMode::Rapid,
+        coordinate_system: CoordinateSystem::G54,
+        plane: Plane::Xy,
+        units: Units::Mm,
+        distance: Distance::Absolute,
+        arc_distance: ArcDistance::Incremental,
+        feed_mode: FeedMode::PerMinute,
+        spindle: SpindleDirection::Off,
+        coolant: Coolant { flood: false, mist: false },
+        no_parking: false,
+        tool: 0,
+        feed: Decimal::ZERO,
+        speed: 0.0,
+    };
 }
 
 impl Modal {

@@ -39,6 +39,13 @@ pub struct Offsets<const N: usize> {
 
 impl<const N: usize> Default for Offsets<N> {
     fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> Offsets<N> {
+    /// Those of a new machine.
+    pub const fn new() -> Self {
         let zero = PerAxis::all(Coordinate::ZERO);
         Self {
             systems: [zero; CoordinateSystem::ALL.len()],
@@ -48,9 +55,7 @@ impl<const N: usize> Default for Offsets<N> {
             tool_length: Coordinate::ZERO,
         }
     }
-}
 
-impl<const N: usize> Offsets<N> {
     /// The value of a stored place.
     pub fn stored(&self, which: StoredOffset) -> PerAxis<Coordinate, N> {
         match which {

@@ -18,7 +18,7 @@ const RANGE: core::ops::RangeInclusive<i16> = 10..=200;
 
 impl Default for Overrides {
     fn default() -> Self {
-        Self { feed: 100, rapid: 100, spindle: 100 }
+        Self::NONE
     }
 }
 
@@ -27,6 +27,9 @@ fn stepped(percent: u8, by: i16) -> u8 {
 }
 
 impl Overrides {
+    /// Everything as programmed.
+    pub const NONE: Overrides = Overrides { feed: 100, rapid: 100, spindle: 100 };
+
     /// The overrides after one command; every press counts. Other commands change nothing.
     #[must_use]
     pub fn after(mut self, command: Realtime) -> Overrides {

@@ -117,7 +117,7 @@ pub(super) fn bend_speed2<const N: usize>(
 }
 
 impl<const N: usize> Chain<N> {
-    pub(super) fn new() -> Self {
+    pub(super) const fn new() -> Self {
         let span = Span {
             knot: PerAxis::all(Coordinate::ZERO),
             path: 0.0,

@@ -10,14 +10,26 @@ const RING: usize = SEGMENTS_DEPTH + 4;
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record<const N: usize> {
-    /// Machine steps at its end.
+    /// Machine steps of the tool at its end, and how far the motors lead it.
     pub position: PerAxis<i32, N>,
+    pub lead: [i32; N],
     /// mm/s.
     pub speed: f32,
     /// Its time in step-clock ticks.
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
+}
+
+impl<const N: usize> Record<N> {
+    const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
+        Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0 }
+    }
+
+    /// Machine steps of the motors at its end.
+    pub(super) fn motors(&self) -> PerAxis<i32, N> {
+        self.position.zip(&PerAxis(self.lead), i32::wrapping_add)
+    }
 }
 
 /// The records of segments not begun, and that of the one begun last.
@@ -31,12 +43,14 @@ pub(super) struct Flight<const N: usize> {
     /// Count of the step task at which the first record of the ring is still to begin.
     begun: u32,
     current: Record<N>,
+    /// The one before it.
+    before: Record<N>,
 }
 
 impl<const N: usize> Flight<N> {
-    pub(super) fn new(position: PerAxis<i32, N>) -> Self {
-        let record = Record { position, speed: 0.0, clocks: 0, line_number: 0, power: 0 };
-        Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record }
+    pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
+        let record = Record::still(position, [0; N]);
+        Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record, before: record }
     }
 
     #[inline]
@@ -58,6 +72,11 @@ impl<const N: usize> Flight<N> {
         &self.current
     }
 
+    /// What had been done before the segment begun last.
+    pub(super) fn before(&self) -> &Record<N> {
+        &self.before
+    }
+
     pub(super) fn push(&mut self, record: Record<N>) {
         let index = self.first + self.len;
         let index = if index >= RING { index - RING } else { index };
@@ -72,6 +91,7 @@ impl<const N: usize> Flight<N> {
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {
             if let Some(record) = self.ring.get(self.first) {
+                self.before = self.current;
                 self.current = *record;
             }
             self.queued = self.queued.saturating_sub(self.current.clocks);
@@ -91,9 +111,10 @@ impl<const N: usize> Flight<N> {
     }
 
     /// Everything handed over is gone; the machine rests at `position`.
-    pub(super) fn forget(&mut self, position: PerAxis<i32, N>) {
+    pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;
-        self.current = Record { position, speed: 0.0, clocks: 0, line_number: 0, power: 0 };
+        self.current = Record::still(position, lead);
+        self.before = self.current;
     }
 }

@@ -20,6 +20,10 @@ pub(super) struct Kinematics<const N: usize> {
 }
 
 impl<const N: usize> Kinematics<N> {
+    /// A step is a millimetre of each axis.
+    pub(super) const ONE: Self =
+        Self { arrangement: Arrangement::Cartesian, steps_per_mm: PerAxis::all(StepsPerMm::ONE), least_mm: [1.0; N] };
+
     pub(super) fn new(arrangement: Arrangement, steps_per_mm: PerAxis<StepsPerMm, N>) -> Self {
         let mut least_mm = steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         if arrangement == Arrangement::CoreXy {
@@ -43,6 +47,18 @@ impl<const N: usize> Kinematics<N> {
             _ => place,
         };
         self.steps_per_mm.zip(place, |scale, coordinate| scale.steps(coordinate))
+    }
+
+    /// The ways of the axes (mm) that ways of the motors (steps) are worth.
+    pub(super) fn way_of_axes(&self, steps: &[i32; N]) -> [f32; N] {
+        let mut way = [0.0; N];
+        for ((mm, steps), scale) in way.iter_mut().zip(steps).zip(self.steps_per_mm.iter()) {
+            *mm = *steps as f32 / scale.to_f32();
+        }
+        if let (Arrangement::CoreXy, [a, b, ..]) = (self.arrangement, way.as_mut_slice()) {
+            (*a, *b) = (0.5 * (*a + *b), 0.5 * (*a - *b));
+        }
+        way
     }
 
     /// The place that steps stand for.

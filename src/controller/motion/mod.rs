@@ -9,6 +9,7 @@
 //! replies or of machine states; when to start is decided outside.
 
 pub mod arc;
+mod backlash;
 mod block;
 mod curvature;
 mod extent;
@@ -26,6 +27,7 @@ pub use stepper::{Stepper, Tick};
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
+use backlash::{Backlash, Lead};
 use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use curvature::{Chain, MOST_TURN, Piece};
 use flight::{Flight, Record};
@@ -44,6 +46,9 @@ const WAIT_MS: u32 = 1;
 const REST_US: u32 = 20;
 /// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
 const CRAWL_S: f32 = 0.001;
+
+/// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
+const MOST_BACKLASH: i32 = 10_000;
 
 /// Least speed, mm/s: a third of a step per minute with 10,000 steps/mm.
 const LEAST_SPEED: f32 = 5.0e-7;
@@ -68,6 +73,8 @@ pub struct MotionSettings<const N: usize> {
     pub acceleration: PerAxis<f32, N>,
     /// How far a corner may be cut in thought to find its speed, mm.
     pub junction_deviation: f32,
+    /// Slack of each motor's drive, mm; 0 = none.
+    pub backlash: PerAxis<f32, N>,
     /// How far chords may leave an arc, mm.
     pub arc_tolerance: f32,
     /// Ticks per second of the step timer.
@@ -121,6 +128,20 @@ struct LongMove<const N: usize> {
     next: u32,
 }
 
+/// Motors, and how far each leads its tool because of backlash.
+#[derive(Clone, Copy, Debug)]
+struct Motors<const N: usize> {
+    steps: PerAxis<i32, N>,
+    lead: Lead<N>,
+}
+
+impl<const N: usize> Motors<N> {
+    /// The step at which the tool is.
+    fn tool(&self) -> PerAxis<i32, N> {
+        self.steps.zip(&PerAxis(self.lead), i32::wrapping_sub)
+    }
+}
+
 /// The block that is being cut into segments.
 #[derive(Clone, Copy, Debug)]
 struct Running<const N: usize> {
@@ -168,6 +189,7 @@ struct Far {
 pub struct Motion<const N: usize, const BLOCKS: usize> {
     settings: MotionSettings<N>,
     kinematics: Kinematics<N>,
+    backlash: Backlash<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
     /// No move is faster, whatever its direction.
@@ -187,14 +209,17 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// Unit vector of the last block, and how far apart its ends are.
     direction: [f32; N],
     distance: f32,
+    /// The last block moves motors and no tool: what follows begins at rest.
+    tool_stands: bool,
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     chain: Chain<N>,
     chain_broken: bool,
     long: Option<LongMove<N>>,
 
     running: Running<N>,
-    /// Machine steps at the start of the running block.
-    start: PerAxis<i32, N>,
+    /// The motors at the start of the running block, and where they last stood still.
+    start: Motors<N>,
+    stood: Motors<N>,
     /// Speed at the end of what has been handed over: in units/s of the running block, mm/s between blocks.
     pace: Pace,
     far: Option<Far>,
@@ -223,19 +248,54 @@ fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
     if value > least { lesser(value, greatest) } else { least }
 }
 
+/// Steps with their direction.
+fn signed_steps<const N: usize>(steps: &[u32; N], directions: u8) -> [i32; N] {
+    let mut signed = [0; N];
+    for (bit, (signed, steps)) in signed.iter_mut().zip(steps).enumerate() {
+        *signed = signed_add(0, *steps, directions >> bit & 1 != 0);
+    }
+    signed
+}
+
+fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
+    let mut directions = 0;
+    for (bit, steps) in signed.iter().enumerate() {
+        directions |= u8::from(*steps < 0) << bit;
+    }
+    (signed.map(i32::unsigned_abs), directions)
+}
+
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
+        let mut motion = Self::unconfigured(settings.step_clock_hz);
+        motion.configure(settings);
+        motion
+    }
+
+    /// The same before [`Motion::configure`], which must come before the first move. Can be computed by the compiler, so
+    /// that a static one needs no stack to be built on.
+    pub const fn unconfigured(step_clock_hz: u32) -> Self {
         let zero = PerAxis::all(0);
-        let mut motion = Self {
-            settings,
-            kinematics: Kinematics::new(settings.arrangement, settings.steps_per_mm),
+        Self {
+            settings: MotionSettings {
+                arrangement: Arrangement::Cartesian,
+                steps_per_mm: PerAxis::all(StepsPerMm::ONE),
+                backlash: PerAxis::all(0.0),
+                max_rate: PerAxis::all(1.0),
+                acceleration: PerAxis::all(1.0),
+                junction_deviation: 0.0,
+                arc_tolerance: 0.0,
+                step_clock_hz,
+            },
+            kinematics: Kinematics::ONE,
+            backlash: Backlash::NONE,
             max_rate: [1.0; N],
             acceleration: [1.0; N],
             greatest_speed2: 0.0,
             junction_deviation: 0.0,
-            step_clock_hz: settings.step_clock_hz,
-            pacer: Pacer::new(settings.step_clock_hz),
+            step_clock_hz,
+            pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
             overrides: Overrides { feed: 1.0, rapid: 1.0 },
             planned: PerAxis::all(Coordinate::ZERO),
@@ -244,6 +304,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             carried: 0.0,
             direction: [0.0; N],
             distance: 0.0,
+            tool_stands: false,
             chain: Chain::new(),
             chain_broken: true,
             long: None,
@@ -264,7 +325,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 nominal2: 1.0,
                 programmed: 1.0,
             },
-            start: zero,
+            start: Motors { steps: zero, lead: [0; N] },
+            stood: Motors { steps: zero, lead: [0; N] },
             pace: Pace::REST,
             far: None,
             rest: true,
@@ -273,9 +335,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             flight: Flight::new(zero),
             step_idle: true,
             origin: zero,
-        };
-        motion.configure(settings);
-        motion
+        }
     }
 
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
@@ -288,11 +348,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
-        self.plan_from(self.prepared_steps());
+        let scales = settings.steps_per_mm;
+        let slack = settings.backlash.zip(&scales, |mm, scale| (mm * scale.to_f32() + 0.5) as i32);
+        self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
+        self.plan_from(self.prepared());
     }
 
-    /// The queue begins anew at these machine steps.
-    fn plan_from(&mut self, steps: PerAxis<i32, N>) {
+    /// The queue begins anew with the motors here.
+    fn plan_from(&mut self, motors: Motors<N>) {
+        self.backlash.rest(motors.lead);
+        let motors = Motors { lead: self.backlash.lead(), ..motors };
+        let steps = motors.tool();
         self.planner.clear();
         self.long = None;
         self.running.active = false;
@@ -300,16 +366,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.pace = Pace::REST;
         self.carried = 0.0;
         self.rest = true;
-        self.start = steps;
+        self.start = motors;
+        self.stood = motors;
         self.planned_steps = steps;
         self.planned = self.kinematics.place(&steps);
         self.block_end = self.planned;
+        self.tool_stands = false;
         self.chain_broken = true;
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
     pub fn free_blocks(&self) -> usize {
-        if self.long.is_some() { 0 } else { self.planner.free() }
+        // With backlash a move may make two blocks.
+        let spare = usize::from(self.backlash.is_on());
+        if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare) }
     }
 
     /// Moves queued, the running one included.
@@ -336,6 +406,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn queue(&mut self, m: &Move<N>, bend2: f32) -> bool {
         if self.free_blocks() == 0 {
             return false;
+        }
+        if self.backlash.is_on() {
+            self.begin_taking_up(m, bend2);
         }
         let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
@@ -436,22 +509,18 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planned_steps = *target_steps;
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
-        let mut acceleration = GREATEST_ACCELERATION;
-        let mut limit = GREATEST_SPEED;
-        for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
-            let share = part.abs() / length;
-            if share * acceleration > most {
-                acceleration = most / share;
-            }
-            if share * limit > rate {
-                limit = rate / share;
-            }
-        }
+        let (mut acceleration, mut limit) = self.limits(&way, length);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
             Speed::Duration(seconds) => (own / seconds, 0),
         };
+        if self.backlash.is_on() {
+            let speed = lesser(programmed, limit);
+            if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
+                (acceleration, limit) = self.limits(&motors, length);
+            }
+        }
         block.directions = directions;
         block.line_number = m.line_number;
         block.length = length;
@@ -462,6 +531,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let lengths = [self.distance, straight];
         block.corner2 =
             planner::corner_speed2(&self.direction, &unit, turn2, lengths, &self.acceleration, self.junction_deviation);
+        if core::mem::take(&mut self.tool_stands) {
+            block.corner2 = 0.0;
+        }
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
@@ -483,6 +555,120 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             });
         }
         self.planner.plan();
+    }
+
+    /// Greatest acceleration and speed along a way of this length at which no axis goes beyond its own.
+    #[inline]
+    fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
+        let mut acceleration = GREATEST_ACCELERATION;
+        let mut limit = GREATEST_SPEED;
+        for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
+            let share = part.abs() / length;
+            if share * acceleration > most {
+                acceleration = most / share;
+            }
+            if share * limit > rate {
+                limit = rate / share;
+            }
+        }
+        (acceleration, limit)
+    }
+
+    /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
+    #[inline(never)]
+    fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32) {
+        let steps = self.kinematics.steps(&m.target);
+        let moved = steps.zip(&self.planned_steps, i32::wrapping_sub);
+        let mut after = self.backlash;
+        after.turn(&moved.0);
+        if !after.is_outstanding() || moved.iter().all(|steps| *steps == 0) {
+            return;
+        }
+        let distance = self.distance(&m.target);
+        let way = m.target.zip(&self.planned, |to, from| in_mm(to - from));
+        let (acceleration, limit) = self.limits(&way, distance);
+        let feed = match m.speed {
+            Speed::Rapid => limit,
+            Speed::Feed(feed) => feed,
+            Speed::Duration(seconds) => distance / seconds,
+        };
+        let share = backlash::share(acceleration, self.junction_deviation, lesser(feed, limit));
+        let mut needed = 0.0;
+        for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
+            needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
+        }
+        if needed * 1.5 < distance {
+            let part = (needed / distance * 65_536.0) as i64 + 1;
+            let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
+            let target = self.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
+            let steps = self.kinematics.steps(&target);
+            self.append(&Move { target, speed, ..*m }, &steps, bend2);
+        }
+    }
+
+    /// Adds to the steps of a block what it takes up of the slack. `None`: nothing; else the way of the motors, in terms
+    /// of the axes.
+    #[inline(never)]
+    fn take_up(
+        &mut self,
+        steps: &mut [u32; N],
+        directions: &mut u8,
+        way: &PerAxis<f32, N>,
+        length: f32,
+        acceleration: f32,
+        speed: f32,
+    ) -> Option<PerAxis<f32, N>> {
+        let mut moved = signed_steps(steps, *directions);
+        self.backlash.turn(&moved);
+        if !self.backlash.is_outstanding() {
+            return None;
+        }
+        let room = backlash::share(acceleration, self.junction_deviation, speed) * length;
+        let most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        let taken = self.backlash.take_up(&most);
+        for (moved, taken) in moved.iter_mut().zip(taken) {
+            *moved += taken;
+        }
+        (*steps, *directions) = unsigned_steps(&moved);
+        let extra = self.kinematics.way_of_axes(&taken);
+        Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
+    }
+
+    /// The queue is empty and slack is left, because the last moves were too short: a block of its own, from rest to rest,
+    /// in which the tool stands still.
+    #[inline(never)]
+    fn finish_taking_up(&mut self) {
+        let taken = self.backlash.take_up(&[MOST_BACKLASH; N]);
+        let way = PerAxis(self.kinematics.way_of_axes(&taken));
+        let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        let mut block = Block::<N>::EMPTY;
+        (block.steps, block.directions) = unsigned_steps(&taken);
+        block.line_number = self.running.line_number;
+        block.length = length;
+        (block.acceleration, block.limit) = self.limits(&way, length);
+        block.programmed = block.limit;
+        block.flags = NO_OVERRIDE;
+        // A beam that follows the speed of the tool is off while the tool stands.
+        block.power = if self.running.flags & SCALE_POWER != 0 { 0 } else { self.running.power };
+        self.chain_broken = true;
+        self.tool_stands = true;
+        self.planner.push(block, self.overrides);
+        self.planner.plan();
+    }
+
+    /// How far the motors lead the tool where the machine rests.
+    pub fn lead(&self) -> [i32; N] {
+        self.prepared().lead
+    }
+
+    /// The motors lead the tool by this much; at rest with an empty queue only.
+    pub fn set_lead(&mut self, lead: [i32; N]) {
+        self.plan_from(Motors { lead, ..self.prepared() });
+    }
+
+    /// After what is queued the motors lead the tool by this much.
+    pub fn end_with_lead(&mut self, lead: [i32; N]) {
+        self.backlash.want(lead);
     }
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
@@ -572,7 +758,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if !self.rest {
             return;
         }
-        self.plan_from(self.prepared_steps());
+        self.plan_from(self.prepared());
         self.started = false;
         self.hold = Hold::None;
     }
@@ -581,8 +767,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// is exact. The gate of the step task is opened by the caller (`ToStep::Resume`) before anything of `next` reaches it.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
-        self.flight.forget(steps);
-        self.plan_from(steps);
+        let before = self.flight.before();
+        let motors = self.followed(&Motors { steps: before.motors(), lead: before.lead }, steps);
+        self.flight.forget(motors.tool(), motors.lead);
+        self.plan_from(motors);
         self.started = false;
         self.hold = Hold::None;
     }
@@ -620,21 +808,28 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Declares where the machine is; at rest only. Forgets what is queued.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
-        let old = self.prepared_steps();
+        let old = self.prepared();
         let new = self.kinematics.steps(position);
-        let moved = new.zip(&old, i32::wrapping_sub);
+        let moved = new.zip(&old.tool(), i32::wrapping_sub);
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
-        self.flight.forget(new);
-        self.plan_from(new);
+        self.flight.forget(new, old.lead);
+        self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
         // The programmed place, not the nearest step: what follows is measured from it.
         self.planned = *position;
         self.block_end = *position;
         self.chain_broken = true;
     }
 
-    /// The machine position at a reading of the step counters.
+    /// The machine position at a reading of the step counters in the present straight move from rest.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
-        self.kinematics.place(&counter.zip(&self.origin, i32::wrapping_add))
+        let steps = counter.zip(&self.origin, i32::wrapping_add);
+        self.kinematics.place(&self.followed(&self.stood, steps).tool())
+    }
+
+    /// The motors after they have turned to other steps, each in one direction.
+    fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
+        let turned = steps.zip(&from.steps, i32::wrapping_sub);
+        Motors { steps, lead: self.backlash.follow(&from.lead, &turned.0) }
     }
 
     /// End of the queue, as programmed.
@@ -664,18 +859,21 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.flight.current().line_number
     }
 
-    /// Machine steps at the end of what has been handed over.
-    fn prepared_steps(&self) -> PerAxis<i32, N> {
+    /// The motors at the end of what has been handed over.
+    fn prepared(&self) -> Motors<N> {
         let run = &self.running;
         if !run.active {
             return self.start;
         }
-        let mut position = self.start;
+        let mut position = self.start.steps;
         for (bit, (value, steps)) in position.iter_mut().zip(run.steps).enumerate() {
             let taken = if run.done == run.total { steps } else { steps_taken(steps, run.dominant, run.done) };
             *value = signed_add(*value, taken, run.directions >> bit & 1 != 0);
         }
-        position
+        if self.backlash.is_on() {
+            return self.followed(&self.start, position);
+        }
+        Motors { steps: position, lead: self.start.lead }
     }
 
     /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
@@ -741,6 +939,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             nominal2: nominal * nominal,
             programmed: if block.flags & RAPID != 0 { block.limit } else { block.programmed },
         };
+        if self.pace.speed2 <= 0.0 {
+            self.stood = self.start;
+        }
         self.pace = self.pace.scaled(scale);
         true
     }
@@ -845,10 +1046,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let segment =
             self.hand_over(cut, flags, intervals.interval, intervals.ramp, cut.ticks as u16, intervals.clocks);
         if ends {
-            self.start = self.prepared_steps();
+            self.start = self.prepared();
             self.running.active = false;
             self.planner.pop();
             self.pace = self.pace.scaled(1.0 / self.running.scale);
+            if self.planner.len() == 0 && self.long.is_none() && self.backlash.is_outstanding() {
+                self.finish_taking_up();
+            }
             if self.planner.len() == 0 && self.long.is_none() {
                 self.started = false;
             }
@@ -864,7 +1068,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if run.flags & SCALE_POWER != 0 {
             power = (f32::from(power) * (speed / run.programmed)) as u16;
         }
-        let record = Record { position: self.prepared_steps(), speed, clocks, line_number: run.line_number, power };
+        let motors = self.prepared();
+        let record =
+            Record { position: motors.tool(), lead: motors.lead, speed, clocks, line_number: run.line_number, power };
         let rapid = if run.flags & RAPID != 0 { Segment::FLAG_RAPID } else { 0 };
         let fresh = if run.fresh { Segment::FLAG_NEW_BLOCK } else { 0 };
         self.running.fresh = false;

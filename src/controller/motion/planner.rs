@@ -72,6 +72,7 @@ pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
+    #[inline(always)]
     pub(super) const fn new() -> Self {
         Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0 }
     }

@@ -125,7 +125,7 @@ pub(super) struct Pacer {
 const ONE: u32 = 1 << INTERVAL_FRACTION_BITS;
 
 impl Pacer {
-    pub(super) fn new(step_clock_hz: u32) -> Self {
+    pub(super) const fn new(step_clock_hz: u32) -> Self {
         Self { per_second: step_clock_hz as f32 * ONE as f32, remainder: 0 }
     }
 

@@ -4,7 +4,7 @@
 
 use super::text::{Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, PerAxis};
-use crate::messages::{Coolant, Signals, SpindleDirection};
+use crate::messages::{Coolant, CrashKind, ResetCause, Restart, Signals, SpindleDirection};
 use crate::settings::{Entry, Kind};
 use crate::units::Coordinate;
 
@@ -68,6 +68,49 @@ pub fn limit_trip<const N: usize>(out: &mut Text, limits: u8, place: &PerAxis<Co
         whole(out, u64::from(line));
     }
     put(out, b"]\r\n");
+}
+
+const fn cause_name(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::Power => "power",
+        ResetCause::Pin => "reset pin",
+        ResetCause::Software => "software",
+        ResetCause::BrownOut => "brown-out",
+        ResetCause::Watchdog => "watchdog",
+        ResetCause::Other => "unknown",
+    }
+}
+
+const fn crash_name(kind: CrashKind) -> &'static str {
+    match kind {
+        CrashKind::Panic => "panic",
+        CrashKind::Fault => "fault",
+        CrashKind::StackOverflow => "stack overflow",
+        CrashKind::Stuck => "stuck task",
+        CrashKind::Voltage => "low voltage",
+    }
+}
+
+/// What the host is told when the machine was stopped by a failure.
+pub fn failure(out: &mut Text, restart: &Restart) {
+    put(out, b"[MSG:Restarted after a failure (");
+    let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
+    put(out, name.as_bytes());
+    put(out, b"), $RC tells more]\r\n");
+}
+
+/// `[RESET:cause]`, and `[CRASH:kind:text]` if there was one.
+pub fn restart(out: &mut Text, restart: &Restart) {
+    put(out, b"[RESET:");
+    put(out, cause_name(restart.cause).as_bytes());
+    put(out, b"]\r\n");
+    if let Some(crash) = &restart.crash {
+        put(out, b"[CRASH:");
+        put(out, crash_name(crash.kind).as_bytes());
+        put(out, b":");
+        put(out, &crash.text);
+        put(out, b"]\r\n");
+    }
 }
 
 /// The answer to `$`.
@@ -170,8 +213,8 @@ pub struct ParserState {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// Whether M56 holds.
-    pub parking_override: bool,
+    /// Whether the tool parks: M56.
+    pub parking: bool,
     /// T.
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
@@ -206,7 +249,7 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     if !state.coolant.mist && !state.coolant.flood {
         put(out, b" M9");
     }
-    if state.parking_override {
+    if state.parking {
         put(out, b" M56");
     }
     put(out, b" T");
@@ -340,6 +383,9 @@ pub struct RareFields {
 }
 
 impl RareFields {
+    /// Both are due.
+    pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
+
     /// The work offset has changed.
     pub fn offset_changed(&mut self) {
         self.offset_in = 0;

@@ -34,6 +34,8 @@ pub enum System<'a> {
     Jog(&'a [u8]),
     /// `$RST=$`, `$RST=#`, `$RST=*`
     Restore(Restore),
+    /// `$RC`
+    ResetCause,
     /// `$SLP`
     Sleep,
     /// `$n=v`
@@ -99,6 +101,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             b"ST=$" => Ok(System::Restore(Restore::Settings)),
             b"ST=#" => Ok(System::Restore(Restore::Coordinates)),
             b"ST=*" => Ok(System::Restore(Restore::All)),
+            b"C" => Ok(System::ResetCause),
             _ => Err(Error::InvalidStatement),
         },
         Some(b'N') if rest.is_empty() => Ok(System::StartupLines),

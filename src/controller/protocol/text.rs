@@ -67,7 +67,9 @@ pub fn length(out: &mut Text, value: Coordinate, inches: bool) {
 /// Appends a real number, not negative, rounded half up. The scaling by hundreds and tens in `f32` is Grbl's, so that
 /// settings print with the same last digit.
 pub fn real(out: &mut Text, value: f32, places: u32) {
-    let mut scaled = value;
+    // Beyond a thousand the product would lose the last digit, and a value would not read back as itself.
+    let whole = if value < 1000.0 { 0 } else { value as u64 };
+    let mut scaled = value - whole as f32;
     let mut left = places;
     while left >= 2 {
         scaled *= 100.0;
@@ -76,7 +78,7 @@ pub fn real(out: &mut Text, value: f32, places: u32) {
     if left == 1 {
         scaled *= 10.0;
     }
-    fixed(out, false, (scaled + 0.5) as u64, places);
+    fixed(out, false, whole.saturating_mul(10_u64.pow(places)).saturating_add((scaled + 0.5) as u64), places);
 }
 
 #[cfg(test)]

@@ -120,9 +120,11 @@ fn words_of_oxmill() {
         assert_eq!(program.run("M7").coolant, None);
         assert_eq!(program.run("M8").coolant, Some(Coolant { mist: true, flood: true }));
         assert_eq!(program.run("M9").coolant, Some(Coolant::default()));
-        for (line, on) in [("M56", true), ("M56 P0", false), ("M56 P1", true), ("G0", true)] {
+        for (line, held_off) in
+            [("G0", false), ("M56 P0", true), ("G0", true), ("M56", false), ("M56 P0", true), ("M56 P1", false)]
+        {
             program.run(line);
-            assert_eq!(program.interpreter.modal().parking_override, on, "{line}");
+            assert_eq!(program.interpreter.modal().no_parking, held_off, "{line}");
         }
         assert_eq!(program.error("M56 G4 P1"), 28);
     }

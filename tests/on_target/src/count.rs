@@ -266,6 +266,7 @@ fn motion_settings() -> MotionSettings<3> {
         arc_tolerance: 0.002,
         step_clock_hz: boards::PROFILE.step_clock_hz,
         arrangement: Arrangement::Cartesian,
+        backlash: PerAxis::all(0.0),
     }
 }
 

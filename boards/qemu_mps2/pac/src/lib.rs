@@ -216,6 +216,28 @@ impl<const BASE: usize> Timer<BASE> {
     }
 }
 
+/// CMSDK APB watchdog: counts down; at 0 an interrupt (the NMI), at the next 0 a reset.
+pub struct WatchdogTimer<const BASE: usize>(());
+
+impl<const BASE: usize> WatchdogTimer<BASE> {
+    /// CONTROL: counting, and an interrupt at 0.
+    pub const INTERRUPT_ENABLE: u32 = 1;
+    /// CONTROL: reset if the interrupt has not been cleared at the next 0.
+    pub const RESET_ENABLE: u32 = 2;
+
+    registers! {
+        /// Value to count down from; writing it begins anew.
+        reload set_reload 0x0;
+        /// Control.
+        control set_control 0x8;
+        /// A write clears the interrupt and begins anew.
+        cleared clear 0xC;
+    }
+}
+
+/// The watchdog.
+pub type Watchdog = WatchdogTimer<0x4000_8000>;
+
 /// First UART: the host.
 pub type Uart0 = Uart<0x4000_4000>;
 /// Second UART.
@@ -232,6 +254,7 @@ pub struct Peripherals {
     pub UART1: Uart1,
     pub TIMER0: Timer0,
     pub TIMER1: Timer1,
+    pub WATCHDOG: Watchdog,
 }
 
 impl Peripherals {
@@ -240,6 +263,6 @@ impl Peripherals {
     /// # Safety
     /// The caller makes sure that no two owners use one peripheral in ways that disturb each other.
     pub unsafe fn steal() -> Self {
-        Self { UART0: Uart(()), UART1: Uart(()), TIMER0: Timer(()), TIMER1: Timer(()) }
+        Self { UART0: Uart(()), UART1: Uart(()), TIMER0: Timer(()), TIMER1: Timer(()), WATCHDOG: WatchdogTimer(()) }
     }
 }

@@ -1,0 +1,101 @@
+//! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
+
+use oxmill_controller::messages::{
+    Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, StepEvent,
+};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile};
+
+const PROFILE: Profile = Profile {
+    name: "test",
+    step_clock_hz: 1_000_000,
+    safe_step_hz: 100_000,
+    has_second_motor: false,
+    has_store: false,
+};
+const NOW: Instant = Instant::from_ticks(0);
+
+struct Board {
+    controller: Box<Controller<3, 16>>,
+    stops: u8,
+    epoch: u8,
+}
+
+impl Board {
+    fn started(restart: Option<Restart>) -> (Board, String) {
+        let mut controller = Box::new(Controller::new(PROFILE));
+        if let Some(restart) = restart {
+            controller.restarted(restart);
+        }
+        controller.start(NOW);
+        let mut board = Board { controller, stops: 0, epoch: 0 };
+        let said = board.pump();
+        (board, said)
+    }
+
+    fn pump(&mut self) -> String {
+        let mut said = String::new();
+        self.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 255 });
+        while let Some(output) = self.controller.output(NOW, Room { step: true, reply: true }) {
+            if let Output::Reply(chunk) = output {
+                said.push_str(&String::from_utf8_lossy(chunk.as_bytes()));
+            }
+        }
+        said
+    }
+
+    fn line(&mut self, line: &str) -> String {
+        for byte in line.bytes().chain([b'\n']) {
+            self.controller.event(NOW, Event::Line(LineByte { byte, epoch: self.epoch, damaged: false }));
+        }
+        self.pump()
+    }
+
+    fn reset(&mut self) -> String {
+        self.stops += 1;
+        self.epoch += 1;
+        self.controller.event(NOW, Event::Realtime(Realtime::Reset));
+        let position = oxmill_controller::axes::PerAxis::all(0);
+        let stopped = StepEvent::Stopped { stops: self.stops, moving: false, position };
+        self.controller.event(NOW, Event::Step(stopped));
+        self.pump()
+    }
+}
+
+fn crash(kind: CrashKind, text: &[u8]) -> Option<Crash> {
+    Some(Crash { kind, text: heapless::Vec::from_slice(text).unwrap() })
+}
+
+#[test]
+fn an_ordinary_start_says_nothing_of_it() {
+    for cause in [ResetCause::Power, ResetCause::Pin, ResetCause::Software, ResetCause::Other] {
+        let (mut board, said) = Board::started(Some(Restart { cause, crash: None }));
+        assert_eq!(said, "\r\nGrbl 1.1h ['$' for help]\r\n");
+        assert_eq!(board.line("G21"), "ok\r\n");
+    }
+    let (mut board, _) = Board::started(None);
+    assert_eq!(board.line("$RC"), "[RESET:power]\r\nok\r\n");
+}
+
+#[test]
+fn a_failure_locks_and_is_told_until_the_host_has_asked() {
+    let message = "[MSG:Restarted after a failure (stuck task), $RC tells more]\r\n";
+    let restart = Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control") };
+    let (mut board, said) = Board::started(Some(restart));
+    assert_eq!(said, format!("\r\nGrbl 1.1h ['$' for help]\r\n{message}[MSG:'$H'|'$X' to unlock]\r\n"));
+    assert_eq!(board.line("G1X5F100"), "error:9\r\n", "a job that goes on streaming moves nothing");
+    assert!(board.reset().contains(message));
+    board.controller.event(NOW, Event::Connected);
+    assert!(board.pump().contains(message));
+    assert_eq!(board.line("$RC"), "[RESET:software]\r\n[CRASH:stuck task:control]\r\nok\r\n");
+    assert!(!board.reset().contains("failure"));
+    assert_eq!(board.line("$RC"), "[RESET:software]\r\n[CRASH:stuck task:control]\r\nok\r\n");
+    assert!(board.line("$X").ends_with("ok\r\n"));
+    assert_eq!(board.line("G21"), "ok\r\n");
+}
+
+#[test]
+fn a_watchdog_without_a_record_is_told_too() {
+    let (_, said) = Board::started(Some(Restart { cause: ResetCause::Watchdog, crash: None }));
+    assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
+}

@@ -1,0 +1,93 @@
+//! The last words before a reset, in RAM that the start-up code leaves alone.
+//!
+//! ```text
+//!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
+//! ```
+//! RAM keeps its contents over every reset but not without power: then the checksum does not fit, and nothing is found.
+
+use core::fmt::Write;
+use core::mem::MaybeUninit;
+use core::ptr::{addr_of, addr_of_mut};
+use oxmill_controller::messages::{Crash, CrashKind};
+
+const MARK: u32 = u32::from_le_bytes(*b"last");
+const TEXT: usize = 120;
+
+#[repr(C)]
+#[derive(Clone, Copy)]
+struct Kept {
+    mark: u32,
+    kind: u32,
+    length: u32,
+    text: [u8; TEXT],
+    sum: u32,
+}
+
+#[unsafe(link_section = ".uninit.RECORD")]
+// unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
+// not initialised, and every bit pattern is a `Kept`.
+static mut RECORD: MaybeUninit<Kept> = MaybeUninit::uninit();
+
+const KINDS: [CrashKind; 5] =
+    [CrashKind::Panic, CrashKind::Fault, CrashKind::StackOverflow, CrashKind::Stuck, CrashKind::Voltage];
+
+impl Kept {
+    /// Fletcher's sum over everything before it: RAM after power-up is not random enough to pass by accident.
+    fn sum(&self) -> u32 {
+        let head = [self.mark, self.kind, self.length];
+        let bytes = head.iter().flat_map(|word| word.to_le_bytes()).chain(self.text);
+        let (a, b) = bytes.fold((1_u32, 0_u32), |(a, b), byte| {
+            let a = (a + u32::from(byte)) % 65_535;
+            (a, (b + a) % 65_535)
+        });
+        b << 16 | a
+    }
+}
+
+/// Text of a bounded length; what is no printable ASCII becomes a blank, and brackets round ones, for the host's sake.
+struct Line {
+    text: [u8; TEXT],
+    length: usize,
+}
+
+impl Write for Line {
+    fn write_str(&mut self, text: &str) -> core::fmt::Result {
+        for byte in text.bytes() {
+            let Some(slot) = self.text.get_mut(self.length) else { return Err(core::fmt::Error) };
+            *slot = match byte {
+                b'[' => b'(',
+                b']' => b')',
+                b' '..=b'~' => byte,
+                _ => b' ',
+            };
+            self.length += 1;
+        }
+        Ok(())
+    }
+}
+
+/// Keeps a record over the reset. Interrupts are off.
+pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
+    let mut line = Line { text: [0; TEXT], length: 0 };
+    // What does not fit is cut off.
+    let _ = line.write_fmt(why);
+    let kind = KINDS.iter().position(|k| *k == kind).unwrap_or(0) as u32;
+    let mut kept = Kept { mark: MARK, kind, length: line.length as u32, text: line.text, sum: 0 };
+    kept.sum = kept.sum();
+    // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
+    unsafe { addr_of_mut!(RECORD).cast::<Kept>().write_volatile(kept) }
+}
+
+/// The record of the program before this one, once.
+pub fn take() -> Option<Crash> {
+    // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as plain numbers,
+    // any of which is allowed, before the tasks run.
+    let kept = unsafe { addr_of!(RECORD).cast::<Kept>().read_volatile() };
+    // SAFETY: as in `keep`; no task runs yet.
+    unsafe { addr_of_mut!(RECORD).cast::<u32>().write_volatile(0) };
+    if kept.mark != MARK || kept.sum != kept.sum() {
+        return None;
+    }
+    let text = kept.text.get(..kept.length as usize)?;
+    Some(Crash { kind: *KINDS.get(kept.kind as usize)?, text: heapless::Vec::from_slice(text).ok()? })
+}

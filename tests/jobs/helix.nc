@@ -1,0 +1,9 @@
+(helices and arcs in three planes)
+G21 G90 G17
+G1 X1 Y0 Z0 F480
+G3 X1 Y0 Z1 I-1 J0
+G2 X1 Y0 Z0.2 I-1 J0
+G18 G3 X3 Z0.2 R1 F300
+G19 G2 Y2 Z0.7 J1 K0.25
+G17 G3 X2.5 Y2.5 I-0.5 J0
+G1 X0 Y0 Z0

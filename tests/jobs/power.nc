@@ -1,0 +1,11 @@
+(S changes in motion)
+G21 G91
+M3 S100
+G1 X0.5 F300
+X0.5 S900
+X0.5 S300
+Y0.2 S0
+G0 X-0.5 S700
+G1 X-0.5 S20 F450
+X-0.5
+M5

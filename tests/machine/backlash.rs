@@ -1,0 +1,298 @@
+//! A machine whose carriages follow their motors with play, and a controller that knows how much: what counts is where the
+//! carriages are.
+
+use super::oracle::AXES;
+use super::rig::HZ;
+use oxmill_simulator::{Fittings, Options, Simulator};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use std::collections::HashMap;
+use std::fmt::Write;
+use std::time::Duration;
+
+const STEPS: f64 = 400.0;
+/// Play of X, Y and Z: 20, 12 and 0 steps.
+const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
+const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
+const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
+/// Edge of the cells in which near places are looked for, mm: longer than a carriage may be off its way.
+const CELL: f64 = 0.1;
+const JUNCTION_DEVIATION: f64 = 0.01;
+
+fn machine(more: &str) -> Simulator {
+    let description = format!(
+        "steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\nbacklash_mm = [{}, {}, {}]\n{more}",
+        PLAY[0], PLAY[1], PLAY[2]
+    );
+    let fittings = Fittings::parse(&description).unwrap();
+    Simulator::new(Options { keep_steps: true, fittings, ..Options::default() })
+}
+
+fn mill(settings: &str, more: &str) -> Simulator {
+    let mut mill = machine(more);
+    let mut text = String::from("$0=3\n");
+    for axis in 0..AXES {
+        writeln!(text, "$10{axis}={STEPS}\n$11{axis}={}\n$12{axis}={}", RATE[axis], ACCELERATION[axis]).unwrap();
+    }
+    run(&mut mill, &format!("{text}{settings}"));
+    assert!(!mill.take_output().contains("error"));
+    mill.trace_mut().restart();
+    mill
+}
+
+fn compensated(more: &str) -> Simulator {
+    mill("$160=0.05\n$161=0.03\n", more)
+}
+
+/// Line for line, each to its end.
+fn run(mill: &mut Simulator, text: &str) {
+    for line in text.lines() {
+        mill.send(format!("{line}\n"));
+        assert!(mill.run_until_idle(), "{line}");
+    }
+}
+
+fn off(mill: &Simulator) -> f64 {
+    let reported = mill.machine_position();
+    let place = mill.fittings().driven_mm();
+    (0..AXES).map(|a| (reported[a] - place[a]).abs()).fold(0.0, f64::max)
+}
+
+#[test]
+fn without_compensation_the_play_is_lost() {
+    let mut mill = mill("", "");
+    run(&mut mill, "G1 X2 F1000\nX5");
+    assert!(mill.machine_position()[0] == 5.0 && (off(&mill) - 0.05).abs() < 1e-9);
+}
+
+#[test]
+fn a_carriage_stands_where_it_is_reported() {
+    let mut mill = compensated("");
+    for line in
+        ["G1 X5 F1000", "X2", "X2.001", "X1.9", "Y1", "Y0.99 X2", "G2 X2 Y0.99 I3 J0", "G0 X-1 Y-1 Z-1", "X-0.9"]
+    {
+        run(&mut mill, line);
+        assert!(off(&mill) < 1e-9, "{line}: {:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());
+    }
+}
+
+fn program() -> impl Strategy<Value = String> {
+    let coordinate = -800..800_i32;
+    let line = (0..6_u8, coordinate.clone(), coordinate, -200..200_i32, 200..6000_u32, 1..40_i32);
+    prop::collection::vec(line, 4..30).prop_map(|lines| {
+        let mut text = String::from("G21 G91\n");
+        for (kind, x, y, z, feed, small) in lines {
+            let [x, y, z] = [x, y, z].map(|v| f64::from(v) / 100.0);
+            match kind {
+                0 => writeln!(text, "G0 X{x} Y{y} Z{z}"),
+                1 | 2 => writeln!(text, "G1 X{x} Y{y} F{feed}"),
+                3 => writeln!(text, "G1 X{x} F{feed}\nX{}", -x / 3.0),
+                4 => {
+                    let mut chords = format!("G1 F{feed}");
+                    for n in 0..small {
+                        let angle = f64::from(n) * 0.15;
+                        write!(chords, "\nX{:.3} Y{:.3}", 0.2 * angle.cos(), 0.2 * angle.sin()).unwrap();
+                    }
+                    writeln!(text, "{chords}")
+                }
+                _ => writeln!(text, "G3 X0 Y0 I{:.2} J0 F{feed}", f64::from(small) / 4.0),
+            }
+            .unwrap();
+        }
+        text
+    })
+}
+
+/// The places of the carriages at each pulse, as the play of each drive makes them.
+fn carriages(mill: &Simulator) -> Vec<[f64; AXES]> {
+    let mut places = Vec::new();
+    let mut driven = [0.0; AXES];
+    for record in mill.trace().kept() {
+        for axis in 0..AXES {
+            let turned = f64::from(record.position[axis]) / STEPS;
+            driven[axis] = f64::clamp(driven[axis], turned - PLAY[axis], turned);
+        }
+        places.push(driven);
+    }
+    places
+}
+
+/// Whether no motor goes beyond its speed and acceleration: steps in windows of 10 ms, in which one step is 0.25 mm/s.
+fn within_limits(mill: &Simulator) -> Result<(), String> {
+    let window = HZ / 100;
+    let end = mill.trace().kept().last().map_or(0, |r| r.at);
+    for axis in 0..AXES {
+        let mut records = mill.trace().kept().iter().peekable();
+        let mut place = 0;
+        let mut places = vec![0];
+        for index in 1..end / window + 2 {
+            while let Some(record) = records.next_if(|record| record.at < index * window) {
+                place = record.position[axis];
+            }
+            places.push(place);
+        }
+        let speeds: Vec<f64> = places.windows(2).map(|w| f64::from(w[1] - w[0]) / STEPS * 100.0).collect();
+        let rate = RATE[axis] / 60.0;
+        // At a corner each axis may jump as the corner rule has it: v² of the circle that fits, for each side.
+        let jump = 2.0 * (8.0 * ACCELERATION[axis] * JUNCTION_DEVIATION).sqrt();
+        let allowed = ACCELERATION[axis] * 0.01 * 1.01 + jump + 0.5;
+        for pair in speeds.windows(2) {
+            if pair[0].abs() > 1.01 * rate + 0.5 || (pair[1] - pair[0]).abs() > allowed {
+                return Err(format!("axis {axis}: {pair:?} mm/s, allowed {rate} and {allowed}"));
+            }
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(160), ..ProptestConfig::default() })]
+
+    #[test]
+    fn carriages_go_the_programmed_way(text in program()) {
+        let mut with = compensated("");
+        let mut without = mill("", "");
+        for mill in [&mut with, &mut without] {
+            mill.send(&text);
+            prop_assert!(mill.run_until_idle());
+            prop_assert!(!mill.take_output().contains("error"));
+        }
+        prop_assert!(off(&with) < 1e-9);
+        prop_assert_eq!(with.machine_position(), without.machine_position());
+        // While slack is taken up the carriage waits: it is off its way by no more than the play.
+        let allowed = f64::hypot(PLAY[0], PLAY[1]) + 2.0 / STEPS;
+        let cell = |place: [f64; AXES]| place.map(|mm| (mm / CELL).floor() as i32);
+        let mut way: HashMap<[i32; AXES], Vec<[f64; AXES]>> = HashMap::new();
+        for record in without.trace().kept() {
+            let place = record.position.map(|steps| f64::from(steps) / STEPS);
+            way.entry(cell(place)).or_default().push(place);
+        }
+        for place in carriages(&with) {
+            let at = cell(place);
+            let near = (0..27).flat_map(|n| way.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]));
+            let distance = |p: &[f64; AXES]| (0..AXES).map(|a| (p[a] - place[a]).powi(2)).sum::<f64>().sqrt();
+            let off = near.flatten().map(distance).fold(f64::MAX, f64::min);
+            prop_assert!(off <= allowed, "{} mm off at {:?}", off, place);
+        }
+    }
+
+    #[test]
+    fn motors_keep_their_limits(text in program()) {
+        let mut mill = compensated("");
+        mill.send(&text);
+        prop_assert!(mill.run_until_idle());
+        if let Err(fault) = within_limits(&mill) {
+            prop_assert!(false, "{}", fault);
+        }
+    }
+
+    #[test]
+    fn what_is_reported_after_a_stop_is_true(text in program(), milliseconds in 5..4000_u64, reset in any::<bool>()) {
+        let mut mill = compensated("");
+        mill.send(&text);
+        mill.run_for(Duration::from_millis(milliseconds));
+        mill.send(if reset { "\x18" } else { "!" });
+        mill.run_for(Duration::from_millis(500));
+        prop_assert!(off(&mill) < 1.01 / STEPS, "{:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());
+        if reset {
+            run(&mut mill, "$X\nG90 G0 X1 Y-1\nX0.5");
+        } else {
+            mill.send("~");
+            prop_assert!(mill.run_until_idle());
+        }
+        prop_assert!(off(&mill) < 1e-9, "{:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());
+    }
+}
+
+#[test]
+fn a_motor_that_takes_up_slack_is_not_too_fast() {
+    // At 20 mm/s soon after the turn, while half as much again would be taken up.
+    let mut mill = compensated("");
+    run(&mut mill, "$110=1200\n$120=5000\nG0 X10");
+    mill.trace_mut().restart();
+    run(&mut mill, "G0 X0");
+    let times: Vec<u64> = mill.trace().kept().iter().map(|r| r.at).collect();
+    assert_eq!(times.len(), 10 * 400 + 20);
+    // Ten steps at 20 mm/s.
+    let least = HZ as f64 * 10.0 / (20.0 * STEPS);
+    let fastest = times.windows(11).map(|w| w[10] - w[0]).min().unwrap() as f64;
+    assert!(fastest > 0.99 * least, "{fastest} of {least}");
+}
+
+#[test]
+fn what_follows_the_last_of_the_slack_begins_at_rest() {
+    // The second move is too short for the slack; what is left is taken up at rest. At some of these moments the third
+    // move finds that under way.
+    let mut found = 0;
+    for milliseconds in 70..130 {
+        let mut mill = mill("$160=0.3\n", "");
+        mill.send("G1 X1 F3000\nX0.998 Y0.01\n");
+        mill.run_for(Duration::from_millis(milliseconds));
+        found += usize::from(mill.is_stepping());
+        mill.send("Y9 F6000\n");
+        assert!(mill.run_until_idle());
+        // The first ten steps of Y after the last of X, from rest: 25 um at 500 mm/s² take 10 ms.
+        let turned = mill.trace().kept().iter().rposition(|r| r.steps & 1 != 0).unwrap();
+        let steps = &mill.trace().kept()[turned + 1..];
+        let time = (steps[10].at - steps[0].at) as f64 / HZ as f64;
+        assert!(time > 0.004, "{milliseconds}: ten steps in {time} s");
+    }
+    assert!(found > 5 && found < 60, "{found}");
+}
+
+#[test]
+fn an_arc_turns_its_axes_without_slowing_down() {
+    let text = "G21 G90 F3000\nG2 X0 Y0 I10 J0\nG2 X0 Y0 I10 J0\n";
+    let mut times = Vec::new();
+    for mut mill in [compensated(""), mill("", "")] {
+        mill.send(text);
+        assert!(mill.run_until_idle());
+        times.push(mill.busy_ticks() as f64 / HZ as f64);
+    }
+    assert!(times[0] < times[1] * 1.01, "{times:?}");
+}
+
+#[test]
+fn a_probe_touches_where_it_says() {
+    let plate = "[plate]\naxis = \"x\"\nat_mm = 3.0\nside = \"positive\"\n";
+    let mut mill = compensated(plate);
+    for approach in ["G0 X-1", "G0 X1\nG0 X0", "G0 X2\nG0 X2.5"] {
+        run(&mut mill, approach);
+        mill.take_output();
+        run(&mut mill, "G38.2 X10 F300");
+        let said = mill.take_output();
+        let touched: f64 = said.split("[PRB:").nth(1).and_then(|t| t.split(',').next()).unwrap().parse().unwrap();
+        assert!((touched - 3.0).abs() <= 1.0 / STEPS + 0.0005, "{approach}: {said}");
+        assert!(off(&mill) < 1e-9, "{approach}");
+    }
+}
+
+#[test]
+fn home_is_true_and_parking_comes_back() {
+    let mut switches = String::new();
+    for axis in ["x", "y", "z"] {
+        write!(switches, "[[switch]]\naxis = \"{axis}\"\nat_mm = 4.0\nside = \"positive\"\nbounce_us = 300\n").unwrap();
+    }
+    for retreat in ["Z-30", "Z-34\nG53 G0 Z-30"] {
+        let mut mill =
+            mill("$160=0.05\n$161=0.03\n$162=0.02\n$22=1\n$41=1\n$27=2\n", &switches.replace("backlash", ""));
+        run(&mut mill, "$H");
+        assert_eq!(mill.machine_position(), [-2.0; AXES]);
+        let home = mill.fittings().driven_mm();
+        run(&mut mill, &format!("G53 G0 X-20\nG53 G0 {retreat}"));
+        let before = mill.fittings().driven_mm();
+        assert!((before[0] - home[0] + 18.0).abs() < 1e-9, "{before:?} {home:?}");
+        // Out of the cut and back: the door opens while the tool goes its way.
+        mill.send("G91 G1 X-3 Z-0.5 F600\n");
+        mill.run_for(Duration::from_millis(150));
+        mill.send([0x84]);
+        mill.run_for(Duration::from_secs(20));
+        mill.send("~");
+        mill.run_for(Duration::from_secs(60));
+        assert!(mill.run_until_idle());
+        let after = mill.fittings().driven_mm();
+        assert!((after[0] - before[0] + 3.0).abs() < 1e-9, "{after:?} {before:?}");
+        assert!((after[2] - before[2] + 0.5).abs() < 0.0201, "{after:?} {before:?}");
+        assert_eq!(mill.machine_position()[2], -30.5);
+    }
+}

@@ -1,0 +1,106 @@
+//! A recording read, and what a machine answered compared with it. Used by the test of the simulator and by the one of the
+//! firmware in QEMU.
+
+use super::{differences, rules};
+use serde_json::Value;
+use std::fmt;
+
+/// One line of a recording.
+pub struct Record {
+    pub n: u64,
+    pub kind: String,
+    pub send: Vec<u8>,
+    pub reply: Vec<String>,
+    pub acked: bool,
+    pub wait: f64,
+}
+
+/// All records of a file.
+pub fn read(text: &str) -> Vec<Record> {
+    text.lines()
+        .map(|line| {
+            let value: Value = serde_json::from_str(line).expect("a recording is JSON lines");
+            let text = |key: &str| value[key].as_str().unwrap_or_default().to_string();
+            Record {
+                n: value["n"].as_u64().expect("n"),
+                kind: text("kind"),
+                // Bytes above 0x7F were recorded as the characters of the same number.
+                send: text("send").chars().map(|c| c as u32 as u8).collect(),
+                reply: value["reply"]
+                    .as_array()
+                    .map(|lines| lines.iter().map(|l| l.as_str().expect("a line").to_string()).collect())
+                    .unwrap_or_default(),
+                acked: value["acked"].as_bool().unwrap_or(false),
+                wait: value["wait"].as_f64().unwrap_or(0.0),
+            }
+        })
+        .collect()
+}
+
+/// The lines that are not empty.
+pub fn lines(text: &str) -> Vec<String> {
+    text.split("\r\n").filter(|line| !line.is_empty()).map(str::to_string).collect()
+}
+
+/// How many `ok` and `error` there are.
+pub fn answers(text: &str) -> usize {
+    lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
+}
+
+/// How many records were answered how.
+pub struct Tally {
+    pub equal: usize,
+    pub by_rule: usize,
+    pub listed: usize,
+    pub other: Vec<String>,
+    used: Vec<bool>,
+}
+
+impl Tally {
+    pub fn new() -> Tally {
+        Tally { equal: 0, by_rule: 0, listed: 0, other: Vec::new(), used: vec![false; differences::DIFFERENCES.len()] }
+    }
+
+    /// Counts what was said to a record.
+    pub fn judge(&mut self, group: &str, record: &Record, said: &str) {
+        let got = lines(said);
+        let listed = differences::DIFFERENCES.iter().position(|d| d.group == group && d.n == record.n);
+        if got == record.reply {
+            self.equal += 1;
+        } else if let Some(index) = listed {
+            let difference = &differences::DIFFERENCES[index];
+            self.used[index] = true;
+            if difference.answers.is_none_or(|answers| answers == got) {
+                self.listed += 1;
+            } else {
+                self.other.push(format!("{group} {}: listed, but answered {got:?}", record.n));
+            }
+        } else if rules::equal(&record.kind, &record.reply, &got) {
+            self.by_rule += 1;
+        } else {
+            let send = String::from_utf8_lossy(&record.send);
+            self.other.push(format!(
+                "{group} {} {} {send:?}\n    recorded {:?}\n    answered {got:?}",
+                record.n, record.kind, record.reply
+            ));
+        }
+    }
+
+    /// Differences that are listed and have not been seen.
+    #[allow(dead_code, reason = "the firmware in QEMU is asked for a part only")]
+    pub fn unused(&self) -> Vec<String> {
+        let unused = differences::DIFFERENCES.iter().zip(&self.used).filter(|(_, used)| !**used);
+        unused.map(|(d, _)| format!("{} {}", d.group, d.n)).collect()
+    }
+}
+
+impl fmt::Display for Tally {
+    fn fmt(&self, out: &mut fmt::Formatter) -> fmt::Result {
+        let Tally { equal, by_rule, listed, other, .. } = self;
+        write!(
+            out,
+            "{equal} equal, {by_rule} equal but for wall time, {listed} listed differences, {} other",
+            other.len()
+        )
+    }
+}

@@ -1,0 +1,230 @@
+//! Settings that cannot be run lock motion and name the one at fault, and a sender may restore a whole set in any order.
+
+use super::bench::{Bench, Random};
+use oxmill_controller::settings::{Kind, PER_AXIS, SCALARS};
+use std::collections::BTreeMap;
+
+/// Values of all settings that `$$` lists, in thousandths.
+type Set = BTreeMap<u16, i64>;
+
+fn text(thousandths: i64) -> String {
+    let sign = if thousandths < 0 { "-" } else { "" };
+    format!("{sign}{}.{:03}", thousandths.abs() / 1000, thousandths.abs() % 1000)
+}
+
+/// A value that a kind of setting takes.
+fn any_value(random: &mut Random, kind: Kind) -> i64 {
+    match kind {
+        Kind::Whole(least, greatest) => {
+            1000 * (i64::from(least) + random.below(u64::from(greatest - least).min(300) + 1) as i64)
+        }
+        Kind::Switch => 1000 * random.below(2) as i64,
+        Kind::Speed => 1000 * random.below(30_000) as i64,
+        Kind::Place => random.below(40_000) as i64 - 30_000,
+        _ => random.below(20_000) as i64,
+    }
+}
+
+/// A set in which everything is changed at random. Most can be run.
+fn any_set(random: &mut Random, listed: &Set) -> Set {
+    let mut set = listed.clone();
+    for entry in SCALARS {
+        // Grbl's dialect takes `$20=1` after `$22=1` only, as Grbl does; the inverted inputs would be active all the time.
+        if ![14, 900, 903].contains(&entry.number) && set.contains_key(&entry.number) {
+            set.insert(entry.number, any_value(random, entry.kind));
+        }
+    }
+    for entry in PER_AXIS {
+        for number in entry.number..entry.number + 3 {
+            let value = match entry.number {
+                100 => 1000 + random.below(400_000) as i64,
+                110 => 1000 + random.below(9_000_000) as i64,
+                120 => 1000 + random.below(3_000_000) as i64,
+                130 => 1000 + random.below(900_000) as i64,
+                _ => any_value(random, entry.kind) % 8000 / 1000 * 1000,
+            };
+            set.insert(number, value);
+        }
+    }
+    // A pulse leaves room for the steps, a wire for a switch is not there, limits are where the machine is.
+    set.insert(0, 1000 * (1 + random.below(30) as i64));
+    set.insert(5, 0);
+    set.insert(21, 0);
+    set
+}
+
+fn listing(bench: &mut Bench) -> Vec<String> {
+    let mut lines = bench.ask("$$");
+    assert_eq!(lines.pop().as_deref(), Some("ok"));
+    lines
+}
+
+fn read(listing: &[String]) -> Set {
+    listing
+        .iter()
+        .map(|line| {
+            let (number, value) = line.strip_prefix('$').and_then(|l| l.split_once('=')).expect("a setting");
+            let value: f64 = value.parse().expect("a value");
+            (number.parse().expect("a number"), (value * 1000.0).round() as i64)
+        })
+        .collect()
+}
+
+fn send_all(bench: &mut Bench, lines: &[String]) {
+    for line in lines {
+        assert_eq!(bench.ask(line), ["ok"], "{line}");
+    }
+}
+
+fn shuffle<T>(random: &mut Random, items: &mut [T]) {
+    for index in (1..items.len()).rev() {
+        items.swap(index, random.below(index as u64 + 1) as usize);
+    }
+}
+
+/// Whether motion is locked by the settings; then by which.
+fn locked_by(bench: &mut Bench) -> Option<String> {
+    let place = bench.place();
+    let said = bench.ask("$J=G91 X0 F100");
+    match said.as_slice() {
+        [ok] if ok == "ok" => None,
+        [message, error] if error == "error:9" => {
+            assert_eq!(bench.place(), place);
+            let name = message.strip_prefix("[MSG:Motion is locked until this setting is mended: ");
+            Some(name.unwrap_or_else(|| panic!("{said:?}")).trim_end_matches(']').to_string())
+        }
+        _ => panic!("{said:?}"),
+    }
+}
+
+#[test]
+fn a_set_is_restored_in_any_order() {
+    let mut random = Random(0x5E77_1265);
+    let (mut valid, mut invalid) = (0, 0);
+    while valid < 150 {
+        let listed = read(&listing(&mut Bench::new("", "")));
+        let mut target = Bench::new("", "");
+        let set = any_set(&mut random, &listed);
+        // In the order of `$$`, but homing before soft limits.
+        let mut lines: Vec<String> = set.iter().map(|(number, value)| format!("${number}={}", text(*value))).collect();
+        send_all(&mut target, &lines);
+        if locked_by(&mut target).is_some() {
+            invalid += 1;
+            continue;
+        }
+        valid += 1;
+        let wanted = listing(&mut target);
+        lines = wanted.clone();
+        shuffle(&mut random, &mut lines);
+
+        let mut machine = Bench::new("", "");
+        let before: Vec<String> =
+            any_set(&mut random, &listed).iter().map(|(number, value)| format!("${number}={}", text(*value))).collect();
+        send_all(&mut machine, &before);
+        send_all(&mut machine, &lines);
+        assert_eq!(listing(&mut machine), wanted, "{lines:?} after {before:?}");
+        assert_eq!(locked_by(&mut machine), None, "{lines:?} after {before:?}");
+        assert_eq!(machine.state(), "Idle");
+        // And it moves.
+        let place = machine.place();
+        assert_eq!(machine.ask("$J=G91 G21 X-0.9 F500"), ["ok"], "{lines:?}");
+        machine.settle();
+        assert!(machine.place()[0] <= place[0]);
+    }
+    assert!(invalid < 3 * valid, "{invalid} sets of {valid} cannot be run");
+}
+
+/// Each of these locks motion under its own name until it is mended, whatever else is sent.
+#[test]
+fn what_cannot_be_run_is_named() {
+    let cases: &[(&str, &str, &str)] = &[
+        ("$100=0", "$100", "$100=250"),
+        ("$101=0", "$101", "$101=250"),
+        ("$102=0.0001", "$102", "$102=250"),
+        ("$101=50000", "$101", "$101=250"),
+        ("$110=0", "$110", "$110=500"),
+        ("$112=0", "$112", "$112=500"),
+        ("$112=0.00001", "$112", "$112=500"),
+        ("$111=20001", "$111", "$111=500"),
+        ("$120=0", "$120", "$120=10"),
+        ("$122=0", "$122", "$122=10"),
+        ("$121=0.0005", "$121", "$121=10"),
+        ("$121=20000000", "$121", "$121=10"),
+        ("$11=2000", "$11", "$11=0.01"),
+        ("$12=0", "$12", "$12=0.002"),
+        ("$20=1", "$20", "$22=1"),
+        ("$20=1", "$20", "$20=0"),
+        ("$22=1 $24=0", "$24", "$24=25"),
+        ("$22=1 $25=0", "$25", "$22=0"),
+        ("$22=1 $41=1 $57=0", "$57", "$57=100"),
+        ("$22=1 $41=1 $59=0", "$59", "$41=0"),
+        // 500 mm/min and 250 steps/mm are a step in 480 us.
+        ("$111=5000 $101=1100 $0=10", "$111", "$0=5"),
+    ];
+    for (wrong, name, mended) in cases {
+        let mut bench = Bench::new("", wrong);
+        let before = listing(&mut bench);
+        assert_eq!(locked_by(&mut bench).as_deref(), Some(*name), "{wrong}");
+        let message = format!("[MSG:Motion is locked until this setting is mended: {name}]");
+        for line in ["G0 X1", "G1 X1 F100", "G2 X1 R1 F100", "$J=G91 X1 F100", "G38.2 X1 F100", "G28", "G53 G0 Z-1"] {
+            assert_eq!(bench.ask(line), [message.as_str(), "error:9"], "{wrong}: {line}");
+        }
+        if wrong.contains("$22=1") {
+            assert_eq!(bench.ask("$H"), [message.as_str(), "error:9"], "{wrong}");
+        }
+        // What does not move works, and nothing has been changed behind anybody's back.
+        assert_eq!(bench.ask("G4 P0.01"), ["ok"], "{wrong}");
+        assert_eq!(bench.ask("M3 S100"), ["ok"], "{wrong}");
+        assert_eq!(bench.ask("M5"), ["ok"], "{wrong}");
+        assert_eq!(listing(&mut bench), before, "{wrong}");
+        assert_eq!((bench.place(), bench.state()), ([0; 3], "Idle".to_string()), "{wrong}");
+        assert_eq!(bench.ask(mended), ["ok"]);
+        assert_eq!(locked_by(&mut bench), None, "{wrong} {mended}");
+        assert_eq!(bench.ask("G91 G1 X-0.02 F400"), ["ok"], "{wrong} {mended}");
+        bench.settle();
+        assert_eq!(bench.place()[0], -5, "{wrong} {mended}");
+    }
+}
+
+/// Two faults are named one after the other.
+#[test]
+fn the_next_fault_is_named_when_the_first_is_mended() {
+    let mut bench = Bench::new("", "$122=0 $100=0 $111=0");
+    let mut names = Vec::new();
+    for mended in ["$100=250", "$111=500", "$122=10"] {
+        names.push(locked_by(&mut bench).expect("locked"));
+        assert_eq!(bench.ask(mended), ["ok"]);
+    }
+    assert_eq!(names, ["$100", "$111", "$122"]);
+    assert_eq!(locked_by(&mut bench), None);
+}
+
+/// A startup line that would move is refused in words, and the machine can be mended.
+#[test]
+fn a_startup_line_does_not_move_a_locked_machine() {
+    let mut bench = Bench::new("", "");
+    assert_eq!(bench.ask("$N0=G91 G1 X1 F100"), ["ok"]);
+    bench.settle();
+    assert_eq!(bench.place()[0], 250);
+    bench.ask("$110=0");
+    bench.send([0x18]);
+    bench.wait(0.5);
+    let said = bench.read();
+    assert!(said.iter().any(|l| l.ends_with("mended: $110]")) && said.contains(&"error:9".to_string()), "{said:?}");
+    assert_eq!(bench.place()[0], 250);
+    assert_eq!(bench.ask("$110=500"), ["ok"]);
+    bench.carry_out("G91 G1 X-1 F100");
+    assert_eq!(bench.place()[0], 0);
+}
+
+/// In Grbl's dialect soft limits want homing first, as in Grbl; nothing else depends on the order.
+#[test]
+fn grbls_dialect_refuses_soft_limits_before_homing() {
+    let mut bench = Bench::new("", "$900=0");
+    assert_eq!(bench.ask("$20=1"), ["error:10"]);
+    assert_eq!(bench.ask("$22=1"), ["ok"]);
+    assert_eq!(bench.ask("$20=1"), ["ok"]);
+    assert_eq!(locked_by(&mut bench), None);
+    assert_eq!(bench.ask("$22=0"), ["ok"]);
+    assert!(listing(&mut bench).contains(&"$20=0".to_string()));
+}

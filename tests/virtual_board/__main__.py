@@ -1,0 +1,44 @@
+"""Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does."""
+
+import sys
+import time
+from pathlib import Path
+
+from . import cases
+from .board import Failure, Image
+from .parts import BOARDS
+
+
+def main(board, elf, oxmill, *wanted):
+    bench = cases.Bench(BOARDS[board], Image(elf), oxmill)
+    root = Path(__file__).resolve().parents[2]
+    failed = passed = missing = known = 0
+    print(f"\nvirtual board {board} ({bench.wiring.part.name})", flush=True)
+    for name, case in cases.all_cases(root):
+        if wanted and name not in wanted:
+            continue
+        begin, lines, outcome = time.monotonic(), [], "ok"
+        bench.origin = 0
+        try:
+            lines.extend(case(bench))
+            passed += 1
+            if (board, name) in cases.KNOWN:
+                outcome = "ok, although it is on the list of known faults: take it off"
+        except Failure as failure:
+            if (board, name) in cases.KNOWN:
+                outcome = f"known fault: {cases.KNOWN[board, name]}\n  {failure}"
+                known += 1
+            else:
+                outcome, failed = f"FAILED\n  {failure}", failed + 1
+        except cases.NotYet as why:
+            outcome = f"not yet: {why}"
+            missing += 1
+        print(f"case {name} ... {outcome} ({time.monotonic() - begin:.1f} s)")
+        for line in lines:
+            print(f"  {line}", flush=True)
+    print(f"virtual board {board}: {passed} passed, {failed} failed, {known} known faults, {missing} not yet", flush=True)
+    return 1 if failed or not passed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,493 @@
+"""A board that runs an unmodified image: processor, memory, peripherals, pins, time.
+
+Promises that every access to something without a model fails with the place in the program, and that each change of an
+output is kept with its time in core cycles. Leaves the registers to models/, the cost of instructions to core.py, and
+what hangs on the pins to host.py and to the cases.
+
+Exceptions take 12 cycles to enter, 12 to leave, 6 from one to the next. Flash wait states multiply the cost of
+instructions: by 1.1 in the step interrupt, whose code is hot, by 1.3 elsewhere. A read of a register on an APB bus makes
+the processor wait for two clocks of that bus (the two phases of an APB transfer), a write for none; AHB registers cost
+nothing beyond the instruction.
+"""
+
+import bisect
+import struct
+
+from elftools.elf.elffile import ELFFile
+from unicorn import UC_HOOK_MEM_WRITE, UC_PROT_ALL
+
+from .core import ASLEEP, DEADLINE, EXCEPTION_RETURN, FAULT, Core
+from .models.dma import Dma
+from .models.flash import Flash
+from .models.gpio import Gpio
+from .models.iwdg import Iwdg
+from .models.nvic import HARD_FAULT, Nvic
+from .models.peripheral import Misuse, Peripheral, Unmodelled
+from .models.pwr import Pwr
+from .models.rcc import Rcc
+from .models.timer import Timer
+from .models.usart import Usart
+
+ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
+HOT, COLD = round(1.1 * 256), round(1.3 * 256)
+FILL = b"\xa5"
+"""What RAM holds at power-up."""
+
+
+class Failure(Exception):
+    """The emulation cannot go on, or a case does not hold."""
+
+
+class Image:
+    """An ELF file: what to put into flash, and names for addresses."""
+
+    def __init__(self, path):
+        with open(path, "rb") as file:
+            elf = ELFFile(file)
+            self.segments = [
+                (s["p_paddr"], s.data()) for s in elf.iter_segments() if s["p_type"] == "PT_LOAD" and s["p_filesz"]
+            ]
+            self.symbols, functions = {}, []
+            for symbol in elf.get_section_by_name(".symtab").iter_symbols():
+                if symbol.name:
+                    self.symbols.setdefault(symbol.name, symbol["st_value"])
+                if symbol["st_info"]["type"] == "STT_FUNC":
+                    functions.append((symbol["st_value"] & ~1, symbol["st_size"], symbol.name))
+        self.functions = sorted(functions)
+        self.starts = [start for start, _, _ in self.functions]
+
+    def place(self, address):
+        """Function and offset of an address."""
+        index = bisect.bisect_right(self.starts, address) - 1
+        if index >= 0 and address < self.functions[index][0] + max(self.functions[index][1], 2):
+            start, _, name = self.functions[index]
+            return f"{name}+{address - start:#x}"
+        return f"{address:#010x}"
+
+
+class Board:
+    """One board. Time is `now`, in core cycles since power-up; `seconds` makes seconds of it."""
+
+    def __init__(self, wiring, image):
+        self.wiring, self.part, self.image = wiring, wiring.part, image
+        self.core = Core(image)
+        self.state = self.core.state
+        self.failure = None
+        self.faults_expected = False
+        self.faults = []
+        self.resets = []
+        self.edges = []
+        """(cycle, port, pin, level) of every change of an output; level 0, 1, None (let go) or "AF"."""
+        self.watchers = []
+        self.operations_left = None
+        self.clocks = [(0, 0.0, 16_000_000)]
+        """(cycle, seconds, core clock from there on)."""
+        self.powered = True
+        self._reset_asked = None
+        self._fixes = []
+        self._vectors = {}
+        self.step_runs = []
+        """(cycle of entry, cycle after the return) of each run of the step interrupt; nothing preempts it."""
+        self._asleep = False
+        self._next_due = None
+        self._map()
+        self._fit()
+        self.power_on()
+
+    # Building it.
+
+    def _map(self):
+        uc, part = self.core.uc, self.part
+        uc.mem_map(part.flash_start, part.flash_kib * 1024, UC_PROT_ALL)
+        uc.mem_map(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL)
+        self.write_memory(part.flash_start, b"\xff" * part.flash_kib * 1024)
+        self.write_memory(part.ram_start, FILL * part.ram_kib * 1024)
+        for address, data in self.image.segments:
+            self.write_memory(address, data)
+        guarded = self._guarded
+        self.core.map_registers(0x4000_0000, 0x8_0000, guarded(self._read_register), guarded(self._write_register))
+        self.core.map_registers(0x4200_0000, 0x100_0000, guarded(self._read_bit), guarded(self._write_bit))
+        self.core.map_registers(0xE000_0000, 0x10_0000, guarded(self._read_core), guarded(self._write_core))
+        uc.hook_add(
+            UC_HOOK_MEM_WRITE, guarded(self._store_to_flash), None, part.flash_start, part.flash_start + part.flash_kib * 1024 - 1
+        )
+
+    def _fit(self):
+        self.peripherals = {}
+        self.pages = {}
+        self.nvic = None
+        fit = self._add
+        self.rcc = fit(0x4002_3800, Rcc("RCC", self))
+        self.nvic = Nvic(self, self.part.interrupts)
+        self.peripherals["NVIC"] = self.nvic
+        fit(0x4000_7000, Pwr("PWR", self))
+        self.flash = fit(0x4002_3C00, Flash("FLASH", self))
+        for bit, name in enumerate("ABCDEH"):
+            gpio = Gpio(f"GPIO{name}", self)
+            gpio.CLOCK = (0x30, 7 if name == "H" else bit)
+            fit(0x4002_0000 + 0x400 * gpio.CLOCK[1], gpio)
+        for name, base, bit, irq, wide in (
+            ("TIM2", 0x4000_0000, 0, 28, True),
+            ("TIM3", 0x4000_0400, 1, 29, False),
+            ("TIM4", 0x4000_0800, 2, 30, False),
+            ("TIM5", 0x4000_0C00, 3, 50, True),
+        ):
+            fit(base, Timer(name, self, bit, irq, wide))
+        for name, base, clock, irq, bus in (
+            ("USART1", 0x4001_1000, (0x44, 4), 37, "pclk2"),
+            ("USART2", 0x4000_4400, (0x40, 17), 38, "pclk1"),
+        ):
+            fit(base, Usart(name, self, base, clock, irq, bus))
+        self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
+        self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
+        self.usart = self.peripherals[self.wiring.usart]
+        self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
+        self.dwt = {0x1000: 0x4000_0001, 0x1004: 0}
+
+    def _add(self, base, peripheral):
+        self.peripherals[peripheral.name] = peripheral
+        self.pages[base >> 10] = peripheral
+        return peripheral
+
+    # Power and reset.
+
+    def power_on(self):
+        """Starts at the reset vector. RAM keeps what it holds."""
+        for peripheral in self.peripherals.values():
+            peripheral.reset()
+        self.change_clock(16_000_000)
+        self.core.library.reset()
+        self.state.margin = COLD
+        stack, start = struct.unpack("<II", self.read_memory(self.part.flash_start, 8))
+        for name in ("primask", "basepri", "control"):
+            self.core.write(name, 0)
+        self.core.write("xpsr", 1 << 24)
+        self.core.write("sp", stack)
+        self.core.write("lr", 0xFFFF_FFFF)
+        self.core.write("pc", start & ~1)
+        self._asleep = False
+        self._next_due = None
+
+    def request_reset(self, flags, why):
+        """Called by models: the chip resets as soon as the instruction is done. `flags` are for RCC_CSR."""
+        self._reset_asked = (flags, why)
+        self.state.deadline = 0
+
+    def _do_reset(self):
+        from .models.rcc import SOFTWARE_RESET
+
+        flags, why = self._reset_asked
+        self._reset_asked = None
+        self.resets.append((self.now, why))
+        self.rcc.note_reset(SOFTWARE_RESET if flags is None else flags)
+        self.power_on()
+
+    # Time.
+
+    @property
+    def now(self):
+        return self.state.now
+
+    def change_clock(self, hz):
+        last, seconds, before = self.clocks[-1]
+        if hz != before:
+            for peripheral in self.peripherals.values():
+                peripheral.clock_changed()
+            self.clocks.append((self.now, seconds + (self.now - last) / before, hz))
+
+    def seconds(self, cycle=None):
+        """Time since power-up of a cycle."""
+        cycle = self.now if cycle is None else cycle
+        since, seconds, hz = next(entry for entry in reversed(self.clocks) if entry[0] <= cycle)
+        return seconds + (cycle - since) / hz
+
+    def cycles(self, seconds):
+        return round(seconds * self.clocks[-1][2])
+
+    def stall(self, seconds):
+        """The processor stands still; the rest goes on."""
+        self.state.now += self.cycles(seconds)
+        self.state.deadline = 0
+
+    def replan(self):
+        """A model has changed when it wants to be called."""
+        self._next_due = None
+        self.state.deadline = 0
+
+    def look(self):
+        """An interrupt may have become pending."""
+        self.state.deadline = 0
+
+    def check_supply(self, hclk):
+        limit = self.peripherals["PWR"].limit()
+        if hclk > limit:
+            raise Misuse(f"core clock {hclk} Hz beyond the {limit} Hz of the supply's scale")
+        self.flash.check(hclk)
+
+    def power_left(self, _):
+        """Counts a flash operation against a power cut that a case has asked for."""
+        if self.operations_left is None:
+            return True
+        self.operations_left -= 1
+        if self.operations_left < 0:
+            self.powered = False
+            self.state.deadline = 0
+            return False
+        return True
+
+    # Memory and registers.
+
+    def read_memory(self, address, size):
+        return bytes(self.core.uc.mem_read(address, size))
+
+    def write_memory(self, address, data):
+        self.core.uc.mem_write(address, data)
+
+    def word(self, symbol):
+        """A word of RAM or flash by name or address."""
+        address = self.image.symbols[symbol] if isinstance(symbol, str) else symbol
+        return struct.unpack("<I", self.read_memory(address, 4))[0]
+
+    def _guarded(self, function):
+        """Nothing may be thrown through unicorn: it is kept and thrown from `run`."""
+
+        def call(*arguments):
+            try:
+                return function(*arguments) or 0
+            except (Unmodelled, Misuse, Failure) as failure:
+                self._fail(f"{type(failure).__name__}: {failure}")
+            except Exception as failure:  # noqa: BLE001: a fault of the emulation itself
+                import traceback
+
+                self._fail(f"the emulation is at fault: {failure!r}\n{traceback.format_exc()}")
+            return 0
+
+        return call
+
+    def _fail(self, why):
+        if self.failure is None:
+            self.failure = why
+        self.core.uc.emu_stop()
+
+    def _at(self, address):
+        peripheral = self.pages.get(address >> 10)
+        if peripheral is None:
+            raise Unmodelled(f"nothing is modelled at {address:#010x}")
+        clock = peripheral.CLOCK
+        if clock is not None and not self.rcc.values[clock[0]] >> clock[1] & 1:
+            raise Misuse(f"{peripheral.name} is used while its clock is off")
+        return peripheral
+
+    def _read_register(self, uc, offset, size, _):
+        address = 0x4000_0000 + offset
+        peripheral = self._at(address)
+        if offset < 0x2_0000:
+            self.state.wait += 2 * (self.rcc.hclk // (self.rcc.pclk1 if offset < 0x1_0000 else self.rcc.pclk2))
+        value = peripheral.read(address & 0x3FC)
+        return value >> 8 * (address & 3) & (1 << 8 * size) - 1
+
+    def _write_register(self, uc, offset, size, value, _):
+        address = 0x4000_0000 + offset
+        if address & 3 or size == 1:
+            raise Unmodelled(f"store of {size} bytes to {address:#010x}")
+        self._at(address).write(address & 0x3FC, value)
+
+    def _read_bit(self, uc, offset, size, _):
+        address, bit = 0x4000_0000 + (offset >> 7 << 2), offset >> 2 & 31
+        return self._at(address).read(address & 0x3FC) >> bit & 1
+
+    def _write_bit(self, uc, offset, size, value, _):
+        address, bit = 0x4000_0000 + (offset >> 7 << 2), offset >> 2 & 31
+        peripheral = self._at(address)
+        before = peripheral.read(address & 0x3FC)
+        peripheral.write(address & 0x3FC, before & ~(1 << bit) | (value & 1) << bit)
+
+    def _read_core(self, uc, offset, size, _):
+        if offset == 0x1004:
+            return self.now & 0xFFFF_FFFF
+        if offset in self.dwt:
+            return self.dwt[offset]
+        value = self.nvic.read((offset & ~3) - 0xE000)
+        return value >> 8 * (offset & 3) & (1 << 8 * size) - 1
+
+    def _write_core(self, uc, offset, size, value, _):
+        if offset in self.dwt:
+            self.dwt[offset] = value
+        elif offset == 0x1FB0:
+            pass  # DWT_LAR, the lock of the cycle counter.
+        elif size == 1:
+            self.nvic.write_byte(offset - 0xE000, value)
+        elif size == 4:
+            self.nvic.write(offset - 0xE000, value)
+        else:
+            raise Unmodelled(f"store of {size} bytes to {0xE000_0000 + offset:#010x}")
+
+    def _store_to_flash(self, uc, access, address, size, value, _):
+        # The hook comes before the store and cannot prevent it: what the flash makes of it is put there right after.
+        self.flash.program(address, size, value & (1 << 8 * size) - 1)
+        self._fixes.append((address, self.read_memory(address, size)))
+        self.state.deadline = 0
+
+    # Pins.
+
+    def edge(self, port, pin, level):
+        edge = (self.now, port, pin, level)
+        self.edges.append(edge)
+        for watcher in self.watchers:
+            watcher(edge)
+
+    def pin(self, name):
+        """The port's model and the number of a pin such as "A10"."""
+        return self.peripherals["GPIO" + name[0]], int(name[1:])
+
+    def level(self, name):
+        gpio, pin = self.pin(name)
+        return gpio.level(pin)
+
+    def shown(self, name):
+        gpio, pin = self.pin(name)
+        return gpio.shown[pin]
+
+    def drive(self, name, level):
+        gpio, pin = self.pin(name)
+        gpio.drive(pin, level)
+
+    # Running.
+
+    def run(self, cycles=None, seconds=None, until=None, limit=None):
+        """Runs for a time, or until `until()` is true, which is asked after each event; `limit` in seconds then bounds it."""
+        state = self.state
+        seconds = limit if seconds is None else seconds
+        stop = None if seconds is None else self.seconds() + seconds
+        end, clocks = self.now + (cycles or 0), None
+        while self.powered:
+            if until is not None and until():
+                return True
+            if stop is not None and clocks != len(self.clocks):
+                clocks, end = len(self.clocks), self.now + self.cycles(stop - self.seconds())
+            if self.now >= end:
+                return until is None
+            self._slice(end)
+            if self.failure:
+                raise Failure(f"{self.failure}\n  at {self.image.place(state.at)}, {self.seconds():.6f} s after power-up")
+        return False
+
+    def _slice(self, end):
+        state, nvic = self.state, self.nvic
+        try:
+            self._advance()
+            if self._reset_asked:
+                self._do_reset()
+            number, masked = nvic.takeable(state.primask, state.basepri)
+        except (Unmodelled, Misuse) as failure:
+            self.failure = f"{type(failure).__name__}: {failure}"
+            return
+        state.pending = masked
+        if number is not None:
+            self._asleep = False
+            self._enter(number, ENTRY_CYCLES)
+        if self._asleep and self._next_due is not None:
+            if masked:
+                self._asleep = False
+            else:
+                state.now = max(state.now, min(self._next_due, end))
+                return
+        if self._next_due is None:
+            self._next_due = min([p.due for p in self._timed])
+        state.deadline = min(self._next_due, end)
+        if state.deadline <= state.now:
+            return
+        error = self.core.run()
+        if self._fixes:
+            for address, data in self._fixes:
+                self.write_memory(address, data)
+            self._fixes.clear()
+        if self.failure:
+            return
+        if error or state.reason == FAULT:
+            self._fault(error)
+        elif state.reason == ASLEEP:
+            self._asleep = True
+            self.core.write("pc", state.at + 2)
+            state.next = state.at + 2
+            state.now += 1
+        elif state.reason == EXCEPTION_RETURN:
+            self._leave()
+        elif state.reason != DEADLINE:
+            self.failure = f"unicorn stopped for an unknown reason ({state.reason})"
+
+    def _advance(self):
+        while True:
+            if self._next_due is None:
+                self._next_due = min([p.due for p in self._timed])
+            now = self.state.now
+            if self._next_due > now:
+                return
+            for peripheral in sorted((p for p in self._timed if p.due <= now), key=lambda p: p.due):
+                peripheral.advance(now)
+            self._next_due = None
+
+    def _enter(self, number, cycles):
+        key = self.nvic.vectors + 4 * number
+        vector = self._vectors.get(key)
+        if vector is None:
+            vector = self._vectors[key] = self.word(key)
+        thread = not self.nvic.active
+        self.nvic.begin(number)
+        if number == 16 + self.wiring.step_irq:
+            self._step_began = self.now
+        if not self.core.enter(number, vector, thread) and number != HARD_FAULT:
+            self._fault(0)
+            return
+        self.state.now += cycles
+        self.state.margin = HOT if number == 16 + self.wiring.step_irq else COLD
+
+    def _leave(self):
+        state, nvic = self.state, self.nvic
+        code = self.core.library.counter(self.core.handle) | 1
+        if not nvic.active:
+            self.failure = f"exception return {code:#x} without an exception"
+            return
+        if nvic.end() == 16 + self.wiring.step_irq:
+            self.step_runs.append((self._step_began, self.now + RETURN_CYCLES))
+        if bool(code & 8) != (not nvic.active):
+            self.failure = f"exception return {code:#x} to the wrong mode, active {nvic.active}"
+            return
+        self.core.leave(code)
+        number, masked = nvic.takeable(state.primask, state.basepri)
+        state.pending = masked
+        if number is not None:
+            nvic.chained += 1
+            self._enter(number, CHAIN_CYCLES)
+            return
+        state.now += RETURN_CYCLES
+        running = nvic.active[-1][0] if nvic.active else None
+        state.margin = HOT if running == 16 + self.wiring.step_irq else COLD
+
+    def _fault(self, error):
+        state = self.state
+        why = f"fault {state.fault} (unicorn error {error}, address {state.invalid_address:#010x}) at {self.image.place(state.at)}"
+        self.faults.append((self.now, state.at, state.invalid_address))
+        if any(number == HARD_FAULT for number, _ in self.nvic.active):
+            self.failure = f"lockup: {why}"
+        elif not self.faults_expected:
+            self.failure = why
+        else:
+            self.core.write("pc", state.at)
+            self._enter(HARD_FAULT, ENTRY_CYCLES)
+
+    # What remains in memory.
+
+    def stack_used(self):
+        """Bytes of the stack that have ever held something else than at power-up, and its size."""
+        bottom, top = self.image.symbols["_stack_end"], self.image.symbols["_stack_start"]
+        stack = self.read_memory(bottom, top - bottom)
+        return len(stack) - (len(stack) - len(stack.lstrip(FILL))), len(stack)
+
+    def refill_stack(self):
+        """Forgets what the stack has held below where it is now."""
+        bottom = self.image.symbols["_stack_end"]
+        self.write_memory(bottom, FILL * (self.core.read("sp") - bottom))
+
+
+__all__ = ["Board", "Failure", "Image"]

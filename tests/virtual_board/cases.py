@@ -1,0 +1,535 @@
+"""What must hold on the virtual boards. Each case gets a board that was just switched on, prints what it measured, and
+fails with a `Failure`."""
+
+import csv
+import subprocess
+import tempfile
+from pathlib import Path
+
+from .board import Board, Failure
+from .host import Host
+from .scope import Scope, steady
+
+US = 1e-6
+LATEST_TICK_S = 3 * US
+"""How late a tick may be: what masks interrupts, and a pulse end that is being handled."""
+SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
+STOP_S = 20 * US
+"""From the moment a stop is known to the last rising edge (targets.md, section 2)."""
+HOLD_S = 25e-3
+"""From `!` to the beginning of the ramp."""
+LATEST_PULSE_END_S = 5 * US
+"""How much longer than $0 a pulse may be: its end is an interrupt, and waits for masks and for the rest of the tick."""
+
+
+class Bench:
+    """A board with a host, and what the cases share."""
+
+    def __init__(self, wiring, image, oxmill):
+        self.wiring, self.image, self.oxmill = wiring, image, oxmill
+        self.masked = {}
+        self.fresh()
+
+    def fresh(self):
+        """Another board, not yet running."""
+        self.board = Board(self.wiring, self.image)
+        self.host = Host(self.board)
+        return self.board
+
+    def boot(self):
+        self.fresh()
+        self.wait_text("Grbl 1.1h", 1.0)
+        self.wait_text("\r\n", 0.1, after=len(self.host.text))
+        self.forget_masks()
+
+    # Time and text.
+
+    def wait(self, condition, limit, what):
+        if not self.board.run(until=condition, limit=limit):
+            raise Failure(f"{what} did not come within {limit} s; the board has said {bytes(self.host.text[-300:])!r}")
+
+    def wait_text(self, text, limit, after=0):
+        self.wait(lambda: self.host.has_said(text, after), limit, repr(text))
+
+    def ask(self, line, limit=1.0):
+        """Sends a line and waits for its answer; the lines up to it."""
+        begin, answers = len(self.host.lines), len(self.host.answers)
+        self.host.send(line + "\n")
+        self.wait(lambda: len(self.host.answers) > answers, limit, f"an answer to {line}")
+        if self.host.answers[-1] != "ok":
+            raise Failure(f"{line} was answered by {self.host.answers[-1]}")
+        return [text for _, text in self.host.lines[begin:]]
+
+    def settings(self, **values):
+        for name, value in values.items():
+            self.ask(f"${name[1:]}={value}")
+        # Whatever the store does ahead of need, it does now.
+        self.board.run(seconds=0.01)
+
+    def status(self):
+        after = len(self.host.lines)
+        self.host.send(b"?")
+        self.wait(lambda: any(line.startswith("<") for _, line in self.host.lines[after:]), 0.2, "a status report")
+        return next(line for _, line in self.host.lines[after:] if line.startswith("<"))
+
+    def wait_state(self, state, limit):
+        """Polls like a sender; the report that had the state."""
+        for _ in range(round(limit / 0.02)):
+            status = self.status()
+            if status.startswith(f"<{state}"):
+                return status
+            self.board.run(seconds=0.02)
+        raise Failure(f"the state is {status} and not {state} after {limit} s")
+
+    def at_rest(self, seconds):
+        """Runs for a time in which nothing may step."""
+        scope = Scope(self.board)
+        self.board.run(seconds=seconds)
+        if scope.steps():
+            raise Failure("a step came at rest")
+
+    # Masks.
+
+    def forget_masks(self):
+        self.board.state.masked_longest = 0
+
+    def longest_mask(self):
+        """Longest time with interrupts masked since the last question, in s, and where it ended."""
+        state = self.board.state
+        cycles, where = state.masked_longest, self.image.place(state.slowest_to)
+        state.masked_longest = 0
+        return cycles / self.board.clocks[-1][2], where
+
+
+def us(seconds):
+    return f"{seconds / US:.2f} us"
+
+
+def boot(bench):
+    """The welcome line, and outputs that never leave their safe levels on the way there."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    cycle, line = next(entry for entry in bench.host.lines if entry[1])
+    if not line.startswith("Grbl 1.1h ['$' for help]"):
+        raise Failure(f"the first line is {line!r}")
+    if board.clocks[-1][2] != wiring.core_hz:
+        raise Failure(f"the core runs at {board.clocks[-1][2]} Hz and not at {wiring.core_hz}")
+    safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, wiring.flood, wiring.mist)}
+    safe[wiring.enable] = 1
+    for at, port, pin, level in board.edges:
+        wanted = safe.get(f"{port}{pin}")
+        if wanted is not None and level in (0, 1) and level != wanted:
+            raise Failure(f"P{port}{pin} was {level} at {board.seconds(at):.6f} s")
+    first = min(board.seconds(at) for at, port, pin, level in board.edges if f"{port}{pin}" in safe and level in (0, 1))
+    used, size = board.stack_used()
+    if duty(board):
+        raise Failure("the spindle's PWM is on")
+    yield f"clock {wiring.core_hz / 1e6:.0f} MHz; outputs driven from {first * 1e3:.2f} ms after reset, safe from then on"
+    yield f"welcome line complete {board.seconds(cycle) * 1e3:.1f} ms after reset, {board.usart.baud():.0f} baud"
+    yield f"stack at the start: {used} of {size} bytes"
+    if used > size - 1024:
+        raise Failure("less than 1 KiB of the stack is left")
+
+
+def duty(board):
+    """Share of the time that the spindle's PWM is high; 0 where its pin is not driven by the timer."""
+    if board.shown(board.wiring.pwm) != "AF":
+        return 0
+    return board.peripherals["TIM3"].duty(2)
+
+
+JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 1000, "s122": 1000}
+
+
+def simulated(bench, job):
+    """(axes, negative) of each step event of the job in the simulator."""
+    with tempfile.TemporaryDirectory() as folder:
+        trace = Path(folder) / "trace.csv"
+        command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, "--trace", str(trace)]
+        for name, value in JOB_SETTINGS.items():
+            command += ["--set", f"{name[1:]}={value}"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise Failure(f"the simulator failed: {done.stderr}")
+        rows, before = [], (0, 0, 0)
+        with open(trace, newline="") as file:
+            for row in csv.DictReader(file):
+                place = tuple(int(row[axis]) for axis in "xyz")
+                change = [b - a for a, b in zip(before, place)]
+                before = place
+                if any(change):
+                    axes = sum(1 << k for k, c in enumerate(change) if c)
+                    rows.append((axes, sum(1 << k for k, c in enumerate(change) if c < 0)))
+    return rows, before
+
+
+def streamed(bench, job):
+    """A job by character counting: the steps of the simulator, in its order."""
+    bench.boot()
+    bench.settings(**JOB_SETTINGS)
+    scope, host, board = Scope(bench.board), bench.host, bench.board
+    board.refill_stack()
+    bench.forget_masks()
+    lines = len(host.answers)
+    text = Path(job).read_text()
+    begin = board.now
+    host.stream(text)
+    bench.wait(lambda: host.all_answered, 60, "the last answer")
+    bench.wait_state("Idle", 60)
+    errors = [answer for answer in host.answers[lines:] if answer != "ok"]
+    if errors:
+        raise Failure(f"answers: {errors}")
+    if board.usart.overruns or host.has_said("lost"):
+        raise Failure("received bytes were lost")
+    steps = [(step.axes, step.negative) for step in scope.steps()]
+    expected, end = simulated(bench, job)
+    if scope.counts() != list(end):
+        raise Failure(f"the motors are at {scope.counts()} and not at {end}")
+    first = next((k for k, (a, b) in enumerate(zip(steps, expected)) if a != b), None)
+    if first is not None or len(steps) != len(expected):
+        raise Failure(f"step {first} of {len(steps)} differs from the simulator's {len(expected)} steps")
+    mask, where = bench.longest_mask()
+    used, size = board.stack_used()
+    yield f"{Path(job).name}: {len(steps)} step events as in the simulator, ends at {end}, {(board.now - begin) / bench.wiring.core_hz:.2f} s"
+    yield f"longest time masked {us(mask)} ({where}); stack {used} of {size} bytes"
+
+
+
+
+def fast(bench, acceleration):
+    """1000 steps/mm, and axes as fast as the board's safe rate. A greater rate would be refused."""
+    rate = bench.wiring.safe_step_hz * 60 // 1000
+    bench.settings(s0=2, s110=rate, s111=rate, s112=rate)
+    bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
+
+
+def pulses(bench):
+    """Width, direction set-up and period at 1, 10, 50 and 100 kHz, all three axes together."""
+    yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2))
+
+
+def safe_rate(bench):
+    """The same at the rate that the board calls safe."""
+    safe = bench.wiring.safe_step_hz
+    yield from at_rates(bench, (safe, round(safe**2 / 3e6) + 2000, 2))
+
+
+def tight(bench):
+    """The longest pulse that the settings allow at 100 kHz: 8 us, with 2 us of pause."""
+    yield from at_rates(bench, (100_000, 4500, 8))
+
+
+def at_rates(bench, *rates):
+    """Back and forth at each (steps/s, steps one way, $0)."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    safe = bench.wiring.safe_step_hz
+    fast(bench, 3_000)
+    for rate, steps, pulse_us in rates:
+        greatest = round(min(rate * 1.001, safe) * 60 / 1000, 3)
+        bench.settings(s0=2, s110=greatest, s111=greatest, s112=greatest)
+        bench.settings(s0=pulse_us, s29=10)
+        bench.forget_masks()
+        scope = Scope(board)
+        way = steps / 1000
+        feed = rate / 1000 * 60 * 3**0.5
+        for sign in ("", "-"):
+            bench.ask(f"G91 G1 X{sign}{way} Y{sign}{way} Z{sign}{way} F{feed:.4f}")
+        bench.wait_state("Idle", 5)
+        events, widths, setups, holds = scope.read()
+        if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
+            raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
+        least, most = min(widths), max(widths)
+        found = steady(events[:steps], hz, 1 / rate, round(1.05 * rate**2 / 2 / 3e6) + 5)
+        mask, where = bench.longest_mask()
+        line = f"{rate:>7} steps/s: $0={pulse_us} width {us(least)} to {us(most)}; $29=10 set-up from {us(min(setups))}, hold from {us(min(holds))}"
+        if found is None:
+            raise Failure(f"{line}: the rate is never reached")
+        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where})"
+        if least < pulse_us * US or most > pulse_us * US + LATEST_PULSE_END_S:
+            raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
+        if min(setups) < 10 * US:
+            raise Failure(f"direction set-up {us(min(setups))} with $29=10")
+        if found["drift"] > 2 * US:
+            raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
+        if found["period_error"] > LATEST_TICK_S:
+            raise Failure(f"a period is off by {us(found['period_error'])}")
+        bench.ask("G90")
+
+
+def moving(bench, feed=3000, way=100):
+    """Begins a long move of X and waits until it is at speed."""
+    bench.ask(f"G91 G1 X{way} F{feed}")
+    bench.board.run(seconds=feed / 60 / 1000 + 0.05)
+
+
+def hard_start(bench):
+    """From rest with 10 m/s², several times: the step task must not outrun what is prepared for it."""
+    bench.boot()
+    fast(bench, 10_000)
+    for attempt in range(8):
+        bench.board.run(seconds=0.001 + attempt * 17e-6)
+        bench.host.send(f"G91 G1 X{'-' if attempt % 2 else ''}0.5 F3000\n")
+        bench.board.run(seconds=0.05)
+        if bench.host.has_said("ALARM"):
+            raise Failure(f"start {attempt + 1} of 8: {next(text for _, text in bench.host.lines if 'ALARM' in text)}")
+    yield "8 starts with 10 m/s², none ran dry"
+
+
+def turns(bench):
+    """Directions change in full motion: a zigzag whose corners are passed at speed."""
+    bench.boot()
+    fast(bench, 10_000)
+    bench.settings(s0=2, s29=10, s11=5)
+    scope = Scope(bench.board)
+    bench.forget_masks()
+    zigzag = "\n".join(f"X0.2 Y{'-' if k % 2 else ''}0.05 Z{'-' if k % 2 else ''}0.05" for k in range(40))
+    bench.host.stream("G91 G1 F4800\n" + zigzag)
+    bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
+    bench.wait_state("Idle", 5)
+    events, widths, setups, holds = scope.read()
+    hz = bench.wiring.core_hz
+    fastest = min((b.at - a.at) / hz for a, b in zip(events, events[1:]))
+    yield f"{len(setups)} changes of direction, set-up from {us(min(setups))} with $29=10, hold from {us(min(holds))}; shortest period {us(fastest)}"
+    if scope.counts() != [8000, 0, 0] or len(setups) < 39:
+        raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
+    if min(setups) < 10 * US:
+        raise Failure("a direction output changes too late")
+    if fastest > 20 * US:
+        raise Failure("the corners were not passed at speed: this proves nothing")
+
+
+def hold(bench):
+    """`!` brakes along a ramp, `~` goes on, and no step is lost."""
+    bench.boot()
+    fast(bench, 1000)
+    board, hz = bench.board, bench.wiring.core_hz
+    scope = Scope(board)
+    moving(bench, way=20)
+    speed, acceleration = 50_000, 1_000_000
+    heard = bench.host.send(b"!")
+    bench.wait_state("Hold:0", 2)
+    steps = [step.at for step in scope.steps()]
+    later = [at for at in steps if at > heard]
+    intervals = [(b - a) / hz for a, b in zip(later, later[1:])]
+    # Single intervals carry the jitter of the interrupt: the ramp begins where twenty of them are longer by 1 % on average.
+    begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
+    if begin is None:
+        raise Failure("there is no ramp")
+    took = (later[-1] - later[begin]) / hz
+    distance = len(later) - begin
+    latency = (later[begin] - heard) / hz
+    ideal = speed**2 / 2 / acceleration
+    yield f"ramp begins {latency * 1e3:.2f} ms after `!`, takes {took * 1e3:.2f} ms and {distance} steps (v²/2a = {ideal:.0f})"
+    if latency > HOLD_S or abs(distance / ideal - 1) > 0.03:
+        raise Failure("the hold does not brake as it should")
+    bench.at_rest(0.05)
+    bench.host.send(b"~")
+    bench.wait_state("Idle", 3)
+    if scope.counts() != [20_000, 0, 0]:
+        raise Failure(f"after the hold X is at {scope.counts()}")
+    yield "`~` goes on to the programmed place"
+
+
+def stops(bench):
+    """0x18 and a limit switch stop the pulses in time, at several moments of a motion."""
+    bench.boot()
+    fast(bench, 1000)
+    bench.settings(s21=1)
+    board, hz = bench.board, bench.wiring.core_hz
+    worst = {"0x18": 0.0, "limit": 0.0}
+    allowed = {"0x18": STOP_S, "limit": FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S}
+    for feed, phase in ((3000, 0.0), (3000, 7.3e-6), (3000, 31e-6), (60, 123.4e-6), (6000, 49.9e-6)):
+        for what in ("0x18", "limit"):
+            bench.ask("$X")
+            scope = Scope(board)
+            moving(bench, feed)
+            board.run(seconds=phase)
+            if what == "0x18":
+                heard = bench.host.send(b"\x18")
+            else:
+                heard = board.now
+                board.drive(bench.wiring.limits[0], 0)
+            after = len(bench.host.text)
+            board.run(seconds=0.01)
+            if board.now <= heard:
+                raise Failure("the stop was not heard in time")
+            rising = [step.at for step in scope.steps()]
+            if not rising:
+                raise Failure("nothing moved before the stop")
+            late = max(0.0, (rising[-1] - heard) / hz)
+            worst[what] = max(worst[what], late)
+            if what == "0x18":
+                bench.wait_text("Grbl 1.1h", 0.5, after)
+            else:
+                bench.wait_text("ALARM:1", 0.5, after)
+                board.drive(bench.wiring.limits[0], None)
+                bench.host.send(b"\x18")
+                bench.wait_text("Grbl 1.1h", 0.5, after)
+            bench.at_rest(0.02)
+            place = float(bench.status().split("MPos:")[1].split(",")[0])
+            counted = sum(scope.counts())
+            if abs(place * 1000 - counted - bench.__dict__.setdefault("origin", 0)) > 0.5:
+                raise Failure(f"{what}: reported X{place}, {counted} pulses since X{bench.origin / 1000}")
+            bench.origin = round(place * 1000)
+            if late > allowed[what]:
+                raise Failure(f"{what} at F{feed}: pulses for another {us(late)}, allowed {us(allowed[what])}")
+    for what, late in worst.items():
+        yield f"{what:>5}: pulses end at most {us(late)} after it is heard, allowed {us(allowed[what])}; places as reported"
+
+
+def settings_write(bench):
+    """Settings written and sectors erased while lines keep coming: each byte is answered for; all survives a power cycle."""
+    bench.boot()
+    board, host = bench.board, bench.host
+    before, operations = len(host.answers), board.flash.operations
+    lines = [f"${130 + k % 3}={200 + k}.5" if k % 2 else "G4P0" for k in range(80)]
+    bench.forget_masks()
+    host.stream("\n".join(lines))
+    bench.wait(lambda: host.all_answered, 20, "the last answer")
+    board.run(seconds=0.5)
+    answers = host.answers[before:]
+    if answers != ["ok"] * len(lines) or board.usart.overruns or host.has_said("lost"):
+        raise Failure(f"{answers.count('ok')} of {len(lines)} answered ok, {board.usart.overruns} overruns: {answers}")
+    mask, where = bench.longest_mask()
+    yield f"{len(lines)} lines, {board.flash.operations - operations} flash operations, no byte lost; longest time masked {us(mask)} ({where})"
+    shown = bench.ask("$$")
+    board.request_reset(None, "power")
+    host.text.clear()
+    bench.wait_text("Grbl 1.1h", 1)
+    again = bench.ask("$$")
+    keep = lambda text: [line for line in text if line.startswith("$")]
+    if keep(shown) != keep(again):
+        raise Failure("settings changed over a reset")
+    yield f"{len(keep(again))} settings unchanged after a reset"
+
+
+def power_cut(bench):
+    """The power fails at each of the flash operations of a settings write: old or new, never anything else."""
+    bench.boot()
+    board = bench.board
+    bench.ask("$130=321.5")
+    start = board.flash.operations
+    bench.ask("$130=654.25")
+    needed = board.flash.operations - start
+    if needed == 0:
+        raise Failure("nothing was written")
+    seen = []
+    for cut in range(needed + 1):
+        bench.boot()
+        bench.ask("$130=321.5")
+        board = bench.board
+        board.operations_left = cut
+        bench.host.send("$130=654.25\n")
+        board.run(seconds=0.1)
+        flash = board.read_memory(board.part.flash_start, board.part.flash_kib * 1024)
+        board = bench.fresh()
+        board.write_memory(board.part.flash_start, flash)
+        bench.wait_text("Grbl 1.1h", 2)
+        value = next(line for line in bench.ask("$$") if line.startswith("$130=")).split("=")[1]
+        if float(value) not in (321.5, 654.25):
+            raise Failure(f"power cut before operation {cut} of {needed}: $130={value}")
+        seen.append(float(value))
+    if sorted(seen) != seen or seen[0] != 321.5 or seen[-1] != 654.25:
+        raise Failure(f"values over the cuts: {seen}")
+    yield f"{needed} operations in a write: cut after 0 to {needed} of them, {seen.count(321.5)} times the old value, then the new"
+
+
+def hung(bench):
+    """The control task never comes back: the watchdog resets the chip, outputs are safe, the cause is told."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    if not board.iwdg.started:
+        raise NotYet("this firmware starts no watchdog")
+    fast(bench, 1000)
+    bench.ask("M3 S1000")
+    moving(bench)
+    hang(bench)
+    begin = board.now
+    bench.wait(lambda: board.resets, 5, "a watchdog reset")
+    cycle, why = board.resets[0]
+    bench.wait_text("Grbl 1.1h", 2, len(bench.host.text))
+    if board.level(wiring.spindle) != 0 or duty(board):
+        raise Failure("the spindle is on after the reset")
+    if not any("atchdog" in line for _, line in bench.host.lines):
+        raise Failure(f"the cause is not told: {bench.host.lines[-3:]}")
+    yield f"reset by the {why} {(cycle - begin) / wiring.core_hz * 1e3:.0f} ms after the task hung"
+
+
+def hang(bench):
+    """From now on the control task's body is an endless loop."""
+    address = control_body(bench.image)
+    bench.board.write_memory(address, b"\xfe\xe7")  # b .
+    bench.board.core.forget_decoded()
+    bench.board.core.uc.ctl_remove_cache(address, address + 4)
+
+
+def control_body(image):
+    names = [name for _, _, name in image.functions if "control7Control" in name and ("4turn" in name or "4pass" in name)]
+    if not names:
+        raise Failure("the image has no function of the control task to hang")
+    return next(start for start, _, name in image.functions if name == names[0])
+
+
+def faulted(bench):
+    """An undefined instruction in the control task, in full motion with the spindle on: everything safe at once."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    fast(bench, 1000)
+    bench.ask("M3 S1000")
+    bench.ask("M8")
+    moving(bench)
+    if board.level(wiring.spindle) != 1 or not duty(board) or board.level(wiring.flood) != 1:
+        raise Failure("spindle and coolant are not on")
+    scope = Scope(board)
+    address = control_body(bench.image)
+    board.write_memory(address, b"\x00\xde")  # udf
+    board.core.forget_decoded()
+    board.core.uc.ctl_remove_cache(address, address + 4)
+    board.faults_expected = True
+    board.run(seconds=0.05)
+    if not board.faults:
+        raise Failure("the fault did not happen")
+    at = board.faults[0][0]
+    rising = [step.at for step in scope.steps()]
+    late = max(0, max(rising, default=0) - at) / wiring.core_hz
+    off = next((cycle for cycle, port, pin, level in board.edges if f"{port}{pin}" == wiring.spindle and cycle >= at and level == 0), None)
+    if off is None or board.level(wiring.flood) != 0 or duty(board):
+        raise Failure("spindle, beam or coolant stay on after a fault")
+    stuck = [name for name in wiring.step if board.level(name) != 0]
+    if late > STOP_S or stuck:
+        raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
+    yield f"HardFault: spindle off after {us((off - at) / wiring.core_hz)}, last rising edge after {us(late)}, coolant and PWM off"
+
+
+KNOWN = {
+    ("nucleo_f446re", "safe rate"): "the pause after a pulse and two interrupts make 220 kHz 168 kHz",
+    ("nucleo_f446re", "tight pulses"): "the pause is counted from the late end of the pulse: 100 kHz are not reached",
+    ("blackpill_f411", "tight pulses"): "the pause is counted from the late end of the pulse: 100 kHz are not reached",
+    ("blackpill_f411", "hard start"): "segments of 50 us at the start are used up faster than they are prepared",
+}
+"""Faults of the firmware that are known, by board and case: shown, and no failure."""
+
+
+class NotYet(Exception):
+    """The firmware does not have it; not a failure and not a pass."""
+
+
+def all_cases(root):
+    jobs = root / "tests" / "jobs"
+    return [
+        ("boot", boot),
+        ("stream axes.nc", lambda bench: streamed(bench, jobs / "axes.nc")),
+        ("stream lines.nc", lambda bench: streamed(bench, jobs / "lines.nc")),
+        ("pulses", pulses),
+        ("safe rate", safe_rate),
+        ("tight pulses", tight),
+        ("hard start", hard_start),
+        ("turns", turns),
+        ("hold", hold),
+        ("stops", stops),
+        ("settings write", settings_write),
+        ("power cut", power_cut),
+        ("fault", faulted),
+        ("hung control task", hung),
+    ]

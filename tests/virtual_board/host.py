@@ -1,0 +1,78 @@
+"""The sender at the other end of the serial line: 8N1, bytes back to back, character counting."""
+
+from collections import deque
+
+WINDOW = 127
+"""Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows."""
+
+
+class Host:
+    """Bytes with their times, both ways."""
+
+    def __init__(self, board, baud=115_200):
+        self.board, self.baud = board, baud
+        self.outgoing = deque()
+        self.free_at = 0
+        """Core cycle at which the line can take the next byte."""
+        self.text = bytearray()
+        """All that came from the board."""
+        self.lines = []
+        """(core cycle of its end, text) of each complete line."""
+        self._line = bytearray()
+        self._job, self._pending = deque(), deque()
+        self.answers = []
+        self.bytes_sent = 0
+        board.usart.wire = self
+
+    # The model of the USART calls these.
+
+    def next_byte(self):
+        return self.outgoing[0] if self.outgoing else None
+
+    def taken(self):
+        self.outgoing.popleft()
+
+    def sent(self, byte, cycle):
+        self.text.append(byte)
+        self._line.append(byte)
+        if byte == 0x0A:
+            line = self._line.decode("latin1").rstrip("\r\n")
+            self._line.clear()
+            self.lines.append((cycle, line))
+            if line == "ok" or line.startswith("error"):
+                self.answers.append(line)
+                if self._pending:
+                    self._pending.popleft()
+                self._feed()
+
+    # For the cases.
+
+    def send(self, data, at=None):
+        """Puts bytes on the line behind those already there. Gives the cycle at which the last one can be read."""
+        board = self.board
+        bit = board.clocks[-1][2] / self.baud
+        for byte in data if isinstance(data, bytes) else data.encode():
+            start = max(self.free_at, at if at is not None else board.now)
+            self.free_at = start + 10 * bit
+            self.outgoing.append((round(start + 9.5 * bit), byte))
+            self.bytes_sent += 1
+        board.usart.listen()
+        return self.outgoing[-1][0] if self.outgoing else board.now
+
+    def stream(self, text):
+        """Begins to send a job by character counting."""
+        self._job.extend(line.encode() + b"\n" for line in text.splitlines())
+        self._feed()
+
+    def _feed(self):
+        while self._job and sum(self._pending) + len(self._job[0]) <= WINDOW:
+            line = self._job.popleft()
+            self._pending.append(len(line))
+            self.send(line)
+
+    @property
+    def all_answered(self):
+        return not self._job and not self._pending
+
+    def has_said(self, text, after=0):
+        return text.encode() in self.text[after:]

@@ -1,0 +1,46 @@
+"""Power controller (RM0390 chapter 5, RM0383 chapter 5).
+
+Modelled: voltage scaling with the core clock that each scale carries, over-drive of the STM32F446, both ready at once.
+Not modelled: sleep modes, the voltage detector (its bits fail), regulator modes.
+"""
+
+from .peripheral import Misuse, Peripheral
+
+CR, CSR = 0x00, 0x04
+VOS, ODEN, ODSWEN = 3 << 14, 1 << 16, 1 << 17
+
+
+class Pwr(Peripheral):
+    REGISTERS = {CR: ("CR", 0, VOS | 1 << 8), CSR: ("CSR", 0, 0)}
+    CLOCK = (0x40, 28)
+
+    def reset(self):
+        super().reset()
+        self.values[CR] = self.board.part.pwr_cr_reset
+
+    def row(self, offset):
+        name, value, modelled = super().row(offset)
+        if offset == CR and self.board.part.over_drive_hz:
+            modelled |= ODEN | ODSWEN
+        return name, value, modelled
+
+    def read(self, offset):
+        value = super().read(offset)
+        if offset == CSR:
+            cr = self.values[CR]
+            return 1 << 14 | (cr & ODEN) | (cr & ODSWEN)
+        return value
+
+    def write(self, offset, value):
+        if offset == CR and value & ODSWEN and not self.values[CR] & ODEN:
+            raise Misuse("PWR_CR: ODSWEN before over-drive is ready")
+        if offset == CR and (value ^ self.values[CR]) & VOS and self.board.rcc.values[0] >> 24 & 1:
+            raise Misuse("PWR_CR: VOS is changed while the PLL is on")
+        super().write(offset, value)
+
+    def limit(self):
+        """Greatest core clock that the core's supply carries now."""
+        part, cr = self.board.part, self.values[CR]
+        if part.over_drive_hz and cr & ODEN and cr & ODSWEN:
+            return part.over_drive_hz
+        return part.scale_hz[(cr & VOS) >> 14]

@@ -1,0 +1,132 @@
+"""Reset and clock control (RM0390 chapter 6, RM0383 chapter 6).
+
+Modelled: HSI, HSE (crystal or bypass, as the board has it: with the wrong one it never becomes ready), the main PLL with
+its limits, the system clock and the bus prescalers with their limits, peripheral clock enables and resets, LSI, the
+reset flags. Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
+Not modelled: the other PLLs, clock security, MCO, RTC and the backup domain, low-power clock enables, start-up times.
+"""
+
+from .peripheral import Misuse, Peripheral
+
+CR, PLLCFGR, CFGR, CIR = 0x00, 0x04, 0x08, 0x0C
+AHB1RSTR, APB1RSTR, APB2RSTR = 0x10, 0x20, 0x24
+AHB1ENR, APB1ENR, APB2ENR = 0x30, 0x40, 0x44
+CSR, DCKCFGR = 0x74, 0x8C
+
+HSI_HZ = 16_000_000
+LSI_HZ = 32_000
+
+SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
+
+
+class Rcc(Peripheral):
+    REGISTERS = {
+        CR: ("CR", 0x81, 0x0105_0001),
+        PLLCFGR: ("PLLCFGR", 0x2400_3010, 0x7F43_7FFF),
+        CFGR: ("CFGR", 0, 0x0000_FCF3),
+        AHB1RSTR: ("AHB1RSTR", 0, 0x0060_109F),
+        APB1RSTR: ("APB1RSTR", 0, 0x1002_000F),
+        APB2RSTR: ("APB2RSTR", 0, 0x0000_4010),
+        AHB1ENR: ("AHB1ENR", 0, 0x0060_109F),
+        APB1ENR: ("APB1ENR", 0, 0x1002_000F),
+        APB2ENR: ("APB2ENR", 0, 0x0000_4010),
+        CSR: ("CSR", 0x0E00_0000, 0x0100_0001),
+        DCKCFGR: ("DCKCFGR", 0, 0x0100_0000),
+    }
+
+    def __init__(self, name, board):
+        self.flags = POWER_ON_RESET
+        super().__init__(name, board)
+
+    def reset(self):
+        super().reset()
+        self.values[CSR] = self.flags
+        self.hclk, self.pclk1, self.pclk2 = HSI_HZ, HSI_HZ, HSI_HZ
+
+    def note_reset(self, flags):
+        """The cause of the reset that comes next; the flags add up until RMVF clears them."""
+        self.flags = self.values[CSR] & 0xFE00_0000 | flags
+
+    def read(self, offset):
+        value = super().read(offset)
+        if offset == CR:
+            ready = (value & 1) << 1
+            if value >> 16 & 1 and bool(value >> 18 & 1) == self.board.wiring.hse_bypass:
+                ready |= 1 << 17
+            if value >> 24 & 1:
+                ready |= 1 << 25
+            return value & ~0x0202_0002 | ready
+        if offset == CFGR:
+            return value & ~0xC | (value & 3) << 2
+        if offset == CSR:
+            return value & ~2 | (value & 1) << 1
+        return value
+
+    def write(self, offset, value):
+        if offset == CR:
+            # Ready bits and calibration are read-only; PLL and oscillators must not go while they are in use.
+            value &= 0x010D_00F9
+            if self.values[CFGR] & 3 == 2 and not value >> 24 & 1:
+                raise Misuse("RCC_CR: the PLL is switched off while it is the system clock")
+        if offset == PLLCFGR and self.values[CR] >> 24 & 1:
+            raise Misuse("RCC_PLLCFGR is written while the PLL is on")
+        if offset == CFGR:
+            value &= ~0xC
+        if offset == CSR:
+            flags = 0 if value >> 24 & 1 else self.values[CSR] & 0xFE00_0000
+            self.values[CSR] = flags | value & 1
+            return
+        super().write(offset, value)
+        if offset in (AHB1RSTR, APB1RSTR, APB2RSTR):
+            for peripheral in self.board.peripherals.values():
+                if peripheral.CLOCK and peripheral.CLOCK[0] - 0x20 == offset and value >> peripheral.CLOCK[1] & 1:
+                    peripheral.reset()
+                    self.board.replan()
+        if offset == CFGR or offset == DCKCFGR:
+            self._clocks()
+
+    def timer_clock(self, bus_clock):
+        """Clock of the timers of a bus: twice the bus clock if that is divided; TIMPRE makes it the core's, up to 4."""
+        divider = self.hclk // bus_clock
+        if self.values[DCKCFGR] >> 24 & 1:
+            return self.hclk if divider <= 4 else 4 * bus_clock
+        return bus_clock if divider == 1 else 2 * bus_clock
+
+    def pll_hz(self):
+        part, value = self.board.part, self.values[PLLCFGR]
+        source = self.board.wiring.hse_hz if value >> 22 & 1 else HSI_HZ
+        m, n, p = value & 63, value >> 6 & 511, 2 * ((value >> 16 & 3) + 1)
+        vco_in = source // m if m >= 2 else 0
+        if not 950_000 <= vco_in <= 2_100_000 or not 50 <= n <= 432:
+            raise Misuse(f"RCC_PLLCFGR {value:#010x}: input of {vco_in} Hz, times {n}")
+        vco = source * n // m
+        if not 100_000_000 <= vco <= 432_000_000 or vco // p > part.core_hz:
+            raise Misuse(f"RCC_PLLCFGR {value:#010x}: oscillator at {vco} Hz, output {vco // p} Hz")
+        return vco // p
+
+    def _clocks(self):
+        value = self.values[CFGR]
+        source = value & 3
+        if source == 0:
+            system = HSI_HZ
+        elif source == 1:
+            if not self.read(CR) >> 17 & 1:
+                return
+            system = self.board.wiring.hse_hz
+        elif source == 2:
+            uses_hse = self.values[PLLCFGR] >> 22 & 1
+            if not self.read(CR) >> 25 & 1 or uses_hse and not self.read(CR) >> 17 & 1:
+                raise Misuse("RCC_CFGR: the PLL is chosen and is not ready")
+            system = self.pll_hz()
+        else:
+            raise Misuse("RCC_CFGR: SW = 3 is not allowed on these parts")
+        ahb, apb1, apb2 = value >> 4 & 15, value >> 10 & 7, value >> 13 & 7
+        hclk = system // (1 if ahb < 8 else (2, 4, 8, 16, 64, 128, 256, 512)[ahb - 8])
+        pclk1, pclk2 = hclk >> max(0, apb1 - 3), hclk >> max(0, apb2 - 3)
+        part = self.board.part
+        if hclk > part.core_hz or pclk1 > part.apb1_hz or pclk2 > part.apb2_hz:
+            raise Misuse(f"clocks beyond the part's limits: core {hclk}, APB1 {pclk1}, APB2 {pclk2} Hz")
+        self.board.check_supply(hclk)
+        if (hclk, pclk1, pclk2) != (self.hclk, self.pclk1, self.pclk2):
+            self.board.change_clock(hclk)
+            self.hclk, self.pclk1, self.pclk2 = hclk, pclk1, pclk2

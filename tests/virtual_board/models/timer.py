@@ -1,0 +1,167 @@
+"""General-purpose timers TIM2, TIM3, TIM5 (RM0390 chapter 17, RM0383 chapter 13).
+
+Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
+1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
+writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output.
+Not modelled: capture, slave and one-pulse mode, preload of compare registers, DMA, counting down, edges of PWM outputs.
+"""
+
+from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+
+CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
+CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
+COMPARE = (CCR1, CCR2, CCR3, CCR4)
+
+
+class Timer(Peripheral):
+    REGISTERS = {
+        CR1: ("CR1", 0, 1),
+        DIER: ("DIER", 0, 0x1F),
+        SR: ("SR", 0, 0x1F),
+        EGR: ("EGR", 0, 0x1F),
+        CCMR1: ("CCMR1", 0, 0x7070),
+        CCMR2: ("CCMR2", 0, 0x7070),
+        CCER: ("CCER", 0, 0x3333),
+        CNT: ("CNT", 0, 0xFFFF_FFFF),
+        PSC: ("PSC", 0, 0xFFFF),
+        ARR: ("ARR", 0xFFFF_FFFF, 0xFFFF_FFFF),
+        CCR1: ("CCR1", 0, 0xFFFF_FFFF),
+        CCR2: ("CCR2", 0, 0xFFFF_FFFF),
+        CCR3: ("CCR3", 0, 0xFFFF_FFFF),
+        CCR4: ("CCR4", 0, 0xFFFF_FFFF),
+    }
+
+    def __init__(self, name, board, bit, irq, wide):
+        self.CLOCK = (0x40, bit)
+        self.irq = irq
+        self.top = 0xFFFF_FFFF if wide else 0xFFFF
+        super().__init__(name, board)
+
+    def reset(self):
+        super().reset()
+        self.values[ARR] = self.top
+        self.since = 0
+        """Core cycle at which the counter was `began`."""
+        self.began = 0
+        self.prescaler = 0
+        self.cycles = 1
+        """Core cycles in a count."""
+        self.matched = [NEVER] * 5
+        """Cycle of the next event of each flag of SR."""
+
+    @property
+    def running(self):
+        return self.values[CR1] & 1
+
+    def count(self, now=None):
+        """The counter, brought up to date; `began` and `since` may be of an earlier round."""
+        if not self.running:
+            return self.began
+        counts = ((self.board.now if now is None else now) - self.since) // self.cycles
+        return (self.began + counts) % (self.values[ARR] + 1)
+
+    def _hold(self, value=None):
+        """Starts to count anew from here; the fraction of a count is kept."""
+        now = self.board.now
+        if value is None:
+            value = self.count(now)
+            self.since = now - (now - self.since) % self.cycles if self.running else now
+        else:
+            self.since = now
+        self.began = value
+
+    def _take_prescaler(self):
+        rcc = self.board.rcc
+        clock = rcc.timer_clock(rcc.pclk1)
+        cycles, rest = divmod(rcc.hclk, clock)
+        if rest:
+            raise Unmodelled(f"{self.name}: its clock {clock} does not divide the core's {rcc.hclk}")
+        self.cycles = cycles * (self.prescaler + 1)
+
+    def clock_changed(self):
+        if self.running:
+            raise Unmodelled(f"{self.name} runs while clocks change")
+
+    def read(self, offset):
+        if offset == CNT:
+            return self.count()
+        if offset == EGR:
+            return 0
+        return super().read(offset)
+
+    def write(self, offset, value):
+        if offset == SR:
+            self.values[SR] &= value | ~0x1F
+            self._call()
+            return
+        if offset == EGR:
+            self.row(offset)
+            if value & ~0x1F:
+                raise Unmodelled(f"{self.name}_EGR {value:#x}")
+            if value & 1:
+                self.prescaler = self.values[PSC]
+                self._take_prescaler()
+                self._hold(0)
+                self._schedule()
+            self.values[SR] |= value
+            self._call()
+            return
+        if value & ~self.top and offset in (CNT, ARR) + COMPARE:
+            raise Misuse(f"{self.name} has 16 bits: {value:#x}")
+        before = self.running
+        if offset == CNT:
+            self._hold(value)
+        elif offset in (CR1, ARR):
+            self._hold()
+        super().write(offset, value)
+        if offset == CR1 and not before and self.running:
+            self._take_prescaler()
+            self.since = self.board.now
+        if offset == DIER:
+            self._call()
+        if offset in (CR1, CNT, ARR):
+            self._schedule()
+        elif offset in COMPARE:
+            self._schedule_flag(COMPARE.index(offset) + 1, self.board.now)
+            self._plan()
+
+    def _call(self):
+        self.board.nvic.level(self.irq, bool(self.values[SR] & self.values[DIER] & 0x1F))
+
+    def _schedule_flag(self, flag, now):
+        """When the counter next arrives at a value, after this moment."""
+        if not self.running:
+            self.matched[flag] = NEVER
+            return
+        goal = 0 if flag == 0 else self.values[COMPARE[flag - 1]]
+        period = self.values[ARR] + 1
+        if goal >= period:
+            self.matched[flag] = NEVER
+            return
+        counts = (now - self.since) // self.cycles
+        missing = (goal - self.began - counts) % period or period
+        self.matched[flag] = self.since + (counts + missing) * self.cycles
+
+    def _schedule(self):
+        for flag in range(5):
+            self._schedule_flag(flag, self.board.now)
+        self._plan()
+
+    def _plan(self):
+        # Only what may interrupt has to be on time; other flags are brought up to date with it.
+        self.plan(min(self.matched))
+
+    def advance(self, now):
+        for flag, at in enumerate(self.matched):
+            if at <= now:
+                self.values[SR] |= 1 << flag
+                self._schedule_flag(flag, at)
+        self._call()
+        self._plan()
+
+    def duty(self, channel):
+        """Share of the time that a PWM output is high, 0 to 1; None if the channel is not a PWM output."""
+        mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> (8 * ((channel - 1) & 1)) + 4 & 7
+        if mode != 6 or not self.values[CCER] >> 4 * (channel - 1) & 1 or not self.running:
+            return None
+        return min(1.0, self.values[COMPARE[channel - 1]] / (self.values[ARR] + 1))

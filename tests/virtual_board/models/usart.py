@@ -1,0 +1,154 @@
+"""USART (RM0390 chapter 25, RM0383 chapter 19), 8 bits, no parity, one stop bit, 16-fold oversampling.
+
+Modelled: baud rate from BRR against the sender's (more than 2.5 % apart fails), a byte becomes readable in the middle of its stop
+bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
+and shift register with the time of each frame, interrupt enables, DMA requests of the receiver.
+Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous and LIN modes, noise and framing errors, IDLE as an interrupt.
+"""
+
+from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+
+SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
+ORE, IDLE, RXNE, TC, TXE = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
+RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
+DMAR = 1 << 6
+
+
+class Usart(Peripheral):
+    REGISTERS = {
+        SR: ("SR", TC | TXE, 0x3FF),
+        DR: ("DR", 0, 0x1FF),
+        BRR: ("BRR", 0, 0xFFFF),
+        CR1: ("CR1", 0, RE | TE | RXNEIE | TCIE | TXEIE | UE),
+        CR2: ("CR2", 0, 0),
+        CR3: ("CR3", 0, DMAR),
+    }
+
+    def __init__(self, name, board, base, clock, irq, bus):
+        self.base = base
+        self.CLOCK = clock
+        self.irq = irq
+        self.bus = bus
+        self.wire = None
+        """What hangs on the line: `next_byte()` gives (core cycle of the middle of its stop bit, byte) or None, `taken()`, `sent(byte, cycle)`."""
+        super().__init__(name, board)
+
+    def reset(self):
+        super().reset()
+        self.received = 0
+        self.seen = 0
+        """Flags that the last read of SR saw: a read of DR clears those."""
+        self.waiting = None
+        self.shifting = None
+        self.shift_ends = NEVER
+        self.overruns = 0
+
+    def clock_changed(self):
+        if self.values[CR1] & UE:
+            raise Unmodelled(f"{self.name} is on while clocks change")
+
+    def bit_cycles(self):
+        """Core cycles in a bit."""
+        rcc = self.board.rcc
+        return self.values[BRR] * (rcc.hclk // getattr(rcc, self.bus))
+
+    def baud(self):
+        return getattr(self.board.rcc, self.bus) / self.values[BRR]
+
+    def read(self, offset):
+        value = super().read(offset)
+        if offset == SR:
+            self.seen = value
+        if offset == DR:
+            self.values[SR] &= ~RXNE
+            if self.seen & (ORE | IDLE):
+                self.values[SR] &= ~(self.seen & (ORE | IDLE))
+            self.seen = 0
+            self._call()
+            return self.received
+        return value
+
+    def write(self, offset, value):
+        if offset == SR:
+            # RXNE and TC may be cleared by writing 0.
+            self.values[SR] &= value | ~(RXNE | TC)
+            self._call()
+            return
+        if offset == DR:
+            if not self.values[CR1] & TE or not self.values[CR1] & UE:
+                raise Misuse(f"{self.name}_DR is written while the transmitter is off")
+            if not self.values[SR] & TXE:
+                raise Misuse(f"{self.name}_DR is written while it is full: a byte is lost")
+            self.values[SR] &= ~(TXE | TC)
+            self.waiting = value & 0xFF
+            if self.shifting is None:
+                self._shift(self.board.now)
+            self._call()
+            return
+        super().write(offset, value)
+        if offset == CR3:
+            self._ask_dma()
+        if offset in (CR1, BRR, CR3):
+            self._call()
+            self.listen()
+
+    def _shift(self, now):
+        self.shifting, self.waiting = self.waiting, None
+        self.shift_ends = now + 10 * self.bit_cycles()
+        self.values[SR] |= TXE
+        self._plan()
+
+    def listen(self):
+        """The wire has something new, or the receiver has changed."""
+        self._plan()
+
+    @property
+    def hears(self):
+        return self.values[CR1] & (UE | RE) == UE | RE
+
+    def _plan(self):
+        due = self.shift_ends
+        arriving = self.wire.next_byte() if self.wire else None
+        if arriving:
+            due = min(due, arriving[0])
+        self.plan(due)
+
+    def advance(self, now):
+        if self.shift_ends <= now:
+            ended, byte = self.shift_ends, self.shifting
+            self.shifting, self.shift_ends = None, NEVER
+            if self.waiting is not None:
+                self._shift(ended)
+            else:
+                self.values[SR] |= TC
+            if self.wire:
+                self.wire.sent(byte, ended)
+        while self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
+            self.wire.taken()
+            if self.hears:
+                self._receive(arriving[1])
+        self._call()
+        self._plan()
+
+    def _receive(self, byte):
+        if abs(self.wire.baud / self.baud() - 1) > 0.025:
+            raise Misuse(f"{self.name} listens at {self.baud():.0f} baud to {self.wire.baud} baud")
+        if self.values[SR] & RXNE:
+            self.values[SR] |= ORE
+            self.overruns += 1
+        else:
+            self.received = byte
+            self.values[SR] |= RXNE
+            # The interrupt sees RXNE even if a DMA stream fetches the byte a moment later.
+            self._call()
+            self._ask_dma()
+
+    def _ask_dma(self):
+        if self.values[CR3] & DMAR and self.values[SR] & RXNE:
+            if any(dma.request(self.name, self.base + DR, self.received) for dma in self.board.dma):
+                self.values[SR] &= ~RXNE
+
+    def _call(self):
+        sr, cr = self.values[SR], self.values[CR1]
+        wants = sr & (RXNE | ORE) and cr & RXNEIE or sr & TXE and cr & TXEIE or sr & TC and cr & TCIE
+        self.board.nvic.level(self.irq, bool(wants))

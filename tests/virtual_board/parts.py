@@ -1,0 +1,90 @@
+"""What the parts and the boards are, written down a second time from data sheets and from the drawings in boards/: the
+emulation must not learn its pins from the code that it checks."""
+
+from dataclasses import dataclass, field
+
+MHZ = 1_000_000
+
+
+@dataclass(frozen=True)
+class Part:
+    """An STM32F4."""
+
+    name: str
+    core_hz: int
+    apb1_hz: int
+    apb2_hz: int
+    wait_states: tuple
+    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V."""
+    scale_hz: dict
+    """Greatest core clock by VOS."""
+    over_drive_hz: int
+    """Greatest core clock with over-drive; 0 where there is none."""
+    pwr_cr_reset: int
+    interrupts: int
+    flash_kib: int = 512
+    ram_kib: int = 128
+    flash_start: int = 0x0800_0000
+    ram_start: int = 0x2000_0000
+
+    def sector(self, number):
+        """Address and size of a flash sector: 4 of 16 KiB, one of 64, the rest of 128."""
+        sizes = [16] * 4 + [64] + [128] * ((self.flash_kib - 128) // 128)
+        return self.flash_start + 1024 * sum(sizes[:number]), 1024 * sizes[number]
+
+
+STM32F411 = Part(
+    "STM32F411CE", 100 * MHZ, 50 * MHZ, 100 * MHZ,
+    wait_states=(30 * MHZ, 64 * MHZ, 90 * MHZ, 100 * MHZ),
+    scale_hz={1: 64 * MHZ, 2: 84 * MHZ, 3: 100 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=86,
+)  # fmt: skip
+STM32F446 = Part(
+    "STM32F446RE", 180 * MHZ, 45 * MHZ, 90 * MHZ,
+    wait_states=tuple(n * 30 * MHZ for n in range(1, 7)),
+    scale_hz={1: 120 * MHZ, 2: 144 * MHZ, 3: 168 * MHZ}, over_drive_hz=180 * MHZ, pwr_cr_reset=0xC000, interrupts=97,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """A board: its crystal, and which pin does what."""
+
+    name: str
+    part: Part
+    hse_hz: int
+    hse_bypass: bool
+    core_hz: int
+    step: tuple
+    direction: tuple
+    limits: tuple
+    enable: str
+    spindle: str
+    spindle_direction: str
+    flood: str
+    mist: str
+    pwm: str
+    probe: str
+    door: str
+    hold: str
+    start: str
+    reset: str
+    usart: str
+    safe_step_hz: int
+    step_irq: int = 28
+    extra: dict = field(default_factory=dict)
+
+
+BLACKPILL_F411 = Wiring(
+    "blackpill_f411", STM32F411, 25 * MHZ, False, 96 * MHZ,
+    step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
+    enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
+    probe="B15", door="B7", hold="B5", start="B6", reset="B4", usart="USART1", safe_step_hz=120_000,
+)  # fmt: skip
+NUCLEO_F446RE = Wiring(
+    "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
+    step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
+    enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
+    probe="C0", door="C3", hold="A1", start="A4", reset="A0", usart="USART2", safe_step_hz=220_000,
+)  # fmt: skip
+
+BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, NUCLEO_F446RE)}

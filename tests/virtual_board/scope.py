@@ -1,0 +1,87 @@
+"""Reads the step outputs from the recorded edges: pulses, steps, and what the data sheets of drivers ask of them."""
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Step:
+    """Edges of the step outputs that belong to one step event: two ports are written one after the other."""
+
+    at: int
+    """Core cycle of the first rising edge."""
+    axes: int
+    """Bit 0 for X."""
+    negative: int
+    """Direction outputs of these axes at the rising edge."""
+
+
+class Scope:
+    """Follows the step and direction outputs of a board from now on."""
+
+    TOGETHER_S = 0.5e-6
+    """Rising edges closer than this are one step event."""
+
+    def __init__(self, board):
+        self.board = board
+        wiring = board.wiring
+        self.step_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.step)}
+        self.direction_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.direction)}
+        self.first = len(board.edges)
+        self.levels = [board.shown(name) == 1 for name in wiring.direction]
+        """Direction outputs where the record begins."""
+
+    def read(self):
+        """Everything since the scope was made: steps, pulse widths in s, direction set-up times in s, hold times in s."""
+        board = self.board
+        hz = board.clocks[-1][2]
+        together = self.TOGETHER_S * hz
+        negative = sum(1 << axis for axis, level in enumerate(self.levels) if level)
+        steps, widths, setups, holds = [], [], [], []
+        risen, changed, last_rise = {}, {}, {}
+        for at, port, pin, level in board.edges[self.first :]:
+            axis = self.step_pins.get((port, pin))
+            if axis is not None:
+                if level == 1:
+                    risen[axis] = at
+                    last_rise[axis] = at
+                    if steps and at - steps[-1].at <= together and not steps[-1].axes >> axis & 1:
+                        steps[-1].axes |= 1 << axis
+                        steps[-1].negative |= negative & 1 << axis
+                    else:
+                        steps.append(Step(at, 1 << axis, negative & 1 << axis))
+                    if axis in changed:
+                        setups.append((at - changed.pop(axis)) / hz)
+                elif level == 0 and axis in risen:
+                    widths.append((at - risen.pop(axis)) / hz)
+            axis = self.direction_pins.get((port, pin))
+            if axis is not None and level in (0, 1):
+                negative = negative & ~(1 << axis) | level << axis
+                changed[axis] = at
+                if axis in last_rise:
+                    holds.append((at - last_rise[axis]) / hz)
+        return steps, widths, setups, holds
+
+    def steps(self):
+        return self.read()[0]
+
+    def counts(self, axes=3):
+        net = [0] * axes
+        for step in self.steps():
+            for axis in range(axes):
+                if step.axes >> axis & 1:
+                    net[axis] += -1 if step.negative >> axis & 1 else 1
+        return net
+
+
+def steady(steps, hz, period_s, ramp):
+    """Steps at a nominal period, those of the two ramps left out: how far periods are off at most, and how far the last
+    step is from where it would be if no error added up, in s."""
+    times = [step.at / hz for step in steps[ramp : len(steps) - ramp]]
+    periods = [b - a for a, b in zip(times, times[1:])]
+    if len(periods) < 20:
+        return None
+    return {
+        "steps": len(times),
+        "period_error": max(abs(p - period_s) for p in periods),
+        "drift": abs(times[-1] - times[0] - len(periods) * period_s),
+    }

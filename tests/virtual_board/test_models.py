@@ -1,0 +1,507 @@
+"""Each model against register traces worked out by hand from the reference manuals; no image, no processor.
+
+Run by `cargo xtask virtual` before the boards.
+"""
+
+import unittest
+from types import SimpleNamespace
+
+from .models import dma, flash, gpio, iwdg, nvic, pwr, rcc, timer, usart
+from .models.peripheral import NEVER, Misuse, Unmodelled
+from .parts import BLACKPILL_F411, NUCLEO_F446RE
+
+
+class Bench:
+    """As much of a board as a model sees; time is set by hand."""
+
+    def __init__(self, wiring=BLACKPILL_F411, hclk=96_000_000, pclk1=48_000_000):
+        self.wiring, self.part = wiring, wiring.part
+        self.now = 0
+        self.memory = {}
+        self.edges, self.lines, self.resets, self.clock = [], {}, [], 16_000_000
+        self.peripherals = {}
+        self.nvic = SimpleNamespace(level=lambda irq, up: self.lines.__setitem__(irq, up))
+        self.rcc = SimpleNamespace(
+            hclk=hclk, pclk1=pclk1, pclk2=hclk, values={0: 0}, timer_clock=lambda bus: bus if bus == hclk else 2 * bus
+        )
+        self.dma = []
+        self.stalled = 0.0
+        self.limit = 1 << 40
+        self.hz = hclk
+
+    def replan(self):
+        pass
+
+    look = replan
+
+    def edge(self, port, pin, level):
+        self.edges.append((self.now, port, pin, level))
+
+    def cycles(self, seconds):
+        return round(seconds * self.hz)
+
+    def change_clock(self, hz):
+        self.clock = hz
+
+    def check_supply(self, hclk):
+        if hclk > self.limit:
+            raise Misuse("supply")
+
+    def power_left(self, _):
+        return True
+
+    def stall(self, seconds):
+        self.stalled += seconds
+
+    def write_memory(self, address, data):
+        for k, byte in enumerate(data):
+            self.memory[address + k] = byte
+
+    def read_memory(self, address, size):
+        return bytes(self.memory.get(address + k, 0xFF) for k in range(size))
+
+    def request_reset(self, flags, why):
+        self.resets.append((self.now, flags, why))
+
+    def until(self, model, cycle):
+        """Lets time pass as the board does."""
+        while model.due <= cycle:
+            self.now = model.due
+            model.advance(self.now)
+        self.now = cycle
+
+
+class GpioTraces(unittest.TestCase):
+    def test_output_by_bsrr_and_odr(self):
+        bench = Bench()
+        port = gpio.Gpio("GPIOA", bench)
+        # After reset PA13 to PA15 belong to the debug port (MODER 0xA800_0000), all else are inputs.
+        self.assertEqual(bench.edges, [(0, "A", 13, "AF"), (0, "A", 14, "AF"), (0, "A", 15, "AF")])
+        bench.edges.clear()
+        bench.now = 5
+        port.write(gpio.BSRR, 1 << 3)
+        self.assertEqual(bench.edges, [], "an input does not show ODR")
+        port.write(gpio.MODER, 0xA800_0000 | 1 << 6)
+        bench.now = 7
+        # Bit 3 both set and reset: setting wins, so nothing changes; then bit 19 resets it.
+        port.write(gpio.BSRR, 1 << 3 | 1 << 19)
+        bench.now = 9
+        port.write(gpio.BSRR, 1 << 19)
+        port.write(gpio.ODR, 0x0008)
+        self.assertEqual(bench.edges, [(5, "A", 3, 1), (9, "A", 3, 0), (9, "A", 3, 1)])
+        self.assertEqual(port.read(gpio.BSRR), 0)
+        self.assertEqual(port.read(gpio.IDR) & 8, 8)
+
+    def test_inputs_pulls_and_open_drain(self):
+        bench = Bench()
+        port = gpio.Gpio("GPIOC", bench)
+        # PC0 pulled up, PC1 pulled down, PC2 floating, PC3 driven low against its pull-up.
+        port.write(gpio.PUPDR, 0b01_00_10_01)
+        port.drive(3, 0)
+        self.assertEqual(port.read(gpio.IDR) & 0b1011, 0b0001)
+        self.assertEqual(port.level(2), None)
+        # Open drain: a 1 lets go, the pull-up decides; a 0 drives.
+        port.write(gpio.OTYPER, 1)
+        port.write(gpio.MODER, 1)
+        self.assertEqual(port.level(0), 0)
+        port.write(gpio.BSRR, 1)
+        self.assertEqual((port.shown[0], port.level(0)), (None, 1))
+        # AFRL holds four bits a pin: function 7 on PC1.
+        port.write(gpio.MODER, 0b10_00)
+        port.write(gpio.AFRL, 7 << 4)
+        self.assertEqual((port.function(1), port.function(0)), (7, None))
+        with self.assertRaises(Unmodelled):
+            port.write(0x1C, 0)
+
+
+class RccTraces(unittest.TestCase):
+    def test_96_mhz_from_a_25_mhz_crystal(self):
+        bench = Bench()
+        model = rcc.Rcc("RCC", bench)
+        bench.rcc = model
+        self.assertEqual(model.read(rcc.CR) & 3, 3, "HSI is on and ready after reset")
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 16)
+        self.assertTrue(model.read(rcc.CR) >> 17 & 1)
+        # 25 MHz / 25 * 192 / 2 = 96 MHz: M = 25, N = 192, P = 0 (2), source HSE, Q = 4.
+        model.write(rcc.PLLCFGR, 25 | 192 << 6 | 1 << 22 | 4 << 24 | 2 << 28)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
+        with self.assertRaises(Misuse):
+            model.write(rcc.PLLCFGR, 0)
+        # APB1 divided by 2 (0b100), then the PLL as system clock.
+        model.write(rcc.CFGR, 0b100 << 10)
+        self.assertEqual((model.hclk, model.pclk1), (16_000_000, 8_000_000))
+        model.write(rcc.CFGR, 0b100 << 10 | 2)
+        self.assertEqual((model.hclk, model.pclk1, model.pclk2), (96_000_000, 48_000_000, 96_000_000))
+        self.assertEqual(model.read(rcc.CFGR) >> 2 & 3, 2)
+        # Timers of a divided bus run at twice its clock.
+        self.assertEqual(model.timer_clock(model.pclk1), 96_000_000)
+        with self.assertRaises(Misuse):
+            model.write(rcc.CR, model.read(rcc.CR) & ~(1 << 24))
+
+    def test_bypass_limits_and_reset_flags(self):
+        bench = Bench(NUCLEO_F446RE)
+        model = rcc.Rcc("RCC", bench)
+        # The Nucleo has no crystal: without HSEBYP (bit 18) the oscillator never becomes ready.
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 16)
+        self.assertFalse(model.read(rcc.CR) >> 17 & 1)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 18)
+        self.assertTrue(model.read(rcc.CR) >> 17 & 1)
+        # 8 MHz / 4 * 180 / 2 = 180 MHz, but APB1 undivided is beyond its 45 MHz.
+        model.write(rcc.PLLCFGR, 4 | 180 << 6 | 1 << 22 | 8 << 24 | 2 << 28)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
+        with self.assertRaises(Misuse):
+            model.write(rcc.CFGR, 2)
+        model.write(rcc.CFGR, 0b101 << 10 | 0b100 << 13 | 2)
+        self.assertEqual((model.hclk, model.pclk1, model.pclk2), (180_000_000, 45_000_000, 90_000_000))
+        # Power-on sets PORRSTF, PINRSTF, BORRSTF; a watchdog reset adds IWDGRSTF (bit 29); RMVF clears all.
+        self.assertEqual(model.read(rcc.CSR) >> 24, 0x0E)
+        model.note_reset(rcc.WATCHDOG_RESET)
+        model.reset()
+        self.assertEqual(model.read(rcc.CSR) >> 24, 0x2E)
+        model.write(rcc.CSR, 1 << 24)
+        self.assertEqual(model.read(rcc.CSR) >> 24, 0)
+
+
+class PwrTraces(unittest.TestCase):
+    def test_f411_wakes_up_for_84_mhz(self):
+        model = pwr.Pwr("PWR", Bench(BLACKPILL_F411))
+        self.assertEqual((model.read(pwr.CR), model.limit()), (0x8000, 84_000_000))
+        model.write(pwr.CR, 0xC000)
+        self.assertEqual(model.limit(), 100_000_000)
+        with self.assertRaises(Unmodelled):
+            model.write(pwr.CR, 0xC000 | 1 << 16)
+
+    def test_f446_over_drive_comes_in_two_steps(self):
+        bench = Bench(NUCLEO_F446RE)
+        model = pwr.Pwr("PWR", bench)
+        self.assertEqual(model.limit(), 168_000_000)
+        with self.assertRaises(Misuse):
+            model.write(pwr.CR, 0xC000 | 1 << 17)
+        model.write(pwr.CR, 0xC000 | 1 << 16)
+        self.assertEqual((model.read(pwr.CSR) >> 16 & 3, model.limit()), (1, 168_000_000))
+        model.write(pwr.CR, 0xC000 | 3 << 16)
+        self.assertEqual((model.read(pwr.CSR) >> 16 & 3, model.limit()), (3, 180_000_000))
+        bench.rcc.values[0] = 1 << 24
+        with self.assertRaises(Misuse):
+            model.write(pwr.CR, 0x8000 | 3 << 16)
+
+
+class FlashTraces(unittest.TestCase):
+    def unlocked(self, bench):
+        model = flash.Flash("FLASH", bench)
+        model.write(flash.KEYR, 0x4567_0123)
+        self.assertEqual(model.read(flash.CR), 1 << 31)
+        model.write(flash.KEYR, 0xCDEF_89AB)
+        self.assertEqual(model.read(flash.CR), 0)
+        return model
+
+    def test_program_words(self):
+        bench = Bench()
+        with self.assertRaises(Misuse):
+            flash.Flash("FLASH", bench).write(flash.CR, 1)
+        model = self.unlocked(bench)
+        model.write(flash.CR, 1 | 2 << 8)
+        model.program(0x0800_4000, 4, 0xFFFF_00F0)
+        model.program(0x0800_4000, 4, 0x1234_FFFF)
+        # Bits only go from 1 to 0.
+        self.assertEqual(bench.read_memory(0x0800_4000, 4), (0x1234_00F0).to_bytes(4, "little"))
+        self.assertAlmostEqual(bench.stalled, 32e-6)
+        self.assertEqual(model.read(flash.SR), 1)
+        model.write(flash.SR, 1)
+        self.assertEqual(model.read(flash.SR), 0)
+        with self.assertRaises(Misuse):
+            model.program(0x0800_4004, 1, 0)
+        self.assertEqual(model.read(flash.SR), 1 << 6)
+        model.write(flash.CR, 1 << 31)
+        with self.assertRaises(Misuse):
+            model.program(0x0800_4004, 4, 0)
+
+    def test_erase_a_sector(self):
+        bench = Bench()
+        model = self.unlocked(bench)
+        bench.write_memory(0x0800_7FFC, b"\0" * 8)
+        # SER, sector 1, x32, then STRT: 0x0800_4000 to 0x0800_7FFF, 250 ms.
+        model.write(flash.CR, 1 << 1 | 1 << 3 | 2 << 8)
+        model.write(flash.CR, 1 << 1 | 1 << 3 | 2 << 8 | 1 << 16)
+        self.assertEqual(bench.read_memory(0x0800_7FFC, 8), b"\xff\xff\xff\xff\0\0\0\0")
+        self.assertAlmostEqual(bench.stalled, 0.25)
+        self.assertEqual(model.read(flash.CR) >> 16 & 1, 0)
+        with self.assertRaises(Misuse):
+            model.write(flash.KEYR, 1)
+
+    def test_wait_states(self):
+        # 96 MHz need 3 wait states on the F411 (90 MHz is the limit of 2).
+        bench = Bench()
+        model = flash.Flash("FLASH", bench)
+        with self.assertRaises(Misuse):
+            model.write(flash.ACR, 2)
+        model.write(flash.ACR, 3 | 7 << 8)
+        self.assertEqual(model.read(flash.ACR), 0x703)
+
+
+class TimerTraces(unittest.TestCase):
+    def fresh(self, bench, wide=True):
+        return timer.Timer("TIM2", bench, 0, 28, wide)
+
+    def test_compare_flag_and_interrupt(self):
+        # 180 MHz core, timer at 90 MHz: a count takes two cycles.
+        bench = Bench(NUCLEO_F446RE, 180_000_000, 45_000_000)
+        model = self.fresh(bench)
+        model.write(timer.CR1, 1)
+        model.write(timer.CCR1, 100)
+        model.write(timer.DIER, 2)
+        bench.until(model, 199)
+        self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 2, bench.lines.get(28)), (99, 0, False))
+        bench.until(model, 200)
+        self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 2, bench.lines[28]), (100, 2, True))
+        # Flags are cleared by 0; ones leave them. Channel 2 was at 0 all the time and matches at a wrap only.
+        model.write(timer.SR, 0xFFFF_FFFD)
+        self.assertEqual((model.read(timer.SR), bench.lines[28]), (0, False))
+        # Written to where the counter is: no match before it comes round again; EGR sets the flag instead.
+        model.write(timer.CCR1, 100)
+        bench.until(model, 1000)
+        self.assertEqual(model.read(timer.SR) & 2, 0)
+        model.write(timer.EGR, 2)
+        self.assertEqual((model.read(timer.SR) & 2, bench.lines[28]), (2, True))
+
+    def test_prescaler_waits_for_an_update_and_the_counter_wraps(self):
+        bench = Bench()
+        model = self.fresh(bench, wide=False)
+        model.write(timer.PSC, 95)
+        model.write(timer.ARR, 9)
+        model.write(timer.CR1, 1)
+        bench.until(model, 5)
+        self.assertEqual(model.read(timer.CNT), 5, "the new prescaler is not taken yet")
+        model.write(timer.EGR, 1)
+        self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (0, 1))
+        model.write(timer.SR, 0)
+        # 96 cycles a count, ten counts a round: UIF at 5 + 960.
+        bench.until(model, 5 + 959)
+        self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (9, 0))
+        bench.until(model, 5 + 960)
+        self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (0, 1))
+        # Stopped, it keeps its count.
+        bench.until(model, 5 + 960 + 3 * 96)
+        model.write(timer.CR1, 0)
+        bench.until(model, 5000)
+        self.assertEqual(model.read(timer.CNT), 3)
+        with self.assertRaises(Misuse):
+            model.write(timer.CCR1, 0x1_0000)
+
+    def test_pwm_duty(self):
+        bench = Bench()
+        model = self.fresh(bench, wide=False)
+        model.write(timer.ARR, 19_199)
+        model.write(timer.CCMR1, 0b110 << 12)
+        model.write(timer.CCR2, 4_800)
+        model.write(timer.CR1, 1)
+        self.assertIsNone(model.duty(2), "the output is not enabled")
+        model.write(timer.CCER, 1 << 4)
+        self.assertEqual(model.duty(2), 0.25)
+        model.write(timer.CCR2, 19_200)
+        self.assertEqual(model.duty(2), 1.0)
+
+
+class Wire:
+    """Bytes with their times for a USART."""
+
+    def __init__(self, arriving=(), baud=115_200):
+        self.arriving, self.baud, self.heard = list(arriving), baud, []
+
+    def next_byte(self):
+        return self.arriving[0] if self.arriving else None
+
+    def taken(self):
+        self.arriving.pop(0)
+
+    def sent(self, byte, cycle):
+        self.heard.append((cycle, byte))
+
+
+class UsartTraces(unittest.TestCase):
+    ON = usart.UE | usart.RE | usart.TE
+
+    def fresh(self, bench, wire):
+        model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
+        model.wire = wire
+        # 96 MHz / 833 = 115246 baud: 833 cycles a bit.
+        model.write(usart.BRR, 833)
+        return model
+
+    def test_overrun(self):
+        bench = Bench()
+        wire = Wire([(1000, 0x41), (9330, 0x42), (17_660, 0x43)])
+        model = self.fresh(bench, wire)
+        model.write(usart.CR1, self.ON | usart.RXNEIE)
+        bench.until(model, 1000)
+        self.assertEqual((model.read(usart.SR), bench.lines[37]), (0xE0, True))
+        # Not read in time: the second byte is lost, the first is still there, ORE is set.
+        bench.until(model, 9330)
+        self.assertEqual(model.read(usart.SR), 0xE8)
+        self.assertEqual(model.read(usart.DR), 0x41)
+        # SR was read before DR: ORE and RXNE are gone.
+        self.assertEqual((model.read(usart.SR), bench.lines[37], model.overruns), (0xC0, False, 1))
+        bench.until(model, 17_660)
+        self.assertEqual(model.read(usart.DR), 0x43)
+
+    def test_transmission_is_paced(self):
+        bench = Bench()
+        wire = Wire()
+        model = self.fresh(bench, wire)
+        model.write(usart.CR1, self.ON)
+        model.write(usart.DR, 0x55)
+        # It goes on into the shift register at once: TXE again, TC not.
+        self.assertEqual(model.read(usart.SR), usart.TXE)
+        model.write(usart.DR, 0xAA)
+        self.assertEqual(model.read(usart.SR), 0)
+        with self.assertRaises(Misuse):
+            model.write(usart.DR, 0)
+        bench.until(model, 8330)
+        self.assertEqual((wire.heard, model.read(usart.SR)), ([(8330, 0x55)], usart.TXE))
+        bench.until(model, 16_660)
+        self.assertEqual((wire.heard[-1], model.read(usart.SR)), ((16_660, 0xAA), usart.TXE | usart.TC))
+
+    def test_wrong_baud_rate(self):
+        bench = Bench()
+        model = self.fresh(bench, Wire([(1000, 0x41)], baud=9600))
+        model.write(usart.CR1, self.ON)
+        with self.assertRaises(Misuse):
+            bench.until(model, 1000)
+
+
+class DmaTraces(unittest.TestCase):
+    def receiving(self, count):
+        bench = Bench()
+        model = dma.Dma("DMA2", bench, 22)
+        bench.dma = [model]
+        base = 0x10 + 0x18 * 2
+        model.write(base + dma.PAR, 0x4001_1004)
+        model.write(base + dma.M0AR, 0x2000_0100)
+        model.write(base + dma.NDTR, count)
+        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+        port = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
+        port.wire = Wire([(1000 + 8330 * k, 0x30 + k) for k in range(3)])
+        port.write(usart.BRR, 833)
+        port.write(usart.CR3, usart.DMAR)
+        port.write(usart.CR1, UsartTraces.ON)
+        bench.until(port, 30_000)
+        return bench, model, base, port
+
+    def test_bytes_go_to_memory(self):
+        bench, model, base, port = self.receiving(8)
+        self.assertEqual(bench.read_memory(0x2000_0100, 4), b"012\xff")
+        self.assertEqual((model.read(base + dma.NDTR), model.read(base + dma.CR) & 1), (5, 1))
+        self.assertEqual(port.overruns, 0)
+        with self.assertRaises(Misuse):
+            model.write(base + dma.NDTR, 1)
+
+    def test_the_end_of_a_transfer(self):
+        bench, model, base, port = self.receiving(2)
+        # Stream 2: its flags stand at bit 16, TCIF is the sixth. The third byte stays in the USART.
+        self.assertEqual((model.read(dma.LISR), model.read(base + dma.CR) & 1), (1 << 21, 0))
+        self.assertEqual((bench.read_memory(0x2000_0100, 3), port.read(usart.DR)), (b"01\xff", 0x32))
+        with self.assertRaises(Misuse):
+            model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+        model.write(dma.LIFCR, 0x3D << 16)
+        model.write(base + dma.NDTR, 1)
+        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+
+
+class IwdgTraces(unittest.TestCase):
+    def test_starves(self):
+        bench = Bench()
+        model = iwdg.Iwdg("IWDG", bench)
+        self.assertEqual(model.due, NEVER)
+        model.write(iwdg.KR, 0x5555)
+        # Divided by 32 (PR = 3) and 1000 counts: one second.
+        model.write(iwdg.PR, 3)
+        model.write(iwdg.RLR, 999)
+        model.write(iwdg.KR, 0xCCCC)
+        bench.until(model, 95_999_999)
+        self.assertEqual(bench.resets, [])
+        bench.now = model.due
+        model.advance(bench.now)
+        self.assertEqual(bench.resets, [(96_000_000, rcc.WATCHDOG_RESET, "independent watchdog")])
+
+    def test_fed_and_keys(self):
+        bench = Bench()
+        model = iwdg.Iwdg("IWDG", bench)
+        with self.assertRaises(Misuse):
+            model.write(iwdg.RLR, 10)
+        # After reset: divided by 4, 4096 counts: 512 ms.
+        model.write(iwdg.KR, 0xCCCC)
+        self.assertEqual(model.due, 49_152_000)
+        bench.now = 40_000_000
+        model.write(iwdg.KR, 0xAAAA)
+        self.assertEqual(model.due, 89_152_000)
+        with self.assertRaises(Misuse):
+            model.write(iwdg.KR, 0x1234)
+
+
+class NvicTraces(unittest.TestCase):
+    def fresh(self):
+        bench = Bench()
+        bench.part = SimpleNamespace(flash_start=0x0800_0000)
+        return bench, nvic.Nvic(bench, 86)
+
+    def test_preemption_and_tail(self):
+        _, model = self.fresh()
+        # Interrupt 28 at 0xC0, interrupt 37 at 0xD0; both enabled in ISER0 and ISER1.
+        model.write(nvic.IPR + 28, 0xC0)
+        model.write_byte(nvic.IPR + 37, 0xDF)
+        self.assertEqual(model.read(nvic.IPR + 36) >> 8 & 0xFF, 0xD0, "four bits are there")
+        model.write(nvic.ISER, 1 << 28)
+        model.write(nvic.ISER + 4, 1 << 5)
+        model.level(37, True)
+        self.assertEqual(model.takeable(0, 0), (16 + 37, False))
+        model.begin(16 + 37)
+        model.level(28, True)
+        self.assertEqual(model.takeable(0, 0), (16 + 28, False), "the more urgent one preempts")
+        self.assertEqual(model.takeable(1, 0), (None, True), "PRIMASK keeps it back")
+        self.assertEqual(model.takeable(0, 0xC0), (None, True), "BASEPRI of its own priority too")
+        model.begin(16 + 28)
+        model.level(28, False)
+        self.assertEqual(model.end(), 16 + 28)
+        # Its line has fallen: done. The other's line is still up at its end: it pends again.
+        self.assertEqual(model.takeable(0, 0), (None, False))
+        self.assertEqual(model.end(), 16 + 37)
+        self.assertEqual(model.takeable(0, 0), (16 + 37, False))
+
+    def test_equal_priority_and_software(self):
+        _, model = self.fresh()
+        model.write(nvic.ISER, 1 << 29 | 1 << 28)
+        model.write(nvic.ISPR, 1 << 29 | 1 << 28)
+        # Equal priority: the lower number first, and no preemption among them.
+        self.assertEqual(model.takeable(0, 0)[0], 16 + 28)
+        model.begin(16 + 28)
+        self.assertEqual(model.takeable(0, 0), (None, False))
+        model.write(nvic.ICPR, 1 << 29)
+        model.end()
+        self.assertEqual(model.takeable(0, 0), (None, False))
+        model.write(nvic.ICER, 1 << 28)
+        model.write(nvic.ISPR, 1 << 28)
+        self.assertEqual(model.takeable(0, 0), (None, False), "pending and not enabled")
+        with self.assertRaises(Unmodelled):
+            model.read(0xF00)
+
+    def test_systick(self):
+        bench, model = self.fresh()
+        # Reload 99 from the core clock: first zero after 1 + 99 cycles, then every 100.
+        model.write(nvic.RVR, 99)
+        model.write(nvic.CVR, 0)
+        model.write(nvic.CSR, 7)
+        bench.until(model, 99)
+        self.assertEqual((model.read(nvic.CVR), model.pending), (1, set()))
+        bench.until(model, 100)
+        self.assertEqual(model.pending, {nvic.SYSTICK})
+        self.assertEqual(model.read(nvic.CSR), 7 | 1 << 16)
+        self.assertEqual(model.read(nvic.CSR), 7, "COUNTFLAG is cleared by reading")
+        model.pending.clear()
+        bench.until(model, 199)
+        self.assertEqual(model.pending, set())
+        bench.until(model, 200)
+        self.assertEqual(model.pending, {nvic.SYSTICK})
+
+
+if __name__ == "__main__":
+    unittest.main()
