@@ -270,7 +270,7 @@ fn motion_settings() -> MotionSettings<3> {
     }
 }
 
-type Planner = Motion<3, 200>;
+type Planner = Motion<3, 150>;
 
 #[unsafe(no_mangle)]
 #[inline(never)]
