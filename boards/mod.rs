@@ -10,7 +10,8 @@
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
 //! | `BACK_PRESSURE` | whether a byte that is not fetched waits (true) or is overwritten by the next (false) |
 //! | `setup(device) -> Parts` | everything below, set up once; outputs are off |
-//! | `StepTimer` | free-running counter at the step clock with two compare moments: next tick, end of pulse |
+//! | `StepTimer`, `Due` | free-running counter at the step clock with three moments: next tick, end of pulse, some time after it |
+//! | `call_step()` | calls the step task from any task |
 //! | `StepPins` | step and direction outputs and the spindle's PWM |
 //! | `SerialPort` | the link to the host |
 //! | `InputPins` | limit switches, probe, buttons, as they are now |
@@ -31,6 +32,9 @@ pub mod profiles;
 #[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
 #[path = "stm32f4.rs"]
 mod stm32f4;
+#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
+#[path = "stm32f4_step.rs"]
+mod stm32f4_step;
 
 #[cfg(feature = "blackpill_f411")]
 #[path = "blackpill_f411/mod.rs"]

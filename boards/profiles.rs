@@ -34,15 +34,17 @@ pub const DESK: Board = Board {
     received_bytes: 255,
 };
 
-/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate leaves
-/// 800 CPU cycles for a tick: the worst takes 366 instructions in emulation, some 600 cycles with entry and flash.
+/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
+/// `cargo xtask count` gives 411 cycles for the worst tick, 350 for the fetching of a message after it and 25 for the
+/// longest masked time; with 24 for each entry and 1.3 for flash wait states they take 1085 cycles, and half of the CPU at
+/// the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 120_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 88_000, ..DESK };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate leaves 818 CPU cycles
-/// for a tick, of which the worst takes some 600.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
+/// more for a second port: 1091 cycles.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 220_000, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 164_000, ..DESK };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };

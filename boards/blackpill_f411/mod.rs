@@ -51,9 +51,10 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepPins, StepTimer, Watchdog, clock_ticks, idle, job_done, preloaded_job,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
     reset_cause, restart, safe_state,
 };
+pub use super::stm32f4_step::Due;
 use super::{profiles, stm32f4};
 pub use stm32f4xx_hal::pac;
 
@@ -74,8 +75,10 @@ pub const BACK_PRESSURE: bool = false;
 
 /// The link to the host.
 pub type SerialPort = stm32f4::Usart<pac::USART1>;
+/// Step pins on one port, direction pins too.
+pub type StepPins = stm32f4::StepPins<1, 1>;
 /// What [`setup`] deals out.
-pub type Parts = stm32f4::Parts<pac::USART1>;
+pub type Parts = stm32f4::Parts<pac::USART1, 1, 1>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
@@ -105,7 +108,7 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         b.pb4.into_pull_up_input().erase(),
     ]);
     let _pwm = a.pa7.into_alternate::<2>();
-    let step_pins = StepPins::new(
+    let step_pins = stm32f4::step_pins(
         [
             a.pa1.into_push_pull_output().speed(Speed::Medium).erase(),
             a.pa2.into_push_pull_output().speed(Speed::Medium).erase(),
@@ -128,7 +131,7 @@ pub fn setup(device: pac::Peripherals) -> Parts {
     let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
-        step_timer: StepTimer::new(device.TIM2, &mut rcc),
+        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
         step_pins,
         serial: SerialPort::new(tx, rx),
         inputs,

@@ -54,9 +54,10 @@ use stm32f4xx_hal::{
 };
 
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepPins, StepTimer, Watchdog, clock_ticks, idle, job_done, preloaded_job,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
     reset_cause, restart, safe_state,
 };
+pub use super::stm32f4_step::Due;
 use super::{profiles, stm32f4};
 pub use stm32f4xx_hal::pac;
 
@@ -77,8 +78,10 @@ pub const BACK_PRESSURE: bool = false;
 
 /// The link to the host.
 pub type SerialPort = stm32f4::Usart<pac::USART2>;
+/// Step pins on two ports, direction pins too.
+pub type StepPins = stm32f4::StepPins<2, 2>;
 /// What [`setup`] deals out.
-pub type Parts = stm32f4::Parts<pac::USART2>;
+pub type Parts = stm32f4::Parts<pac::USART2, 2, 2>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals) -> Parts {
@@ -106,7 +109,7 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         a.pa0.into_pull_up_input().erase(),
     ]);
     let _pwm = a.pa7.into_alternate::<2>();
-    let step_pins = StepPins::new(
+    let step_pins = stm32f4::step_pins(
         [
             a.pa10.into_push_pull_output().speed(Speed::Medium).erase(),
             b.pb3.into_push_pull_output().speed(Speed::Medium).erase(),
@@ -129,7 +132,7 @@ pub fn setup(device: pac::Peripherals) -> Parts {
     let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
-        step_timer: StepTimer::new(device.TIM2, &mut rcc),
+        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
         step_pins,
         serial: SerialPort::new(tx, rx),
         inputs,

@@ -8,7 +8,7 @@
 //!   │          `s`: the stack; `R` resets the machine;  │
 //!   │          `P` `F` `C` `H`: panic, fault, control   │
 //!   │          hangs, everything hangs                  │
-//!   │ TIMER0 ─ next tick and end of pulse               │
+//!   │ TIMER0 ─ next tick, end of pulse, settling        │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
 //!   │ SSRAM    in place of flash, settings sectors too  │
@@ -84,7 +84,7 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
     // another vector.
     unsafe { NVIC::unmask(Interrupt::UART0_TX) };
     Parts {
-        step_timer: StepTimer { timer: device.TIMER0, tick: None, pulse_end: None },
+        step_timer: StepTimer { timer: device.TIMER0, moments: [None; 3], next_tick: 0 },
         step_pins: StepPins,
         serial: SerialPort(device.UART0),
         inputs: InputPins,
@@ -113,71 +113,118 @@ pub fn clock_ticks() -> u32 {
     u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
 }
 
-/// Two moments on one timer: it is set for the nearer.
+/// What the step task has been called for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Due(u8);
+
+impl Due {
+    /// The next tick.
+    pub const TICK: Due = Due(1);
+    /// The end of a pulse.
+    pub const PULSE_END: Due = Due(2);
+    /// Some time after the end of a pulse.
+    pub const SETTLED: Due = Due(4);
+    /// Another task has called.
+    pub const CALLED: Due = Due(8);
+
+    /// Whether `what` is among it.
+    pub fn has(self, what: Due) -> bool {
+        self.0 & what.0 != 0
+    }
+}
+
+/// A call of the step task that waits.
+static CALLED: AtomicBool = AtomicBool::new(false);
+
+/// Calls the step task, from any task.
+pub fn call_step() {
+    StepTimer::call();
+}
+
+/// Three moments on one timer: it is set for the nearest.
 pub struct StepTimer {
     timer: Timer0,
-    tick: Option<u32>,
-    pulse_end: Option<u32>,
+    /// Of tick, end of pulse, settling.
+    moments: [Option<u32>; 3],
+    /// Moment of the next tick, also once it has come.
+    next_tick: u32,
 }
 
 impl StepTimer {
+    const TICK: usize = 0;
+    const PULSE_END: usize = 1;
+    const SETTLED: usize = 2;
+
     /// The step clock.
-    #[inline(always)]
     pub fn now(&self) -> u32 {
         clock_ticks()
     }
 
-    /// Calls the step task at a moment; at once if the moment is over.
+    /// What is due, once each.
+    pub fn take(&mut self) -> Due {
+        let now = self.now();
+        let mut due = if CALLED.swap(false, Ordering::Relaxed) { Due::CALLED.0 } else { 0 };
+        for (moment, flag) in self.moments.iter_mut().zip([Due::TICK, Due::PULSE_END, Due::SETTLED]) {
+            if moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0) {
+                *moment = None;
+                due |= flag.0;
+            }
+        }
+        // After a tick comes the next one, which sets the timer anew.
+        if due & Due::TICK.0 == 0 {
+            self.arm();
+        }
+        Due(due)
+    }
+
+    /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
+    pub fn next_tick_at(&mut self, when: u32) {
+        self.tick_at(when);
+    }
+
+    /// The moment of the next tick.
+    pub fn next_tick(&self) -> u32 {
+        self.next_tick
+    }
+
+    /// Calls the step task for a tick at a moment, instead of another one that may already have come.
     pub fn tick_at(&mut self, when: u32) {
-        self.tick = Some(when);
-        self.arm();
+        self.next_tick = when;
+        self.set(Self::TICK, Some(when));
     }
 
     /// No more ticks.
     pub fn tick_off(&mut self) {
-        self.tick = None;
-        self.arm();
-    }
-
-    /// Whether the moment of [`StepTimer::tick_at`] has come; true once.
-    pub fn take_tick(&mut self) -> bool {
-        let due = self.over(self.tick);
-        if due {
-            self.tick = None;
-        }
-        due
+        self.set(Self::TICK, None);
     }
 
     /// Calls the step task at the end of a pulse.
     pub fn pulse_end_at(&mut self, when: u32) {
-        self.pulse_end = Some(when);
+        self.set(Self::PULSE_END, Some(when));
+    }
+
+    /// Calls the step task at a moment, independent of ticks.
+    pub fn settled_at(&mut self, when: u32) {
+        self.set(Self::SETTLED, Some(when));
+    }
+
+    /// Calls the step task, from any task.
+    pub fn call() {
+        CALLED.store(true, Ordering::Relaxed);
+        NVIC::pend(Interrupt::TIMER0);
+    }
+
+    fn set(&mut self, which: usize, moment: Option<u32>) {
+        self.moments[which] = moment;
         self.arm();
-    }
-
-    /// Whether the moment of [`StepTimer::pulse_end_at`] has come; true once.
-    pub fn take_pulse_end(&mut self) -> bool {
-        let due = self.over(self.pulse_end);
-        if due {
-            self.pulse_end = None;
-            self.arm();
-        }
-        due
-    }
-
-    fn over(&self, moment: Option<u32>) -> bool {
-        moment.is_some_and(|when| self.now().wrapping_sub(when) as i32 >= 0)
     }
 
     fn arm(&mut self) {
         self.timer.set_control(0);
         self.timer.clear_interrupts(1);
         let now = self.now();
-        let left = |moment: Option<u32>| moment.map(|when| (when.wrapping_sub(now) as i32).max(0) as u32);
-        let nearest = match (left(self.tick), left(self.pulse_end)) {
-            (Some(a), Some(b)) => a.min(b),
-            (Some(a), None) | (None, Some(a)) => a,
-            (None, None) => return,
-        };
+        let left = |moment: &Option<u32>| moment.map(|when| (when.wrapping_sub(now) as i32).max(0) as u32);
+        let Some(nearest) = self.moments.iter().filter_map(left).min() else { return };
         if nearest == 0 {
             NVIC::pend(Interrupt::TIMER0);
             return;

@@ -10,6 +10,24 @@ pub const DECIMAL_PLACES: u32 = 7;
 /// 10 to the power of [`DECIMAL_PLACES`].
 pub const DECIMAL_ONE: i64 = 10_000_000;
 
+/// `value` / [`DECIMAL_ONE`], rounded down: what the division gives, in a fifth of the time. This processor divides 32 bits
+/// only, and multiplies 32 by 32 bits in one instruction.
+pub(crate) const fn ones(value: u64) -> u64 {
+    /// 10^7 = 2^7 × 5^7.
+    const ODD: u32 = 78_125;
+    /// 2^48 / 5^7, rounded down.
+    const INVERSE: u64 = (1 << 48) / ODD as u64;
+    let halved = value >> 7;
+    let high = halved >> 16;
+    if high > u32::MAX as u64 {
+        return value / DECIMAL_ONE as u64;
+    }
+    // Each of the three roundings loses less than one.
+    let estimate = (high * INVERSE) >> 32;
+    let rest = (halved as u32).wrapping_sub((estimate as u32).wrapping_mul(ODD));
+    estimate + (rest / ODD) as u64
+}
+
 /// A moment of the controller's clock, in microseconds since power-up.
 pub type Instant = fugit::Instant<u64, 1, 1_000_000>;
 /// A span of the controller's clock, in microseconds.
@@ -37,13 +55,12 @@ impl Decimal {
 
     /// The whole part, cut towards zero, kept within `i32`.
     pub const fn truncate(self) -> i32 {
-        let whole = self.0 / DECIMAL_ONE;
-        if whole > i32::MAX as i64 {
-            i32::MAX
-        } else if whole < i32::MIN as i64 {
-            i32::MIN
-        } else {
-            whole as i32
+        let whole = ones(self.0.unsigned_abs());
+        let whole = if whole > i32::MAX as u64 { i32::MAX } else { whole as i32 };
+        match (self.0 < 0, whole) {
+            (false, _) => whole,
+            (true, i32::MAX) if self.0 / DECIMAL_ONE < -(i32::MAX as i64) => i32::MIN,
+            (true, _) => -whole,
         }
     }
 }
@@ -162,13 +179,16 @@ impl StepsPerMm {
 
     /// The step nearest to a coordinate (a half goes away from zero).
     pub fn steps(self, coordinate: Coordinate) -> i32 {
-        // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57).
-        let product = coordinate.0.saturating_mul(i64::from(self.mantissa));
-        let divisor = DECIMAL_ONE << self.shift;
-        let half = divisor / 2;
-        let rounded = if product < 0 { product.saturating_sub(half) } else { product.saturating_add(half) };
-        let steps = rounded / divisor;
-        steps.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+        // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57), and what is cut
+        // off by the shift has no part in the quotient.
+        let product = coordinate.0.unsigned_abs().saturating_mul(u64::from(self.mantissa)).min(i64::MAX as u64);
+        let half = (DECIMAL_ONE as u64 / 2) << self.shift;
+        let steps = ones(product.saturating_add(half).min(i64::MAX as u64) >> self.shift);
+        match (coordinate.0 < 0, i32::try_from(steps)) {
+            (false, steps) => steps.unwrap_or(i32::MAX),
+            (true, Ok(steps)) => -steps,
+            (true, Err(_)) => i32::MIN,
+        }
     }
 
     /// The coordinate nearest to a step.
@@ -193,4 +213,53 @@ pub fn per_second(per_minute: f32) -> f32 {
 /// mm/s to mm/min for a report.
 pub fn per_minute(per_second: f32) -> f32 {
     per_second * 60.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The step nearest to a coordinate, by the division that the fast way stands for.
+    fn divided(scale: StepsPerMm, coordinate: Coordinate) -> i32 {
+        let product = coordinate.0.saturating_mul(i64::from(scale.mantissa));
+        let divisor = DECIMAL_ONE << scale.shift;
+        let half = divisor / 2;
+        let rounded = if product < 0 { product.saturating_sub(half) } else { product.saturating_add(half) };
+        (rounded / divisor).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+    }
+
+    proptest! {
+        #[test]
+        fn ones_are_the_quotient(value: u64, bits in 0_u32..64) {
+            for value in [value >> bits, (value >> bits) / 10_000_000 * 10_000_000] {
+                for value in [value.saturating_sub(1), value, value.saturating_add(1)] {
+                    prop_assert_eq!(ones(value), value / 10_000_000);
+                }
+            }
+        }
+
+        #[test]
+        fn steps_are_those_of_the_division(place: i64, bits in 0_u32..40, scale in 0.001_f32..40_000.0, fine in 0.001_f32..2.0) {
+            for scale in [scale, fine, scale.trunc().max(1.0)] {
+                let scale = StepsPerMm::new(scale).unwrap();
+                let coordinate = Coordinate(place >> (24 + bits % 40));
+                prop_assert_eq!(scale.steps(coordinate), divided(scale, coordinate));
+                prop_assert_eq!(scale.steps(Coordinate(place)), divided(scale, Coordinate(place)));
+                // Where a step changes: just below, at, and above the middle between two.
+                let near = scale.coordinate(scale.steps(coordinate));
+                for off in -2..=2 {
+                    let half = Coordinate(near.0 + (5.0e6 / f64::from(scale.to_f32())) as i64 + off);
+                    prop_assert_eq!(scale.steps(half), divided(scale, half));
+                }
+            }
+        }
+
+        #[test]
+        fn truncated_as_by_division(value: i64, bits in 0_u32..63) {
+            let value = value >> bits;
+            let whole = (value / DECIMAL_ONE).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32;
+            prop_assert_eq!(Decimal(value).truncate(), whole);
+        }
+    }
 }

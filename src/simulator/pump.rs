@@ -701,9 +701,11 @@ impl Simulator {
     fn look_at_probe(&mut self) -> bool {
         // The step task looks at the pin itself and not at what the filter has let pass.
         let touched = (self.hand.probe || self.fittings.touches()) != self.wiring.is_some_and(|w| w.probe_invert);
-        let event = self.stepper.probe(touched);
-        self.step_events.extend(event);
-        event.is_some()
+        let first = self.stepper.probe(touched);
+        if first {
+            self.step_events.extend([self.stepper.probed_event()]);
+        }
+        first
     }
 
     /// Stops the step task at once.

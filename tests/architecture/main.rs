@@ -29,7 +29,7 @@ const ROOMS: &[(&str, &[&str])] = &[
 ];
 
 /// Crates that the controller may build on.
-const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm"];
+const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm", "oxmill-root"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -246,7 +246,8 @@ fn controller_knows_no_firmware_simulator_or_board() {
         source::paths(&source::bare(text))
             .into_iter()
             .filter(|p| {
-                p[0].starts_with("oxmill") || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str())
+                p[0].starts_with("oxmill") && p[0] != "oxmill_root"
+                    || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str())
             })
             .map(|p| format!("uses `{}`", p.join("::")))
             .collect()

@@ -1,6 +1,8 @@
 //! Builds an image and looks into it: an image without a vector table or without code links just as well.
 
-use crate::{Failure, TARGET, cargo, root, run};
+use crate::elf::{Elf, Section, Segment};
+use crate::reach::{self, Allowed};
+use crate::{Failure, QEMU_BOARD, TARGET, cargo, root, run};
 use std::fmt;
 use std::fs;
 use std::path::PathBuf;
@@ -8,13 +10,28 @@ use std::path::PathBuf;
 /// Less code than this is no controller.
 const LEAST_CODE: u32 = 16 * 1024;
 
-/// A checked image.
+/// The interrupt that the step task is bound to, as in `firmware!` of `src/firmware/main.rs`.
+fn step_handler(board: &str) -> &'static str {
+    if board == QEMU_BOARD { "TIMER0" } else { "TIM2" }
+}
+
+/// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, which is to pend its
+/// dispatcher's interrupt.
+const STEP_CALLS: [Allowed; 3] = [
+    Allowed { function: "step_timer::Step", targets: &["executor::waker_wake", "executor::waker_drop"] },
+    Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
+    Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
+];
+
+/// A checked image./// A checked image.
 pub struct Image {
     /// The ELF file.
     pub path: PathBuf,
     flash: (u32, u32),
     ram: (u32, u32),
     stack: u32,
+    /// Functions that the step interrupt can reach.
+    reached: usize,
 }
 
 impl fmt::Display for Image {
@@ -23,7 +40,12 @@ impl fmt::Display for Image {
         let (ram, of_ram) = self.ram;
         writeln!(f, "{}", self.path.display())?;
         writeln!(f, "flash  {flash:>7} bytes used, {:>7} left", of_flash - flash)?;
-        write!(f, "RAM    {ram:>7} bytes used, {:>7} left, beside a stack of {}", of_ram - ram, self.stack)
+        writeln!(f, "RAM    {ram:>7} bytes used, {:>7} left, beside a stack of {}", of_ram - ram, self.stack)?;
+        write!(
+            f,
+            "step interrupt: {} functions in reach, none of them panics, divides or computes in software",
+            self.reached
+        )
     }
 }
 
@@ -83,9 +105,10 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
         return fail("has data below its stack, where an overflow would eat it");
     }
     let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
+    let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
     let stack = stack_pointer - chip.ram;
     let for_program = chip.flash_size - (chip.code - chip.settings);
-    Ok(Image { path, flash: (flash, for_program), ram: (ram, chip.ram_size - stack), stack })
+    Ok(Image { path, flash: (flash, for_program), ram: (ram, chip.ram_size - stack), stack, reached })
 }
 
 /// The numbers of a board's `chip.x`.
@@ -136,93 +159,6 @@ fn number(text: &str) -> Option<u32> {
         Some(m.parse::<u32>().ok()? * 1024 * 1024)
     } else {
         text.parse().ok()
-    }
-}
-
-/// What a tool that flashes the image writes.
-struct Segment {
-    /// Where to.
-    stored: u32,
-    /// How many bytes.
-    size: u32,
-}
-
-struct Section {
-    name: String,
-    address: u32,
-    /// Where its bytes lie in flash; for what is copied to RAM at the start this is not the address.
-    stored: u32,
-    offset: u32,
-    size: u32,
-    allocated: bool,
-    /// It has bytes in the file.
-    loaded: bool,
-}
-
-/// As much of ELF as is needed: section headers and load addresses of a 32-bit little-endian file.
-struct Elf<'a> {
-    bytes: &'a [u8],
-}
-
-impl Elf<'_> {
-    fn word(&self, at: u32) -> Option<u32> {
-        let at = at as usize;
-        Some(u32::from_le_bytes(self.bytes.get(at..at + 4)?.try_into().ok()?))
-    }
-
-    fn half(&self, at: u32) -> Option<u32> {
-        let at = at as usize;
-        Some(u32::from(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?)))
-    }
-
-    /// The segments that have bytes to be loaded.
-    fn segments(&self) -> Option<Vec<Segment>> {
-        let (programs, size, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
-        let mut segments = Vec::new();
-        for i in 0..count {
-            let program = programs + i * size;
-            let segment = Segment { stored: self.word(program + 12)?, size: self.word(program + 16)? };
-            if self.word(program)? == 1 && segment.size > 0 {
-                segments.push(segment);
-            }
-        }
-        Some(segments)
-    }
-
-    fn sections(&self) -> Option<Vec<Section>> {
-        if self.bytes.get(..6)? != b"\x7FELF\x01\x01" {
-            return None;
-        }
-        let (programs, headers) = (self.word(28)?, self.word(32)?);
-        let (program_size, program_count) = (self.half(42)?, self.half(44)?);
-        let (size, count, names) = (self.half(46)?, self.half(48)?, self.half(50)?);
-        let names = self.word(headers + names * size + 16)?;
-        let mut sections = Vec::new();
-        for i in 0..count {
-            let header = headers + i * size;
-            let name = self.bytes.get((names + self.word(header)?) as usize..)?;
-            let name = String::from_utf8_lossy(name.split(|b| *b == 0).next()?).into_owned();
-            let kind = self.word(header + 4)?;
-            let address = self.word(header + 12)?;
-            let mut stored = address;
-            for p in 0..program_count {
-                let program = programs + p * program_size;
-                let (from, physical) = (self.word(program + 8)?, self.word(program + 12)?);
-                if self.word(program)? == 1 && (from..from + self.word(program + 20)?).contains(&address) {
-                    stored = address - from + physical;
-                }
-            }
-            sections.push(Section {
-                name,
-                address,
-                stored,
-                offset: self.word(header + 16)?,
-                size: self.word(header + 20)?,
-                allocated: self.word(header + 8)? & 2 != 0,
-                loaded: self.word(header + 8)? & 2 != 0 && kind != 8,
-            });
-        }
-        Some(sections)
     }
 }
 

@@ -2,14 +2,18 @@
 //!
 //! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` end here.
 
+mod count;
+mod elf;
 mod image;
 mod jobs;
 mod live;
 mod mutants;
 mod programs;
 mod qemu;
+mod reach;
 mod recordings;
 mod suites;
+mod thumb;
 mod virtual_board;
 
 use std::path::{Path, PathBuf};
@@ -36,7 +40,7 @@ usage:
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
-  cargo xtask count          instruction counts of the step tick and of the planner, on QEMU
+  cargo xtask count          what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU
 boards: ";
 
 /// What went wrong, for people.
@@ -58,8 +62,8 @@ fn main() -> ExitCode {
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None),
         ["virtual", board] => virtual_board::check(Some(board)),
-        ["count"] => suites::count(),
         ["mutants", ref names @ ..] => mutants::run(names),
+        ["count"] => count::count(),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));

@@ -42,6 +42,22 @@ fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     qemu
 }
 
+/// Runs a program that ends by itself, and writes the address of each instruction to a file.
+pub fn trace(elf: &Path, to: &Path) -> Result<(), Failure> {
+    require()?;
+    let mut qemu = Command::new(PROGRAM);
+    qemu.args(["-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]);
+    // One instruction for each translated piece; the option got another name in version 8.1.
+    let help = Command::new(PROGRAM).arg("-help").output().map_err(|error| error.to_string())?;
+    if String::from_utf8_lossy(&help.stdout).contains("one-insn-per-tb") {
+        qemu.args(["-accel", "tcg,one-insn-per-tb=on"]);
+    } else {
+        qemu.arg("-singlestep");
+    }
+    qemu.args(["-semihosting-config", "enable=on,target=native", "-d", "exec,nochain", "-D"]).arg(to);
+    crate::run(qemu.arg("-kernel").arg(elf).stdin(Stdio::null()))
+}
+
 /// Two TCP ports that were free a moment ago.
 fn free_ports() -> Result<(u16, u16), Failure> {
     let listen = || TcpListener::bind("127.0.0.1:0").map_err(|error| format!("no free TCP port: {error}"));

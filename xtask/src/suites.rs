@@ -1,4 +1,4 @@
-//! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the instruction counts.
+//! The defmt-test suites of `tests/on_target`, on QEMU or on a board.
 
 use crate::{Failure, QEMU_BOARD, TARGET, cargo, exists, qemu, root, run};
 
@@ -40,27 +40,6 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
         _ => return Err(format!("{board} has no probe")),
     };
     run(suites(board, &format!("probe-rs run --chip {chip}")).args(["--tests", "--no-fail-fast"]))
-}
-
-/// Instruction counts, printed by a program on QEMU whose clock counts instructions.
-pub fn count() -> Result<(), Failure> {
-    require_qemu_tools()?;
-    let mut cargo = cargo();
-    let runner = root().join(".cargo/qemu-runner.sh");
-    cargo.env(RUNNER, runner.as_os_str()).env("QEMU_ICOUNT", "shift=10,sleep=off");
-    cargo.args([
-        "run",
-        "--profile",
-        "firmware",
-        "--quiet",
-        "--package",
-        "oxmill-on-target",
-        "--bin",
-        "count",
-        "--target",
-        TARGET,
-    ]);
-    run(cargo.args(["--features", QEMU_BOARD]))
 }
 
 fn require_qemu_tools() -> Result<(), Failure> {

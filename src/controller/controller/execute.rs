@@ -219,81 +219,92 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Goes on until something has to be waited for or put out first.
     fn go_on_job(&mut self, mut job: Job<N>) -> bool {
         let checking = self.mode == Mode::Check;
-        let next = match job.stage {
-            Stage::Drain if self.motion.is_idle() => Some(Stage::Apply),
-            Stage::Drain => {
-                self.start_queued();
-                None
-            }
-            Stage::Apply => {
-                job.spindle_delay = self.apply(&job.checked, checking);
-                Some(Stage::Storing)
-            }
-            Stage::Storing if self.unstored > 0 => None,
-            Stage::Storing => {
-                let dwell = job.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
-                let wait = dwell + job.spindle_delay;
-                Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
-            }
-            Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
-            Stage::Via => match job.checked.motion {
-                gcode::Motion::Line { via: Some(via), .. } if !checking => {
-                    self.queue(&via, Speed::Rapid, &job).then_some(Stage::Target)
-                }
-                _ => Some(Stage::Target),
-            },
-            Stage::Target if checking => Some(Stage::Flow),
-            Stage::Target => match job.checked.motion {
-                gcode::Motion::Line { ref target, feed, .. } => {
-                    self.queue(target, speed(feed), &job).then_some(Stage::Flow)
-                }
-                gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
-                gcode::Motion::Probe { ref target, feed, away, .. } => {
-                    if self.begin_probe(target, speed(feed), away) {
-                        self.probing = Some(Probing::Seeking);
-                        Some(Stage::Probing)
-                    } else {
-                        Some(Stage::Done)
-                    }
-                }
-                gcode::Motion::None => Some(Stage::Flow),
-            },
-            Stage::Chords(ref mut arc, feed) => {
-                if self.motion.free_blocks() == 0 {
+        let mut progressed = false;
+        loop {
+            let next = match job.stage {
+                Stage::Drain if self.motion.is_idle() => Some(Stage::Apply),
+                Stage::Drain => {
                     self.start_queued();
                     None
-                } else {
-                    match arc.next_chord() {
-                        Some(target) => {
-                            let speed = Speed::Feed(feed);
-                            // There is room for a block, so the move is taken.
-                            let mv = self.move_of(&target, speed, &job.checked, job.jog);
-                            self.motion.chord(&mv, arc);
-                            self.task = Task::Job(job);
-                            return true;
+                }
+                Stage::Apply => {
+                    job.spindle_delay = self.apply(&job.checked, checking);
+                    Some(Stage::Storing)
+                }
+                Stage::Storing if self.unstored > 0 => None,
+                Stage::Storing => {
+                    let dwell = job.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+                    let wait = dwell + job.spindle_delay;
+                    Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
+                }
+                Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
+                Stage::Via => match job.checked.motion {
+                    gcode::Motion::Line { via: Some(via), .. } if !checking => {
+                        self.queue(&via, Speed::Rapid, &job).then_some(Stage::Target)
+                    }
+                    _ => Some(Stage::Target),
+                },
+                Stage::Target if checking => Some(Stage::Flow),
+                Stage::Target => match job.checked.motion {
+                    gcode::Motion::Line { ref target, feed, .. } => {
+                        self.queue(target, speed(feed), &job).then_some(Stage::Flow)
+                    }
+                    gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
+                    gcode::Motion::Probe { ref target, feed, away, .. } => {
+                        if self.begin_probe(target, speed(feed), away) {
+                            self.probing = Some(Probing::Seeking);
+                            Some(Stage::Probing)
+                        } else {
+                            Some(Stage::Done)
                         }
-                        None => Some(Stage::Flow),
+                    }
+                    gcode::Motion::None => Some(Stage::Flow),
+                },
+                Stage::Chords(ref mut arc, feed) => {
+                    if self.motion.free_blocks() == 0 {
+                        self.start_queued();
+                        None
+                    } else {
+                        match arc.next_chord() {
+                            Some(target) => {
+                                let speed = Speed::Feed(feed);
+                                // There is room for a block, so the move is taken.
+                                let mv = self.move_of(&target, speed, &job.checked, job.jog);
+                                self.motion.chord(&mv, arc);
+                                self.task = Task::Job(job);
+                                return true;
+                            }
+                            None => Some(Stage::Flow),
+                        }
                     }
                 }
+                Stage::Probing => {
+                    let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                    // A failed probe has locked the machine: no M0 may open it again.
+                    self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
+                }
+                Stage::Flow => self.flow(&job, checking),
+                Stage::Paused => Some(Stage::Done),
+                Stage::DwellSuspended(_) => None,
+                Stage::Done => {
+                    self.finish(job.answer);
+                    return true;
+                }
+            };
+            let Some(next) = next else { break };
+            progressed = true;
+            let shown_first = match job.stage {
+                Stage::Apply => job.checked.changes_outputs(),
+                Stage::Drain | Stage::Via | Stage::Probing => true,
+                _ => false,
+            };
+            job.stage = next;
+            if shown_first || self.mode.is_suspended() || self.stop.awaited.is_some() {
+                break;
             }
-            Stage::Probing => {
-                let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
-                // A failed probe has locked the machine: no M0 may open it again.
-                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
-            }
-            Stage::Flow => self.flow(&job, checking),
-            Stage::Paused => Some(Stage::Done),
-            Stage::DwellSuspended(_) => None,
-            Stage::Done => {
-                self.finish(job.answer);
-                return true;
-            }
-        };
-        let progressed = next.is_some();
-        if let Some(stage) = next {
-            job.stage = stage;
         }
         self.task = Task::Job(job);
         progressed

@@ -57,6 +57,11 @@ impl<const N: usize> Checked<N> {
         &self.modal
     }
 
+    /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
+    pub fn changes_outputs(&self) -> bool {
+        self.spindle.is_some() || self.coolant.is_some() || self.speed_changed || self.store.is_some()
+    }
+
     /// The machine position afterwards.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position

@@ -1,6 +1,6 @@
 //! The numbers of G and M words as codes.
 
-use crate::units::{DECIMAL_ONE, Decimal};
+use crate::units::{DECIMAL_ONE, Decimal, ones};
 
 /// The number of a G or M word, in the two parts by which it is looked up: `G38.2` is 38 and 20.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,16 +15,19 @@ impl Code {
     /// A fraction that no command has.
     pub const NO_CODE: u16 = u16::MAX;
     /// Units of a [`Decimal`] in a hundredth.
-    const HUNDREDTH: i64 = DECIMAL_ONE / 100;
+    const HUNDREDTH: u32 = (DECIMAL_ONE / 100) as u32;
 
     /// The code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256` is a G0
     /// with an impossible fraction and `G999` an unknown command; hosts see the two error numbers.
     pub fn of(value: Decimal) -> Code {
-        let whole = value.0 / DECIMAL_ONE;
-        let rest = value.0 % DECIMAL_ONE;
-        let hundredths = (rest + if rest < 0 { -Self::HUNDREDTH / 2 } else { Self::HUNDREDTH / 2 }) / Self::HUNDREDTH;
+        let ones = ones(value.0.unsigned_abs());
+        // Less than 10^7.
+        let rest = (value.0.unsigned_abs() - ones * DECIMAL_ONE as u64) as u32;
+        let hundredths = (rest + Self::HUNDREDTH / 2) / Self::HUNDREDTH;
+        let negative = value.0 < 0;
+        let whole = if negative { (ones as i64).wrapping_neg() } else { ones as i64 };
         let hundredths = match u16::try_from(hundredths) {
-            Ok(hundredths) if (0..256).contains(&whole) => hundredths,
+            Ok(hundredths) if (0..256).contains(&whole) && !(negative && hundredths > 0) => hundredths,
             _ => Self::NO_CODE,
         };
         Code { whole: (whole & 0xFF) as u8, hundredths }

@@ -1,24 +1,29 @@
-//! The step generator: turns blocks and segments into step bits and intervals, one call for each expiry of the timer.
+//! The step generator: turns blocks and segments into step bits and moments, one call for each expiry of the timer.
 //!
-//! One threshold serves all axes. A tick adds to each axis' counter its own steps (times the units the tick advances); an
-//! axis whose counter passes the threshold steps and takes the threshold off. All counters begin at half the threshold,
-//! so each axis stays within half a step of the straight line, and after the whole block every counter is back at half:
+//! One threshold serves all axes. A tick takes each axis' own steps (times the units the tick advances) off what is left
+//! until its next step; an axis with less than that left steps and gets the threshold added. All axes begin with half the
+//! threshold, so each stays within half a step of the straight line, and after the whole block all have half of it again:
 //!
 //! ```text
-//!  counter of Y for (X, Y) = (10, 3), threshold 10, in steps of X       1 2 3 4 5 6 7 8 9 10
-//!                                                                  Y      ^       ^     ^
+//!  what is left of Y for (X, Y) = (10, 3), threshold 10, in steps of X      1 2 3 4 5 6 7 8 9 10
+//!                                                                       Y     ^       ^     ^
 //! ```
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves the acceleration to
 //! `planner` and `segment`, pulse widths and direction set-up to the task that writes the pins.
+//!
+//! What a tick costs bounds the step rate of a machine. So what can be computed when a message is loaded is computed
+//! there, a tick within a segment touches the first words of the state only and divides nothing, and no position is
+//! counted: it follows from how far the block has come.
 
 use crate::axes::PerAxis;
 use crate::messages::{INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Mask of the fraction of an interval.
-const FRACTION_MASK: u32 = (1 << INTERVAL_FRACTION_BITS) - 1;
 /// Finest smoothing: a tick advances one unit.
 pub const MAX_LEVEL: u8 = 4;
+/// Places of an interval's lowest bit in the fraction of [`Stepper::moment`].
+const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
 /// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
@@ -27,7 +32,8 @@ const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 pub struct Tick {
     /// Axes to step now, bit 0 for X.
     pub steps: u8,
-    /// Direction levels for the *next* step (bit set = negative), to be written once this pulse has ended.
+    /// Direction levels for the *next* step (bit set = negative), to be written once this pulse has ended. They change
+    /// with the first tick of a segment only.
     pub directions: u8,
     /// Step-clock ticks to the next call; 0 = at rest, the timer may stop.
     pub interval: u32,
@@ -37,47 +43,93 @@ pub struct Tick {
     pub underrun: bool,
 }
 
-/// State of the step task. The steady tick touches the first ten words only.
-#[derive(Clone, Debug)]
-pub struct Stepper<const N: usize> {
-    counters: [u32; N],
+/// A segment, ready to run.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Piece<const N: usize> {
+    /// What a tick takes off.
     increments: [u32; N],
-    threshold: u32,
+    /// Ticks left; 0 = at rest.
+    ticks: u32,
+    /// In fixed point, to the next tick, and its change from tick to tick.
     interval: u32,
     ramp: i32,
-    carry: u32,
-    /// Ticks left in the segment; 0 = at rest.
-    ticks: u32,
-    power: u16,
-    directions: u8,
-    last: bool,
-    /// Units that the current segment advances at each tick, and how many ticks it had.
+    /// Units that a tick advances, and all ticks together.
     units_per_tick: u32,
-    segment_ticks: u32,
-    /// Units of the block before the current segment.
-    block_units: u32,
-    steps: [u32; N],
-    dominant: u32,
+    units: u32,
+    power: u16,
+    last: bool,
+    new_block: bool,
+}
+
+/// A block, ready to run.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Course<const N: usize> {
+    /// Steps of each axis with their sign.
+    way: [i32; N],
+    /// Units of the whole block: 16 for each step of the dominant axis.
+    threshold: u32,
+    directions: u8,
+}
+
+/// State of the step task. The order is that of use: a tick within a segment needs the first part only.
+#[derive(Clone, Debug)]
+#[repr(C)]
+pub struct Stepper<const N: usize> {
+    /// What is left until the next step of each axis: 0 to `threshold` - 1.
+    left: [u32; N],
+    piece: Piece<N>,
+    course: Course<N>,
+    /// Moment of the next tick, 32 bits of step-clock ticks before 32 of their fraction.
+    moment: u64,
+    /// A state of the probe is waited for.
+    is_watching: bool,
+    /// The state it is to have.
+    watched: bool,
+
+    /// Units of the block at the end of the segment.
+    end_units: u32,
     /// Position at the start of the block.
     base: [i32; N],
-    next_segment: Option<Segment>,
-    next_steps: [u32; N],
-    next_directions: u8,
+    begun: u32,
+    is_next: bool,
+    next_piece: Piece<N>,
+    next_course: Course<N>,
+    /// Units at which the next block is entered in its midst; 0 = at its start.
     next_units: u32,
     gate_shut: bool,
     stops: u8,
-    begun: u32,
-    /// State of the probe that is waited for, and how to brake then: units per square of a clock.
-    watch: Option<bool>,
+    /// How to brake at a contact: units per square of a clock.
     braking: f32,
     /// Braking after a contact.
     brakes: bool,
+    /// Where the probe has been seen.
+    touched: Place<N>,
+}
+
+impl<const N: usize> Piece<N> {
+    const REST: Self = Self {
+        increments: [0; N],
+        ticks: 0,
+        interval: 0,
+        ramp: 0,
+        units_per_tick: 0,
+        units: 0,
+        power: 0,
+        last: true,
+        new_block: false,
+    };
+}
+
+impl<const N: usize> Course<N> {
+    const NOWHERE: Self = Self { way: [0; N], threshold: 0, directions: 0 };
 }
 
 /// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
 ///
-/// The counter is half the threshold + steps × units, less a threshold for each step taken, and stays within
-/// 1..=threshold; so the quotient is exact.
+/// Half the threshold and steps × units, less a threshold for each step taken, stay within 1..=threshold; so the quotient
+/// is exact.
 #[inline]
 pub(crate) fn steps_taken(steps: u32, dominant: u32, units: u32) -> u32 {
     if dominant == 0 {
@@ -91,6 +143,35 @@ pub(crate) fn steps_taken(steps: u32, dominant: u32, units: u32) -> u32 {
     }
 }
 
+/// The same and what is left until the next step, one bit of the quotient after the other: the step task has no room for
+/// a division of 64 bits, and needs this at rest only.
+fn steps_and_rest(steps: u32, threshold: u32, units: u32) -> (u32, u32) {
+    let mut sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
+    let mut taken = 0;
+    for bit in (0..=MAX_STEPS_BITS).rev() {
+        let part = u64::from(threshold) << bit;
+        if sum > part {
+            sum -= part;
+            taken |= 1 << bit;
+        }
+    }
+    (taken, threshold.wrapping_sub(sum as u32))
+}
+
+/// A block has less steps than 2 to the power of this.
+const MAX_STEPS_BITS: u32 = 26;
+
+/// The number whose product with an odd number ends in 1, modulo 2^32: each step of Newton's method doubles the number of
+/// right bits, 5 at first.
+#[inline]
+fn inverse(odd: u32) -> u32 {
+    let mut inverse = odd.wrapping_mul(3) ^ 2;
+    for _ in 0..3 {
+        inverse = inverse.wrapping_mul(2_u32.wrapping_sub(odd.wrapping_mul(inverse)));
+    }
+    inverse
+}
+
 impl<const N: usize> Default for Stepper<N> {
     fn default() -> Self {
         Self::new()
@@ -101,32 +182,24 @@ impl<const N: usize> Stepper<N> {
     /// At rest, at position 0, gate open.
     pub const fn new() -> Self {
         Self {
-            counters: [0; N],
-            increments: [0; N],
-            threshold: 0,
-            interval: 0,
-            ramp: 0,
-            carry: 0,
-            ticks: 0,
-            power: 0,
-            directions: 0,
-            last: true,
-            units_per_tick: 0,
-            segment_ticks: 0,
-            block_units: 0,
-            steps: [0; N],
-            dominant: 0,
+            left: [0; N],
+            piece: Piece::REST,
+            course: Course::NOWHERE,
+            moment: 0,
+            is_watching: false,
+            watched: false,
+            end_units: 0,
             base: [0; N],
-            next_segment: None,
-            next_steps: [0; N],
-            next_directions: 0,
+            begun: 0,
+            is_next: false,
+            next_piece: Piece::REST,
+            next_course: Course::NOWHERE,
             next_units: 0,
             gate_shut: false,
             stops: 0,
-            begun: 0,
-            watch: None,
             braking: 0.0,
             brakes: false,
+            touched: Place::START,
         }
     }
 
@@ -134,7 +207,7 @@ impl<const N: usize> Stepper<N> {
     /// calls [`Stepper::tick`]: a new block needs two or three messages, all other segments one.
     #[inline]
     pub fn wants(&self) -> bool {
-        self.next_segment.is_none()
+        !self.is_next
     }
 
     /// Takes a message; only while [`Stepper::wants`].
@@ -147,130 +220,201 @@ impl<const N: usize> Stepper<N> {
             return;
         }
         match message {
-            ToStep::Segment(segment) => self.next_segment = Some(segment),
+            ToStep::Segment(segment) => self.load_segment(&segment),
             ToStep::Block { steps, directions } => {
-                for (own, new) in self.next_steps.iter_mut().zip(steps) {
-                    *own = new;
+                for (own, new) in self.next_course.way.iter_mut().zip(steps) {
+                    *own = new as i32;
                 }
-                self.next_directions = directions;
+                let mut dominant = 0;
+                for (bit, way) in self.next_course.way.iter_mut().enumerate() {
+                    dominant = dominant.max(*way);
+                    if directions >> bit & 1 != 0 {
+                        *way = way.wrapping_neg();
+                    }
+                }
+                self.next_course.threshold = (dominant as u32).wrapping_mul(UNITS_PER_STEP);
+                self.next_course.directions = directions;
             }
             ToStep::BlockRest { steps } => {
-                for (own, new) in self.next_steps.iter_mut().skip(3).zip(steps) {
-                    *own = new;
+                for (own, new) in self.next_course.way.iter_mut().skip(3).zip(steps) {
+                    *own = new as i32;
                 }
             }
             ToStep::Reenter { units } => self.next_units = units,
             ToStep::Watch { probe, braking } => {
-                self.watch = probe;
+                self.is_watching = probe.is_some();
+                self.watched = probe == Some(true);
                 self.braking = braking;
             }
             ToStep::Resume { .. } => {}
         }
     }
 
+    #[inline]
+    fn load_segment(&mut self, segment: &Segment) {
+        let new_block = segment.flags & Segment::FLAG_NEW_BLOCK != 0;
+        let course = if new_block { &self.next_course } else { &self.course };
+        let mut increments = [0; N];
+        let mut units_per_tick = 0;
+        if segment.flags & Segment::FLAG_WAIT == 0 {
+            let shift = MAX_LEVEL - segment.level.min(MAX_LEVEL);
+            increments = course.way.map(|way| way.unsigned_abs() << shift);
+            units_per_tick = 1 << shift;
+        }
+        let ticks = u32::from(segment.ticks.max(1));
+        self.next_piece = Piece {
+            increments,
+            ticks,
+            interval: segment.interval,
+            ramp: segment.ramp,
+            units_per_tick,
+            units: ticks.wrapping_mul(units_per_tick),
+            power: segment.power,
+            last: segment.flags & Segment::FLAG_LAST != 0,
+            new_block,
+        };
+        self.is_next = true;
+    }
+
     /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
     #[inline]
     pub fn tick(&mut self) -> Tick {
+        if !self.ends_segment() {
+            return self.tick_within();
+        }
+        let steps = self.step_axes();
+        self.piece.ticks = 0;
+        if self.begin_segment() {
+            return self.set_out(steps);
+        }
+        let underrun = self.run_out();
+        Tick { steps, directions: self.course.directions, interval: 0, power: self.piece.power, underrun }
+    }
+
+    /// The same for a tick that does not end its segment, which most do.
+    #[inline(always)]
+    pub fn tick_within(&mut self) -> Tick {
+        let steps = self.step_axes();
+        self.piece.ticks = self.piece.ticks.wrapping_sub(1);
+        self.set_out(steps)
+    }
+
+    #[inline(always)]
+    fn step_axes(&mut self) -> u8 {
         let mut steps = 0;
-        if self.ticks != 0 {
-            let threshold = self.threshold;
-            for (bit, (counter, increment)) in self.counters.iter_mut().zip(self.increments).enumerate() {
-                let sum = counter.wrapping_add(increment);
-                if sum > threshold {
-                    steps |= 1 << bit;
-                    *counter = sum.wrapping_sub(threshold);
-                } else {
-                    *counter = sum;
-                }
+        let threshold = self.course.threshold;
+        for (bit, (left, increment)) in self.left.iter_mut().zip(&self.piece.increments).enumerate() {
+            let (mut rest, passed) = left.overflowing_sub(*increment);
+            if passed {
+                rest = rest.wrapping_add(threshold);
+                steps |= 1 << bit;
             }
-            self.ticks -= 1;
+            *left = rest;
+            // One axis after the other: all at once they need more registers than an interrupt gets for nothing.
+            compiler_fence(Ordering::SeqCst);
         }
-        if self.ticks == 0 && !self.begin_segment() {
-            let underrun = !self.last;
-            if underrun {
-                self.shut();
-            }
-            return Tick { steps, directions: self.directions, interval: 0, power: self.power, underrun };
+        steps
+    }
+
+    /// Sets the moment of the next tick.
+    #[inline(always)]
+    fn set_out(&mut self, steps: u8) -> Tick {
+        let now = self.moment();
+        self.moment = self.moment.wrapping_add(u64::from(self.piece.interval) << FRACTION_SHIFT);
+        self.piece.interval = self.piece.interval.wrapping_add_signed(self.piece.ramp);
+        let interval = self.moment().wrapping_sub(now);
+        Tick { steps, directions: self.course.directions, interval, power: self.piece.power, underrun: false }
+    }
+
+    /// Directions of the next step, as in [`Tick::directions`].
+    #[inline]
+    pub fn directions(&self) -> u8 {
+        self.course.directions
+    }
+
+    /// Whether the next tick is the last of its segment, or begins to move: it costs more than the others.
+    #[inline(always)]
+    pub fn ends_segment(&self) -> bool {
+        self.piece.ticks <= 1
+    }
+
+    /// The moment of the next tick, on the step clock (wrapping); that of the last one at rest.
+    #[inline(always)]
+    pub fn moment(&self) -> u32 {
+        (self.moment >> 32) as u32
+    }
+
+    /// Sets the step clock: the moment of the next tick, which is the first. At rest only; a fraction of a clock tick that
+    /// the last motion has left stays.
+    pub fn begin_at(&mut self, moment: u32) {
+        self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
+    }
+
+    /// No segment has followed: rest, and whether it is a fault.
+    fn run_out(&mut self) -> bool {
+        let underrun = !self.piece.last;
+        if underrun {
+            self.shut();
         }
-        let due = self.interval.wrapping_add(self.carry);
-        self.carry = due & FRACTION_MASK;
-        self.interval = self.interval.wrapping_add_signed(self.ramp);
-        let interval = due >> INTERVAL_FRACTION_BITS;
-        Tick { steps, directions: self.directions, interval, power: self.power, underrun: false }
+        self.piece.increments = [0; N];
+        underrun
     }
 
     /// Makes the prefetched segment the current one; `false` if there is none.
+    #[inline]
     fn begin_segment(&mut self) -> bool {
-        let Some(segment) = self.next_segment.take() else { return self.brakes && self.brake() };
-        let level = segment.level.min(MAX_LEVEL);
-        if segment.flags & Segment::FLAG_NEW_BLOCK != 0 {
+        if !self.is_next {
+            return self.brakes && self.brake();
+        }
+        self.is_next = false;
+        if self.next_piece.new_block {
             self.begin_block();
-        } else {
-            self.block_units = self.units();
         }
-        if segment.flags & Segment::FLAG_WAIT != 0 {
-            self.increments = [0; N];
-            self.units_per_tick = 0;
-        } else {
-            let shift = MAX_LEVEL - level;
-            self.increments = self.steps.map(|steps| steps << shift);
-            self.units_per_tick = 1 << shift;
-        }
-        self.interval = segment.interval;
-        self.ramp = segment.ramp;
-        self.ticks = u32::from(segment.ticks.max(1));
-        self.segment_ticks = self.ticks;
-        self.power = segment.power;
-        self.last = segment.flags & Segment::FLAG_LAST != 0;
+        self.piece = self.next_piece;
+        self.end_units = self.end_units.wrapping_add(self.piece.units);
         self.begun = self.begun.wrapping_add(1);
         true
     }
 
+    #[inline]
     fn begin_block(&mut self) {
-        if self.units() == self.dominant.wrapping_mul(UNITS_PER_STEP) {
+        if self.end_units == self.course.threshold {
             // The usual case: the block before was run to its end.
-            let directions = self.directions;
-            for (bit, (base, steps)) in self.base.iter_mut().zip(self.steps).enumerate() {
-                *base = signed_add(*base, steps, directions >> bit & 1 != 0);
+            for (base, way) in self.base.iter_mut().zip(self.course.way) {
+                *base = base.wrapping_add(way);
             }
         } else {
             self.base = self.position().0;
         }
-        self.steps = self.next_steps;
-        self.directions = self.next_directions;
-        self.dominant = self.steps.iter().fold(0, |most, steps| most.max(*steps));
-        self.threshold = self.dominant.wrapping_mul(UNITS_PER_STEP);
-        self.counters = [self.threshold / 2; N];
-        self.block_units = 0;
+        self.course = self.next_course;
+        self.left = [self.course.threshold / 2; N];
+        self.end_units = 0;
         if self.next_units != 0 {
             self.enter_midst();
         }
     }
 
-    /// Brings the counters to where they were when the block was left at `next_units`.
+    /// Brings all axes to where they were when the block was left at `next_units`.
+    #[cold]
     fn enter_midst(&mut self) {
         let units = core::mem::take(&mut self.next_units);
-        self.block_units = units;
-        let (half, threshold, dominant, directions) =
-            (self.threshold / 2, u64::from(self.threshold), self.dominant, self.directions);
-        let axes = self.counters.iter_mut().zip(self.base.iter_mut()).zip(self.steps);
-        for (bit, ((counter, base), steps)) in axes.enumerate() {
-            let taken = steps_taken(steps, dominant, units);
-            let sum = u64::from(half) + u64::from(steps) * u64::from(units);
-            *counter = sum.wrapping_sub(u64::from(taken) * threshold) as u32;
-            *base = signed_add(*base, taken, directions >> bit & 1 == 0);
+        self.end_units = units;
+        let threshold = self.course.threshold;
+        for ((left, base), way) in self.left.iter_mut().zip(self.base.iter_mut()).zip(self.course.way) {
+            let (taken, rest) = steps_and_rest(way.unsigned_abs(), threshold, units);
+            *left = rest;
+            *base = signed_add(*base, taken, way > 0);
         }
     }
 
     /// Units of the block advanced by now.
     fn units(&self) -> u32 {
-        let ticks_done = self.segment_ticks.wrapping_sub(self.ticks);
-        self.block_units.wrapping_add(ticks_done.wrapping_mul(self.units_per_tick))
+        self.end_units.wrapping_sub(self.piece.ticks.wrapping_mul(self.piece.units_per_tick))
     }
 
     /// Stops at once, forgets everything and shuts the gate until [`ToStep::Resume`] with this count of stops.
     pub fn stop(&mut self) -> StepEvent<N> {
-        let moving = self.ticks != 0;
+        let moving = self.piece.ticks != 0;
         self.shut();
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
@@ -283,30 +427,30 @@ impl<const N: usize> Stepper<N> {
     /// Whether [`Stepper::probe`] is to be called after each tick.
     #[inline]
     pub fn is_watching(&self) -> bool {
-        self.watch.is_some()
+        self.is_watching
     }
 
-    /// Looks at the probe. The first time it has the awaited state the place is latched, what is queued is void, and
-    /// braking begins with the next tick.
-    pub fn probe(&mut self, active: bool) -> Option<StepEvent<N>> {
-        if self.watch != Some(active) {
-            return None;
+    /// Looks at the probe; whether it has the awaited state for the first time. Then the place is latched, what is queued is
+    /// void, and braking begins with the next tick; the report is at [`Stepper::probed_event`].
+    #[inline]
+    pub fn probe(&mut self, active: bool) -> bool {
+        let touched = self.is_watching && self.watched == active;
+        if touched {
+            self.is_watching = false;
+            self.touched = self.place();
+            self.gate_shut = true;
+            self.is_next = false;
+            self.next_units = 0;
+            self.piece.last = true;
+            if self.piece.ticks != 0 {
+                // The tick that is under way is the last of its segment.
+                self.end_units = self.units().wrapping_add(self.piece.units_per_tick);
+                self.piece.ticks = 1;
+                self.piece.ramp = 0;
+                self.brakes = true;
+            }
         }
-        self.watch = None;
-        let position = self.position();
-        self.gate_shut = true;
-        self.next_segment = None;
-        self.next_units = 0;
-        self.last = true;
-        if self.ticks != 0 {
-            // The tick that is under way is the last of its segment.
-            self.block_units = self.units();
-            self.segment_ticks = 1;
-            self.ticks = 1;
-            self.ramp = 0;
-            self.brakes = true;
-        }
-        Some(StepEvent::Probed { position })
+        touched
     }
 
     /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
@@ -316,37 +460,36 @@ impl<const N: usize> Stepper<N> {
     /// is the one that would take all of v².
     #[cold]
     fn brake(&mut self) -> bool {
-        let units = self.units();
-        let interval = self.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
-        let k = self.braking * interval * interval / self.units_per_tick as f32;
-        let next = self.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-        let ends = units >= self.dominant.wrapping_mul(UNITS_PER_STEP);
+        let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
+        let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
+        let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
+        let ends = self.end_units >= self.course.threshold;
         // Not a number where the tick advances no units: a crawl, which stops where it is.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
-            self.block_units = units;
-            self.interval = next as u32;
-            self.ticks = 1;
+            self.end_units = self.end_units.wrapping_add(self.piece.units_per_tick);
+            self.piece.interval = next as u32;
+            self.piece.ticks = 1;
         }
         self.brakes
     }
 
+    /// The report that belongs to [`Stepper::probe`].
+    pub fn probed_event(&self) -> StepEvent<N> {
+        StepEvent::Probed { position: self.touched.position() }
+    }
+
+    #[cold]
     fn shut(&mut self) {
-        self.watch = None;
+        self.is_watching = false;
         self.brakes = false;
         self.base = self.position().0;
-        self.steps = [0; N];
-        self.dominant = 0;
-        self.threshold = 0;
-        self.counters = [0; N];
-        self.increments = [0; N];
-        self.block_units = 0;
-        self.segment_ticks = 0;
-        self.ticks = 0;
-        self.carry = 0;
-        self.power = 0;
-        self.last = true;
-        self.next_segment = None;
+        self.course = Course { directions: self.course.directions, ..Course::NOWHERE };
+        self.left = [0; N];
+        self.end_units = 0;
+        self.piece = Piece::REST;
+        self.moment = u64::from(self.moment()) << 32;
+        self.is_next = false;
         self.next_units = 0;
         self.gate_shut = true;
         self.stops = self.stops.wrapping_add(1);
@@ -361,7 +504,7 @@ impl<const N: usize> Stepper<N> {
     /// Whether there is nothing left to do.
     #[inline]
     pub fn is_idle(&self) -> bool {
-        self.ticks == 0 && self.next_segment.is_none()
+        self.piece.ticks == 0 && !self.is_next
     }
 
     /// Segments begun since power-up (wrapping).
@@ -371,14 +514,47 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Net steps of each axis since power-up (wrapping), all steps of the ticks so far included.
-    ///
-    /// Derived from the progress within the block, so that no tick has to count.
     pub fn position(&self) -> PerAxis<i32, N> {
-        let units = self.units();
+        self.place().position()
+    }
+
+    #[inline(always)]
+    fn place(&self) -> Place<N> {
+        let course = &self.course;
+        Place { base: self.base, way: course.way, left: self.left, threshold: course.threshold, units: self.units() }
+    }
+}
+
+/// All that a position follows from, so that no tick has to count and a probe's tick not to compute.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Place<const N: usize> {
+    base: [i32; N],
+    way: [i32; N],
+    left: [u32; N],
+    threshold: u32,
+    units: u32,
+}
+
+impl<const N: usize> Place<N> {
+    const START: Self = Self { base: [0; N], way: [0; N], left: [0; N], threshold: 0, units: 0 };
+
+    /// Net steps. Steps taken × threshold = steps × units + left - half a threshold, to the last bit; so the quotient
+    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
+    #[inline(never)]
+    fn position(&self) -> PerAxis<i32, N> {
+        let threshold = self.threshold;
         let mut position = self.base;
-        for (bit, (value, steps)) in position.iter_mut().zip(self.steps).enumerate() {
-            let taken = steps_taken(steps, self.dominant, units);
-            *value = signed_add(*value, taken, self.directions >> bit & 1 != 0);
+        if threshold == 0 {
+            return PerAxis(position);
+        }
+        let even = threshold.trailing_zeros();
+        let inverse = inverse(threshold >> even);
+        for ((value, way), left) in position.iter_mut().zip(self.way).zip(self.left) {
+            let sum = u64::from(way.unsigned_abs()) * u64::from(self.units) + u64::from(left);
+            let whole = sum.wrapping_sub(u64::from(threshold / 2));
+            let taken = ((whole >> even) as u32).wrapping_mul(inverse);
+            *value = signed_add(*value, taken, way < 0);
         }
         PerAxis(position)
     }
@@ -388,4 +564,53 @@ impl<const N: usize> Stepper<N> {
 #[inline]
 pub(crate) fn signed_add(value: i32, steps: u32, negative: bool) -> i32 {
     if negative { value.wrapping_sub_unsigned(steps) } else { value.wrapping_add_unsigned(steps) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_slow_division_is_the_division(dominant in 1_u32..1 << 26, share in 0.0..=1.0_f64, way in 0.0..=1.0_f64) {
+            let steps = (f64::from(dominant) * share) as u32;
+            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
+            let threshold = dominant * UNITS_PER_STEP;
+            let (taken, rest) = steps_and_rest(steps, threshold, units);
+            prop_assert_eq!(taken, steps_taken(steps, dominant, units));
+            let sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
+            prop_assert_eq!(sum + u64::from(rest), u64::from(taken + 1) * u64::from(threshold));
+            prop_assert!(rest < threshold);
+        }
+
+        /// The position of a block that was entered in its midst is that of the steps before.
+        #[test]
+        fn the_position_needs_no_division(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..1.0_f64, back in 0_u8..4) {
+            let dominant = x.max(y);
+            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
+            let mut stepper: Stepper<3> = Stepper::new();
+            stepper.load(ToStep::Block { steps: [x, y, 0], directions: back });
+            stepper.load(ToStep::Reenter { units });
+            let flags = Segment::FLAG_NEW_BLOCK;
+            stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks: 9, power: 0, level: 4, flags }));
+            stepper.tick();
+            let start = PerAxis(stepper.base);
+            prop_assert_eq!(stepper.position(), PerAxis([0; 3]));
+            stepper.tick();
+            let moved = |steps, bit: u32| {
+                let taken = steps_taken(steps, dominant, units + 1) - steps_taken(steps, dominant, units);
+                signed_add(0, taken, back >> bit & 1 != 0)
+            };
+            prop_assert_eq!(stepper.position(), PerAxis([moved(x, 0), moved(y, 1), 0]));
+            prop_assert_eq!(start.0[0].unsigned_abs(), steps_taken(x, dominant, units));
+        }
+    }
+
+    #[test]
+    fn inverses_of_odd_numbers() {
+        for odd in (1..100_000).chain(u32::MAX - 100_000..=u32::MAX).step_by(2).map(|n: u32| n | 1) {
+            assert_eq!(odd.wrapping_mul(inverse(odd)), 1, "{odd}");
+        }
+    }
 }

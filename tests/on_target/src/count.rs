@@ -1,90 +1,459 @@
-//! Instruction counts of the step task's work, as a program on QEMU.
+//! Units of work, one after the other, to be counted from outside: `cargo xtask count` runs this program in QEMU, follows
+//! each instruction, and takes those between the entry of a function `unit_*` and its return for the row that the last
+//! `row_*` named.
 //!
-//! TIMER1 counts 25 MHz of virtual time; with `-icount shift=10` an instruction takes 1024 ns, 25.6 of its ticks, so the
-//! difference of two readings is a number of instructions, and exact. Cycles are another matter: this says nothing of
-//! flash wait states or pipeline. The table goes to standard error, as standard output carries the defmt log.
+//! The step interrupt is the firmware's own code (`step_timer.rs`), with the registers of an STM32F4 that is not there in
+//! a piece of memory: the same instructions, whatever answers at the addresses. What a row needs is written into those
+//! registers before the call, so each row has the same input in each run.
 #![no_std]
 #![no_main]
 
 use core::hint::black_box;
-use mps2_pac::Timer1;
-use oxmill_controller::Stepper;
-use oxmill_controller::messages::{SEGMENTS_DEPTH, Segment, ToStep};
+use core::mem::MaybeUninit;
+use mps2_pac as _;
+use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
+use oxmill_controller::gcode::{Dialect, Interpreter};
+use oxmill_controller::messages::*;
+use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
+use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
+use oxmill_controller::{Controller, Profile};
 use oxmill_on_target as _;
-use rtic_sync::channel::{Channel, Receiver};
+use rtic_sync::channel::{Channel, Sender};
+use rtic_sync::signal::Signal;
+use step_timer::Step;
 
-/// Time of an instruction under `-icount shift=10`, and of a tick of the timer.
-const INSTRUCTION_NS: u32 = 1024;
-const TICK_NS: u32 = 40;
+#[path = "../../../src/firmware/copy.rs"]
+mod copy;
+#[allow(dead_code, reason = "the benchmark calls the step task only")]
+#[path = "../../../src/firmware/crossing.rs"]
+mod crossing;
+#[path = "../../../src/firmware/step_timer.rs"]
+mod step_timer;
+#[allow(dead_code, reason = "the ports of other tasks")]
+#[path = "../../../boards/stm32f4_step.rs"]
+mod stm32f4_step;
 
-struct Stopwatch {
-    timer: Timer1,
-    overhead: u32,
+/// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
+mod boards {
+    use crate::stm32f4_step;
+    pub use crate::stm32f4_step::Due;
+    use oxmill_controller::Profile;
+
+    pub const AXES: usize = 3;
+    pub const PROFILE: Profile = Profile {
+        name: "count",
+        step_clock_hz: 96_000_000,
+        safe_step_hz: 300_000,
+        has_second_motor: false,
+        has_store: false,
+    };
+    /// Memory of the emulated machine that nothing else uses.
+    pub const TIMER: usize = 0x2100_0000;
+    pub const PWM: usize = 0x2100_0400;
+    pub const GPIO: usize = 0x2110_0000;
+    pub type StepPins = stm32f4_step::StepPins<GPIO, PWM, 1, 1, ()>;
+    pub type StepTimer = stm32f4_step::StepTimer<TIMER, ()>;
 }
 
-impl Stopwatch {
-    fn count(&self, work: impl FnOnce()) -> u32 {
-        let from = self.timer.value();
-        work();
-        let ticks = from.wrapping_sub(self.timer.value());
-        ((ticks * TICK_NS + INSTRUCTION_NS / 2) / INSTRUCTION_NS).saturating_sub(self.overhead)
+/// Names the row that the following units belong to.
+macro_rules! rows {
+    ($($row:ident)*) => { $(
+        #[unsafe(no_mangle)]
+        #[unsafe(naked)]
+        // unsafe because the name is taken on trust; safe because it is nobody else's, and all it does is return.
+        extern "C" fn $row() {
+            core::arch::naked_asm!("bx lr")
+        }
+    )* };
+}
+
+rows! {
+    row_tick_3 row_tick_1 row_tick_0 row_pulse_off row_worst_tick row_receive row_stop row_none
+    row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
+}
+
+static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
+
+/// The interrupt handler as RTIC makes it: the task between saving and restoring the priority threshold.
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+extern "C" fn unit_step() {
+    let before = cortex_m::register::basepri::read();
+    // SAFETY: unsafe because a static is changed; safe because `main` has put the task there and nothing interrupts.
+    unsafe { (&raw mut STEP).cast::<Step>().as_mut_unchecked().run() };
+    // SAFETY: unsafe because a critical section might end; safe because there is none.
+    unsafe { cortex_m::register::basepri::write(before) };
+}
+
+fn register(address: usize) -> *mut u32 {
+    address as *mut u32
+}
+
+/// The registers behind which there is no hardware.
+struct Registers;
+
+impl Registers {
+    const SR: usize = boards::TIMER + 0x10;
+    const EGR: usize = boards::TIMER + 0x14;
+    const CNT: usize = boards::TIMER + 0x24;
+    const CCR1: usize = boards::TIMER + 0x34;
+    const CCR2: usize = boards::TIMER + 0x38;
+    const CCR3: usize = boards::TIMER + 0x3C;
+    const TICK: u32 = 2;
+    const PULSE_END: u32 = 4;
+    const SETTLED: u32 = 8;
+    const CALLED: u32 = 16;
+
+    fn read(&self, address: usize) -> u32 {
+        // SAFETY: unsafe because of the raw address; safe because it is in memory that only these registers use.
+        unsafe { register(address).read_volatile() }
+    }
+
+    fn write(&mut self, address: usize, value: u32) {
+        // SAFETY: as above.
+        unsafe { register(address).write_volatile(value) }
+    }
+
+    /// The interrupt, with these flags, at a moment of the step clock.
+    fn interrupt(&mut self, flags: u32, now: u32) {
+        self.write(Self::CNT, now);
+        self.write(Self::SR, flags);
+        self.write(Self::EGR, 0);
+        unit_step();
+    }
+
+    fn called(&self) -> bool {
+        self.read(Self::EGR) & Self::CALLED != 0
+    }
+
+    /// Everything the task has asked for beside ticks.
+    fn follow_up(&mut self) {
+        for _ in 0..8 {
+            if !self.called() {
+                return;
+            }
+            self.interrupt(Self::CALLED, self.read(Self::CNT));
+        }
+    }
+
+    /// The next tick in time; its pulse ends before the next.
+    fn tick(&mut self, row: extern "C" fn()) {
+        let due = self.read(Self::CCR1);
+        self.write(Self::CCR2, due);
+        self.write(Self::CCR3, due);
+        row();
+        self.interrupt(Self::TICK, due);
+        row_none();
+        self.follow_up();
+        let (pulse_end, settled) = (self.read(Self::CCR2), self.read(Self::CCR3));
+        if pulse_end != due {
+            row_pulse_off();
+            self.interrupt(Self::PULSE_END, pulse_end);
+            row_none();
+        }
+        if settled != due {
+            self.interrupt(Self::SETTLED, settled);
+            self.follow_up();
+        }
     }
 }
 
-/// What the step task does at a tick beside registers: the tick, and fetching up to two messages ahead.
+/// A block and one segment of it.
+fn block(steps: [u32; 3], directions: u8, ticks: u16, level: u8, flags: u8) -> [ToStep; 2] {
+    let flags = flags | Segment::FLAG_NEW_BLOCK;
+    let segment = Segment { interval: 4000 << INTERVAL_FRACTION_BITS, ramp: -77, ticks, power: 500, level, flags };
+    [ToStep::Block { steps, directions }, ToStep::Segment(segment)]
+}
+
+fn send(to: &mut Sender<'static, ToStep, SEGMENTS_DEPTH>, messages: &[ToStep]) {
+    for message in messages {
+        let _ = to.try_send(*message);
+    }
+}
+
+fn step_task() {
+    let segments = cortex_m::singleton!(: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new()).expect("main runs once");
+    let wiring = cortex_m::singleton!(: Channel<Wiring, 2> = Channel::new()).expect("main runs once");
+    let events = cortex_m::singleton!(: Channel<StepEvent<3>, EVENTS_DEPTH> = Channel::new()).expect("main runs once");
+    let wake = cortex_m::singleton!(: Signal<()> = Signal::new()).expect("main runs once");
+    let (mut to_step, from_control) = segments.split();
+    let (_wiring_in, wiring_out) = wiring.split();
+    let (events_in, mut events_out) = events.split();
+    let pin = |pin| stm32f4_step::Place { port: 0, pin };
+    let pins = boards::StepPins::at([pin(1), pin(2), pin(3)], [pin(4), pin(5), pin(6)], pin(15), 19_200, ());
+    let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
+    // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
+    unsafe { (&raw mut STEP).cast::<Step>().write(step) };
+    let mut registers = Registers;
+    row_none();
+    let all = [1000; 3];
+    let power = crossing::Power { level: 100, from_segments: true };
+    power.want();
+
+    // Steady ticks of one segment each; the first begins to move and the last comes to rest.
+    let rows: [(extern "C" fn(), [u32; 3], u8); 3] =
+        [(row_tick_3, all, 0), (row_tick_1, [1000, 0, 0], 0), (row_tick_0, [1; 3], 4)];
+    for (row, steps, level) in rows {
+        let ticks = if level == 0 { 100 } else { 16 };
+        send(&mut to_step, &block(steps, 0, ticks, level, Segment::FLAG_LAST));
+        registers.interrupt(Registers::CALLED, 0);
+        registers.follow_up();
+        registers.tick(row_none);
+        for tick in 1..ticks {
+            // Of sixteen ticks of a step the eighth steps.
+            registers.tick(if level == 0 || tick != 8 { row } else { row_none });
+        }
+        registers.tick(row_none);
+    }
+
+    // The worst: every tick begins a block in the other direction, with other power, while the probe is waited for and
+    // touches at that very tick. Before it, each message is received in an interrupt of its own.
+    let probe_port = boards::GPIO + 0x10;
+    for turn in 0..20 {
+        send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
+        send(&mut to_step, &block([2; 3], 7, 2, 0, 0));
+        registers.interrupt(Registers::CALLED, 0);
+        registers.follow_up();
+        registers.write(probe_port, u32::MAX);
+        registers.tick(row_none);
+        // Each message is received in an interrupt of its own.
+        send(&mut to_step, &block([2; 3], 0, 2, 0, Segment::FLAG_LAST));
+        for _ in 0..2 {
+            row_receive();
+            registers.interrupt(Registers::CALLED, registers.read(Registers::CNT));
+        }
+        row_none();
+        registers.tick(row_none);
+        crossing::Power { level: 100, from_segments: turn & 1 == 0 }.want();
+        registers.write(probe_port, 0);
+        registers.tick(row_worst_tick);
+        power.want();
+        // Braking so hard that it ends at once.
+        registers.tick(row_none);
+        while events_out.try_recv().is_ok() {}
+        send(&mut to_step, &[ToStep::Resume { stops: 0 }]);
+        registers.interrupt(Registers::CALLED, 0);
+    }
+
+    // A stop at speed, asked for while a tick is due.
+    for stops in 1..10 {
+        send(&mut to_step, &block(all, 7, 100, 0, 0));
+        registers.interrupt(Registers::CALLED, 0);
+        registers.follow_up();
+        for _ in 0..50 {
+            registers.tick(row_none);
+        }
+        crossing::ask_for_stop();
+        row_stop();
+        registers.interrupt(Registers::CALLED | Registers::TICK, registers.read(Registers::CCR1));
+        row_none();
+        registers.interrupt(Registers::SETTLED, registers.read(Registers::CNT) + 2_000);
+        send(&mut to_step, &[ToStep::Resume { stops }]);
+        registers.interrupt(Registers::CALLED, 0);
+        registers.follow_up();
+        while events_out.try_recv().is_ok() {}
+    }
+}
+
+/// 80 steps/mm, 10 m/min, 500 mm/s²: the settings that the peers' figures were taken with.
+fn motion_settings() -> MotionSettings<3> {
+    MotionSettings {
+        steps_per_mm: PerAxis::all(StepsPerMm::new(80.0).expect("in range")),
+        max_rate: PerAxis::all(10_000.0 / 60.0),
+        acceleration: PerAxis::all(500.0),
+        junction_deviation: 0.01,
+        arc_tolerance: 0.002,
+        step_clock_hz: boards::PROFILE.step_clock_hz,
+        arrangement: Arrangement::Cartesian,
+        backlash: PerAxis::all(0.0),
+    }
+}
+
+type Planner = Motion<3, 150>;
+
+#[unsafe(no_mangle)]
 #[inline(never)]
-fn tick_and_fetch(stepper: &mut Stepper<3>, segments: &mut Receiver<'static, ToStep, SEGMENTS_DEPTH>) -> u8 {
-    let tick = stepper.tick();
-    black_box((tick.interval, tick.directions, tick.power));
-    for _ in 0..2 {
-        if !stepper.wants() {
+// unsafe because of the name, as above.
+fn unit_plan(motion: &mut Planner, line: &Move<3>) -> bool {
+    motion.line(line)
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_prepare(motion: &mut Planner, observed: &Observed) -> Option<ToStep> {
+    motion.next(observed)
+}
+
+fn micrometres(x: i64, y: i64) -> PerAxis<Coordinate, 3> {
+    PerAxis([Coordinate(x * 10_000), Coordinate(y * 10_000), Coordinate::ZERO])
+}
+
+fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
+    let target = micrometres(x, y);
+    let speed = Speed::Feed(speed);
+    Move { target, speed, power: 0, scale_power: false, line_number: 0, no_feed_override: false }
+}
+
+fn planning(motion: &mut Planner) {
+    // Blocks in which speed can be braked off: no entry before the newest depends on it.
+    for k in 0..40 {
+        let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
+        if k == 4 {
+            row_plan();
+        }
+        black_box(unit_plan(motion, black_box(&line)));
+    }
+    row_none();
+    motion.start();
+    let mut observed = Observed::default();
+    let mut handed = 0;
+    while let Some(message) = unit_prepare(motion, black_box(&observed)) {
+        // The first message of a block is the block itself.
+        match message {
+            ToStep::Segment(_) => {
+                handed += 1;
+                observed.segments_begun += 1;
+            }
+            _ => row_prepare(),
+        }
+        if handed == 400 {
             break;
         }
-        let Ok(message) = segments.try_recv() else { break };
-        stepper.load(message);
     }
-    tick.steps
+    row_none();
+    while let Some(message) = motion.next(&observed) {
+        observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
+    }
+    observed.step_idle = true;
+    motion.observe(&observed);
+
+    // Blocks so short that each one changes the entries of all before it.
+    let far = 400_000;
+    for k in 0..140 {
+        match k {
+            40 => row_walk_near(),
+            41 => row_none(),
+            120 => row_walk_far(),
+            121 => row_none(),
+            _ => {}
+        }
+        black_box(unit_plan(motion, black_box(&line_to(far + 100 * (k + 1), 0, 160.0))));
+    }
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8]) {
+    if let Ok(checked) = interpreter.check(line, Dialect::Oxmill) {
+        interpreter.commit(black_box(&checked));
+    }
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
+    arc.next_chord()
+}
+
+fn text_and_arcs() {
+    let mut interpreter: Interpreter<3> = Interpreter::new();
+    row_text();
+    for _ in 0..4 {
+        unit_text(black_box(&mut interpreter), black_box(b"G1X12.345Y-6.789F1200"));
+    }
+    row_none();
+    let mut geometry = ArcGeometry {
+        start: micrometres(0, 0),
+        target: micrometres(20_000, 0),
+        axis_0: Axis::X,
+        axis_1: Axis::Y,
+        offset_0: Coordinate::mm(10),
+        offset_1: Coordinate::ZERO,
+        clockwise: true,
+        turns: 0,
+    };
+    for depth in [0, -1] {
+        geometry.target.set(Axis::Z, Coordinate::mm(depth));
+        let mut arc = Arc::new(&geometry, 0.002);
+        row_chord();
+        while arc.chords_left() > 1 {
+            black_box(unit_chord(black_box(&mut arc)));
+        }
+        row_none();
+    }
+}
+
+type Whole = Controller<3, 64>;
+
+/// The bytes of a line, and outputs until the step task has been told of another block; how many segments that were.
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
+    let now = Instant::from_ticks(0);
+    let mut segments = 0;
+    for byte in line {
+        controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+    }
+    loop {
+        let observed = Observed { segments_begun: begun.wrapping_add(segments), step_idle: false, rx_free: 0 };
+        controller.observe(observed);
+        match controller.output(now, Room { step: true, reply: true }) {
+            Some(Output::Step(ToStep::Block { .. })) => return segments,
+            Some(Output::Step(ToStep::Segment(_))) => segments += 1,
+            Some(other) => _ = black_box(other),
+            None => return segments,
+        }
+    }
+}
+
+/// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
+fn whole_line(place: &'static mut MaybeUninit<Whole>) {
+    let profile = Profile { safe_step_hz: 1_000_000, ..boards::PROFILE };
+    let controller = place.write(Controller::new(profile));
+    let now = Instant::from_ticks(0);
+    controller.start(now);
+    let mut text = heapless::String::<32>::new();
+    let mut begun = 0;
+    let feed = |controller: &mut Whole, line: &[u8]| {
+        for byte in line {
+            controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+        }
+        while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
+            black_box(output);
+        }
+    };
+    for line in [b"$120=500\n".as_slice(), b"$121=500\n", b"$110=10000\n", b"$111=10000\n", b"G1F6000\n"] {
+        feed(controller, line);
+    }
+    for k in 1..=160_u32 {
+        text.clear();
+        // A gentle curve, in three decimals as post-processors write them.
+        let (x, y) = (k * 98, k * k / 10);
+        let _ =
+            core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
+        if k < 60 {
+            feed(controller, text.as_bytes());
+            continue;
+        }
+        if k == 100 {
+            row_line();
+        }
+        begun += unit_line(controller, black_box(text.as_bytes()), begun);
+    }
+    row_none();
 }
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // SAFETY: unsafe because nobody guards the peripherals; safe because this program is alone.
-    let mut device = unsafe { mps2_pac::Peripherals::steal() };
-    device.TIMER1.set_reload(u32::MAX);
-    device.TIMER1.set_value(u32::MAX);
-    device.TIMER1.set_control(Timer1::ENABLE);
-    let mut stopwatch = Stopwatch { timer: device.TIMER1, overhead: 0 };
-    stopwatch.overhead = stopwatch.count(|| {});
-
-    let (mut send, mut receive) =
-        cortex_m::singleton!(: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new()).expect("main runs once").split();
-    semihosting::eprintln!("instructions of a tick with receive, release build");
-    for (name, steps) in [("three axes", [1000, 1000, 1000]), ("one axis", [1000, 0, 0]), ("mixed", [1000, 333, 77])] {
-        let mut stepper: Stepper<3> = Stepper::new();
-        let (mut sum, mut ticks, mut worst, mut steady) = (0, 0, 0, u32::MAX);
-        for segment in 0..12_u8 {
-            // A new block with a reversal each time, as in the worst case.
-            let block = ToStep::Block { steps, directions: segment & 1 };
-            let flags = Segment::FLAG_NEW_BLOCK | if segment == 11 { Segment::FLAG_LAST } else { 0 };
-            let body = Segment { interval: 1000 << 12, ramp: -77, ticks: 40, power: 5, level: 0, flags };
-            let _ = send.try_send(block);
-            let _ = send.try_send(ToStep::Segment(body));
-        }
-        while stepper.wants()
-            && let Ok(message) = receive.try_recv()
-        {
-            stepper.load(message);
-        }
-        while !stepper.is_idle() {
-            let n = stopwatch.count(|| {
-                black_box(tick_and_fetch(black_box(&mut stepper), &mut receive));
-            });
-            sum += n;
-            ticks += 1;
-            worst = worst.max(n);
-            steady = steady.min(n);
-        }
-        semihosting::eprintln!("{name:<12} least {steady:>4}  mean {:>4}  worst {worst:>4}", sum / ticks);
-    }
+    step_task();
+    let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
+    planning(motion.write(Motion::new(motion_settings())));
+    text_and_arcs();
+    whole_line(cortex_m::singleton!(: MaybeUninit<Whole> = MaybeUninit::uninit()).expect("main runs once"));
     semihosting::process::exit(0)
 }

@@ -1,0 +1,73 @@
+//! Copies of memory, eight words at a time.
+//!
+//! Lines, blocks and arcs are moved from place to place by value, some thousand bytes for each line of a program. The
+//! compiler's own routines take four instructions for a word (counted by `cargo xtask count` without this file: 9,700 of
+//! 23,500 instructions of a short line); load and store multiple take a fourth of one.
+
+use core::arch::naked_asm;
+
+/// Run-time ABI for the Arm Architecture, 4.3.4: `r2` bytes from `r1` to `r0`, both aligned to 4; changes r0 to r3 and the
+/// flags only.
+// SAFETY: unsafe because it takes the place of the compiler's routine by its name; safe because it does what the ABI says.
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+pub unsafe extern "C" fn __aeabi_memcpy4() {
+    naked_asm!(
+        "subs r2, #32",
+        "blo 2f",
+        "push {{r4-r10}}",
+        "1: ldmia r1!, {{r3-r10}}",
+        "stmia r0!, {{r3-r10}}",
+        "subs r2, #32",
+        "bhs 1b",
+        "pop {{r4-r10}}",
+        // What is left, less 4 bytes.
+        "2: adds r2, #28",
+        "blo 4f",
+        "3: ldr r3, [r1], #4",
+        "str r3, [r0], #4",
+        "subs r2, #4",
+        "bhs 3b",
+        "4: adds r2, #4",
+        "beq 6f",
+        "5: ldrb r3, [r1], #1",
+        "strb r3, [r0], #1",
+        "subs r2, #1",
+        "bne 5b",
+        "6: bx lr",
+    )
+}
+
+/// The same for addresses aligned to 8.
+// SAFETY: as above.
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+pub unsafe extern "C" fn __aeabi_memcpy8() {
+    naked_asm!("b {aligned}", aligned = sym __aeabi_memcpy4)
+}
+
+/// The same for any addresses: this core loads and stores single words from and to any of them.
+// SAFETY: as above.
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+pub unsafe extern "C" fn __aeabi_memcpy() {
+    naked_asm!(
+        "orr r3, r0, r1",
+        "lsls r3, r3, #30",
+        "beq {aligned}",
+        "subs r2, #4",
+        "blo 4f",
+        "3: ldr r3, [r1], #4",
+        "str r3, [r0], #4",
+        "subs r2, #4",
+        "bhs 3b",
+        "4: adds r2, #4",
+        "beq 6f",
+        "5: ldrb r3, [r1], #1",
+        "strb r3, [r0], #1",
+        "subs r2, #1",
+        "bne 5b",
+        "6: bx lr",
+        aligned = sym __aeabi_memcpy4,
+    )
+}

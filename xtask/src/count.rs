@@ -1,0 +1,218 @@
+//! `cargo xtask count`: what each unit of work costs on a Cortex-M4F, in instructions and estimated cycles.
+//!
+//! QEMU executes the program `count` of `tests/on_target` and writes down the address of every instruction; from the
+//! addresses follow the counts, and from the instructions at them the cycles (`thumb.rs` says how they are estimated).
+//! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails: the
+//! limits are what was reached, and a little more for what a compiler may change.
+
+use crate::elf::Elf;
+use crate::reach::demangled;
+use crate::thumb::{Kind, Meter, decode};
+use crate::{Failure, QEMU_BOARD, TARGET, cargo, qemu, root, run};
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+/// Instructions and cycles.
+type Cost = (u64, u64);
+
+/// How the calls of a row become one figure.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Figure {
+    /// Of one call on the average.
+    Mean,
+    /// Of the worst call.
+    Worst,
+    /// This row less another one, for each of so many units by which they differ.
+    Per(u64, &'static str),
+    /// Nothing by itself: what another row is compared with.
+    Base,
+}
+
+/// A row of the table.
+struct Row {
+    key: &'static str,
+    title: &'static str,
+    figure: Figure,
+    grbl: &'static str,
+    grbl_hal: &'static str,
+    target: Option<Cost>,
+    /// What may not be exceeded.
+    limit: Cost,
+}
+
+const fn row(key: &'static str, title: &'static str, figure: Figure, target: Option<Cost>, limit: Cost) -> Row {
+    Row { key, title, figure, grbl: "", grbl_hal: "", target, limit }
+}
+
+impl Row {
+    const fn beside(self, grbl: &'static str, grbl_hal: &'static str) -> Row {
+        Row { grbl, grbl_hal, ..self }
+    }
+}
+
+/// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
+/// counted in the same way.
+const ROWS: [Row; 15] = [
+    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (78, 109)).beside("105 / 138", "137 / 195"),
+    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (78, 109)).beside("83 / 119", "110 / 170"),
+    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (72, 104)).beside("71 / 108", "73 / 133"),
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (263, 422))
+        .beside("147 / 206", "209 / 304"),
+    row("receive", "fetching a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (233, 360)),
+    row("stop", "stop, with its report", Figure::Worst, None, (380, 708)),
+    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
+    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1455)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2120, 3450))
+        .beside("723 / 1210", "727 / 1200"),
+    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
+        .beside("56 / 72", "41 / 55"),
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2840, 4310))
+        .beside("1092 / 1588", "1930 / 2868"),
+    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (15000, 25720))
+        .beside("2800 / 4400", "4100 / 6500"),
+    row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
+];
+
+/// Builds the program, runs it and judges the figures.
+pub fn count() -> Result<(), Failure> {
+    qemu::require()?;
+    let mut build = cargo();
+    build.args(["build", "--profile", "firmware", "--quiet", "--package", "oxmill-on-target", "--bin", "count"]);
+    run(build.args(["--target", TARGET, "--features", QEMU_BOARD]))?;
+    let elf = root().join("target").join(TARGET).join("firmware/count");
+    let trace = root().join("target/count.trace");
+    qemu::trace(&elf, &trace)?;
+    let bytes = std::fs::read(&elf).map_err(|error| format!("{}: {error}", elf.display()))?;
+    let calls = measure(&bytes, &trace)?;
+    // Some hundred megabytes that tell nothing more.
+    let _ = std::fs::remove_file(&trace);
+    let (table, faults) = table(&calls)?;
+    print!("{table}");
+    if faults.is_empty() { Ok(()) } else { Err(faults.join("\n")) }
+}
+
+/// The address in a line of QEMU's log: `Trace 0: host address [flags/address/more] name`.
+fn address(line: &str) -> Option<u32> {
+    let inside = line.strip_prefix("Trace ")?.split_once('[')?.1;
+    u32::from_str_radix(inside.split('/').nth(1)?, 16).ok()
+}
+
+/// The costs of all calls of each row.
+fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Failure> {
+    let elf = Elf { bytes };
+    let symbols = elf.symbols().ok_or("the program is no ELF file")?;
+    let sections = elf.sections().ok_or("the program is no ELF file")?;
+    let named = |prefix: &str| -> HashMap<u32, String> {
+        let names = symbols.iter().filter(|s| s.function).map(|s| (s.address, demangled(&s.name)));
+        names.filter_map(|(at, name)| Some((at, name.strip_prefix(prefix)?.to_owned()))).collect()
+    };
+    let (rows, units) = (named("row_"), named("unit_"));
+    let half = |at: u32| -> Option<u16> {
+        let section = sections.iter().find(|s| s.loaded && (s.address..s.address + s.size).contains(&at))?;
+        elf.half(section.offset + (at - section.address)).map(|half| half as u16)
+    };
+    let mut known: HashMap<u32, (u32, Kind)> = HashMap::new();
+    let mut calls: HashMap<String, Vec<Cost>> = HashMap::new();
+    let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);
+    let mut before: Option<(u32, Kind)> = None;
+    let mut masked: Option<Meter> = None;
+    let file = File::open(trace).map_err(|error| format!("{}: {error}", trace.display()))?;
+    let mut reader = BufReader::new(file);
+    let mut line = String::new();
+    while reader.read_line(&mut line).map_err(|error| error.to_string())? > 0 {
+        let Some(at) = address(&line) else {
+            line.clear();
+            continue;
+        };
+        line.clear();
+        if let Some((behind, kind)) = before {
+            for meter in open.iter_mut().map(|(_, meter)| meter).chain(&mut masked) {
+                meter.add(kind, at != behind);
+            }
+            if at != behind && matches!(kind, Kind::Plain | Kind::Float(_) | Kind::Store { .. } | Kind::Undefined) {
+                return Err(format!("the instruction before {behind:#010x} leads to {at:#010x}: not understood"));
+            }
+        }
+        if let Some((end, meter)) = &open
+            && *end == at
+        {
+            if let Some(row) = row {
+                calls.entry(row.clone()).or_default().push((meter.instructions, meter.cycles));
+            }
+            open = None;
+        }
+        if let Some(name) = rows.get(&at) {
+            row = Some(name);
+        }
+        if open.is_none() && units.contains_key(&at) {
+            let Some((end, Kind::Call(_))) = before else {
+                return Err("a unit is entered otherwise than by a call".into());
+            };
+            open = Some((end, Meter::default()));
+        }
+        let (size, kind) = match known.get(&at) {
+            Some(found) => *found,
+            None => {
+                let first = half(at).ok_or_else(|| format!("no code at {at:#010x}"))?;
+                let instruction = decode(at, first, half(at + 2).unwrap_or(0));
+                known.insert(at, (instruction.size, instruction.kind));
+                (instruction.size, instruction.kind)
+            }
+        };
+        // From `cpsid i` to `msr primask`, which puts back what was before.
+        match (half(at).unwrap_or(0), half(at + 2)) {
+            (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
+            (0xF380..=0xF38F, Some(0x8810)) if let Some(meter) = masked.take() => {
+                calls.entry("masked".into()).or_default().push((meter.instructions, meter.cycles));
+            }
+            _ => {}
+        }
+        before = Some((at + size, kind));
+    }
+    Ok(calls)
+}
+
+/// The table as it stands in the book, and what exceeds its limit.
+fn table(calls: &HashMap<String, Vec<Cost>>) -> Result<(String, Vec<String>), Failure> {
+    let of =
+        |key: &str| calls.get(key).filter(|all| !all.is_empty()).ok_or_else(|| format!("row {key} was not counted"));
+    let mean = |all: &[Cost]| {
+        let n = all.len() as u64;
+        let part = |sum: u64| (sum + n / 2) / n;
+        (part(all.iter().map(|c| c.0).sum()), part(all.iter().map(|c| c.1).sum()))
+    };
+    let mut text = String::from(
+        "| unit of work (instructions / cycles) | Grbl | grblHAL | Oxmill | target | |\n|---|---|---|---|---|---|\n",
+    );
+    let mut faults = Vec::new();
+    for row in ROWS.iter().filter(|row| row.figure != Figure::Base) {
+        let all = of(row.key)?;
+        let cost = match row.figure {
+            Figure::Mean | Figure::Base => mean(all),
+            Figure::Worst => (all.iter().map(|c| c.0).max().unwrap_or(0), all.iter().map(|c| c.1).max().unwrap_or(0)),
+            Figure::Per(units, other) => {
+                let (more, less) = (mean(all), mean(of(other)?));
+                (more.0.saturating_sub(less.0).div_ceil(units), more.1.saturating_sub(less.1).div_ceil(units))
+            }
+        };
+        let target = row.target.map_or(String::new(), |(i, c)| format!("{i} / {c}"));
+        let met = match row.target {
+            Some(target) if cost.0 <= target.0 && cost.1 <= target.1 => "met",
+            Some(_) => "missed",
+            None => "",
+        };
+        text += &format!(
+            "| {} | {} | {} | {} / {} | {target} | {met} |\n",
+            row.title, row.grbl, row.grbl_hal, cost.0, cost.1
+        );
+        if cost.0 > row.limit.0 || cost.1 > row.limit.1 {
+            let (i, c) = row.limit;
+            faults.push(format!("{}: {} / {} exceeds its limit of {i} / {c}", row.title, cost.0, cost.1));
+        }
+    }
+    Ok((text, faults))
+}

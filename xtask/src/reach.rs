@@ -1,0 +1,285 @@
+//! What the step interrupt can reach, read from the image itself: no panic, no floating point in software, no division in
+//! software. A compiler that cannot see that an index is in range, or a careless `u64` division, shows up here and nowhere
+//! else.
+//!
+//! The walk follows every branch and call from the vector's handler. A call of an address in a register has no target that
+//! can be read; each place that makes one must be known by name here, with all that it may lead to.
+
+use crate::Failure;
+use crate::elf::{Elf, Section, Symbol};
+use crate::thumb::{Instruction, Kind, decode};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Parts of names of what must not be reachable, and what they are.
+const FORBIDDEN: [(&str, &str); 18] = [
+    ("panic", "a panic"),
+    ("unwrap_failed", "a panic"),
+    ("expect_failed", "a panic"),
+    ("slice_index", "a panic"),
+    ("__aeabi_d", "a double in software"),
+    ("__aeabi_f", "a float in software"),
+    ("2d", "a double in software"),
+    ("df3", "a double in software"),
+    ("df2", "a double in software"),
+    ("sf3", "a float in software"),
+    ("dfsi", "a double in software"),
+    ("dfdi", "a double in software"),
+    ("divmod", "a division in software"),
+    ("__udiv", "a division in software"),
+    ("__div", "a division in software"),
+    ("__mod", "a division in software"),
+    ("__umod", "a division in software"),
+    ("div_rem", "a division in software"),
+];
+
+/// A function that calls addresses in registers: part of its name, how often it may, and what that may lead to.
+pub struct Allowed {
+    /// Part of the name of the function, demangled.
+    pub function: &'static str,
+    /// Parts of the names of all functions that such a call may lead to; these are walked too.
+    pub targets: &'static [&'static str],
+}
+
+struct Program<'a> {
+    elf: Elf<'a>,
+    sections: Vec<Section>,
+    /// Functions by address.
+    functions: BTreeMap<u32, Symbol>,
+    /// Where code (`true`) or data begins.
+    marks: BTreeMap<u32, bool>,
+}
+
+impl Program<'_> {
+    fn new(bytes: &[u8]) -> Option<Program<'_>> {
+        let elf = Elf { bytes };
+        let (mut functions, mut marks) = (BTreeMap::new(), BTreeMap::new());
+        for symbol in elf.symbols()? {
+            // ELF for the Arm architecture, 5.5.5: mapping symbols, with or without a suffix.
+            match symbol.name.split('.').next() {
+                Some("$t") => _ = marks.insert(symbol.address, true),
+                Some("$d") => _ = marks.insert(symbol.address, false),
+                _ if symbol.function => _ = functions.insert(symbol.address, symbol),
+                _ => {}
+            }
+        }
+        Some(Program { sections: elf.sections()?, elf, functions, marks })
+    }
+
+    fn half(&self, address: u32) -> Option<u16> {
+        let section = self.sections.iter().find(|s| s.loaded && (s.address..s.address + s.size).contains(&address))?;
+        self.elf.half(section.offset + (address - section.address)).map(|half| half as u16)
+    }
+
+    fn instruction(&self, address: u32) -> Option<Instruction> {
+        Some(decode(address, self.half(address)?, self.half(address + 2).unwrap_or(0)))
+    }
+
+    /// The function that an address lies in, and where it ends.
+    fn function(&self, address: u32) -> Option<(&Symbol, u32)> {
+        let (start, symbol) = self.functions.range(..=address).next_back()?;
+        let next = self.functions.range(start + 1..).next().map_or(u32::MAX, |(next, _)| *next);
+        let end = if symbol.size > 0 { start + symbol.size } else { next };
+        (address < end).then_some((symbol, end))
+    }
+
+    fn is_data(&self, address: u32) -> bool {
+        self.marks.range(..=address).next_back().is_some_and(|(_, code)| !code)
+    }
+}
+
+/// Names all functions that `handler` can reach; fails if one of them is forbidden or a call is not known.
+pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
+    let program = Program::new(bytes).ok_or("the image is no 32-bit ELF file")?;
+    let root = program.functions.values().find(|f| f.name == handler);
+    let root = root.ok_or_else(|| format!("the image has no handler `{handler}`"))?.address;
+    let mut found: BTreeMap<u32, u32> = BTreeMap::from([(root, root)]);
+    let mut open = vec![root];
+    let mut faults = BTreeSet::new();
+    while let Some(start) = open.pop() {
+        let Some((symbol, end)) = program.function(start) else {
+            faults.insert(format!(
+                "{:#010x}, called from {}, is in no function",
+                start,
+                name_at(&program, found[&start])
+            ));
+            continue;
+        };
+        let name = demangled(&symbol.name);
+        if let Some((_, what)) = FORBIDDEN.iter().find(|(part, _)| forbids(part, &name)) {
+            faults.insert(format!("{what}: {name}, called from {}", name_at(&program, found[&start])));
+            continue;
+        }
+        let mut reach = |target: u32| {
+            if let std::collections::btree_map::Entry::Vacant(new) = found.entry(target) {
+                new.insert(start);
+                open.push(target);
+            }
+        };
+        let mut address = symbol.address;
+        while address < end {
+            if program.is_data(address) {
+                address += 2;
+                continue;
+            }
+            let Some(instruction) = program.instruction(address) else { break };
+            match instruction.kind {
+                Kind::Call(target) | Kind::Branch { target, .. } if !(symbol.address..end).contains(&target) => {
+                    reach(program.function(target).map_or(target, |(function, _)| function.address));
+                }
+                Kind::CallRegister | Kind::JumpRegister => {
+                    match allowed.iter().find(|known| name.contains(known.function)) {
+                        Some(known) => {
+                            for part in known.targets {
+                                let mut targets =
+                                    program.functions.values().filter(|f| demangled(&f.name).contains(part)).peekable();
+                                if targets.peek().is_none() {
+                                    faults.insert(format!("{part}, which {name} may call, is not in the image"));
+                                }
+                                targets.for_each(|f| reach(f.address));
+                            }
+                        }
+                        None => {
+                            faults.insert(format!("a call of an unknown function at {address:#010x} in {name}"));
+                        }
+                    }
+                }
+                _ => {}
+            }
+            address += instruction.size;
+        }
+    }
+    if faults.is_empty() {
+        Ok(found.keys().map(|address| name_at(&program, *address)).collect())
+    } else {
+        let list: Vec<String> = faults.into_iter().collect();
+        Err(format!("`{handler}` reaches what a step interrupt must not:\n  {}", list.join("\n  ")))
+    }
+}
+
+/// Runtime routines are plain names: what forbids them must not match a part of a Rust path.
+fn forbids(part: &str, name: &str) -> bool {
+    let routine = !name.contains("::");
+    match part {
+        "2d" | "df3" | "df2" | "sf3" => routine && name.starts_with("__") && name.ends_with(part),
+        "dfsi" | "dfdi" => routine && name.contains(part),
+        "__aeabi_f" => routine && name.starts_with(part),
+        _ => name.contains(part),
+    }
+}
+
+fn name_at(program: &Program<'_>, address: u32) -> String {
+    program.function(address).map_or_else(|| format!("{address:#010x}"), |(symbol, _)| demangled(&symbol.name))
+}
+
+/// A readable name.
+pub fn demangled(name: &str) -> String {
+    format!("{:#}", rustc_demangle::demangle(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A function: name and half words of code; calls are put in by [`call`].
+    type Function = (&'static str, Vec<u16>);
+
+    const ORIGIN: u32 = 0x1000;
+    /// `bx lr`.
+    const RETURN: u16 = 0x4770;
+
+    /// A `bl` from the `from`th half word of the program to the `to`th.
+    fn call(from: usize, to: usize) -> [u16; 2] {
+        let offset = (to as i32 - from as i32 - 2) * 2;
+        let bits = offset as u32;
+        // Near calls: both J bits are set, whatever the sign.
+        [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
+    }
+
+    /// An ELF file with these functions one after the other in `.text`, and a symbol for each.
+    fn elf(functions: &[Function]) -> Vec<u8> {
+        const HEADER: u32 = 52;
+        let words = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let code: Vec<u8> = functions.iter().flat_map(|f| f.1.iter().flat_map(|h| h.to_le_bytes())).collect();
+        let (mut names, mut symbols) = (vec![0_u8], vec![0_u8; 16]);
+        let mut at = ORIGIN;
+        for (name, code) in functions {
+            let size = code.len() as u32 * 2;
+            symbols.extend(words(&[names.len() as u32, at | 1, size, 0x0001_0012]));
+            names.extend(name.bytes().chain([0]));
+            at += size;
+        }
+        let text = HEADER;
+        let table = text + code.len() as u32;
+        let strings = table + symbols.len() as u32;
+        let headers = strings + names.len() as u32;
+        let section = |kind, flags, address, offset, size: usize, link| {
+            words(&[0, kind, flags, address, offset, size as u32, link, 0, 0, 0])
+        };
+        let mut file = b"\x7FELF\x01\x01\x01".to_vec();
+        file.resize(HEADER as usize, 0);
+        file[32..36].copy_from_slice(&headers.to_le_bytes());
+        file[46..48].copy_from_slice(&40_u16.to_le_bytes());
+        file[48..50].copy_from_slice(&3_u16.to_le_bytes());
+        file[50..52].copy_from_slice(&2_u16.to_le_bytes());
+        file.extend(&code);
+        file.extend(&symbols);
+        file.extend(&names);
+        file.extend(section(1, 6, ORIGIN, text, code.len(), 0));
+        file.extend(section(2, 0, 0, table, symbols.len(), 2));
+        file.extend(section(3, 0, 0, strings, names.len(), 0));
+        file
+    }
+
+    /// A handler that calls a helper, which calls something.
+    fn chain(last: &'static str) -> Vec<u8> {
+        let [a, b] = call(0, 3);
+        let [c, d] = call(3, 6);
+        elf(&[("TIM2", vec![a, b, RETURN]), ("helper", vec![c, d, RETURN]), (last, vec![RETURN])])
+    }
+
+    #[test]
+    fn what_is_called_by_what_is_called_is_found() {
+        assert_eq!(check(&chain("harmless"), "TIM2", &[]), Ok(vec!["TIM2".into(), "helper".into(), "harmless".into()]));
+        for (name, what) in [
+            ("_ZN4core9panicking5panic17h0123456789abcdefE", "a panic"),
+            ("__aeabi_dadd", "a double in software"),
+            ("__adddf3", "a double in software"),
+            ("__extendsfdf2", "a double in software"),
+            ("__aeabi_fmul", "a float in software"),
+            ("__aeabi_uldivmod", "a division in software"),
+            ("__udivmoddi4", "a division in software"),
+            (
+                "_ZN17compiler_builtins3int19specialized_div_rem11u64_div_rem17h0123456789abcdefE",
+                "a division in software",
+            ),
+        ] {
+            let found = check(&chain(name), "TIM2", &[]).unwrap_err();
+            assert!(found.contains(what) && found.contains("called from helper"), "{name}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_nobody_calls_does_no_harm() {
+        let file = elf(&[("TIM2", vec![RETURN]), ("__aeabi_ddiv", vec![RETURN])]);
+        assert_eq!(check(&file, "TIM2", &[]), Ok(vec!["TIM2".into()]));
+        assert!(check(&file, "TIM3", &[]).is_err());
+    }
+
+    #[test]
+    fn jumps_out_of_a_function_count_as_calls() {
+        // b.w to the second function: a call in last place.
+        let file = elf(&[("TIM2", vec![0xF000, 0xB800]), ("__aeabi_ddiv", vec![RETURN])]);
+        assert!(check(&file, "TIM2", &[]).unwrap_err().contains("__aeabi_ddiv"));
+    }
+
+    #[test]
+    fn a_call_of_an_unknown_address_must_be_allowed_and_its_targets_are_walked() {
+        // blx r3; bx lr
+        let wakes = |target| elf(&[("TIM2", vec![0x4798, RETURN]), (target, vec![RETURN])]);
+        let known = [Allowed { function: "TIM2", targets: &["wake"] }];
+        assert!(check(&wakes("wake"), "TIM2", &[]).unwrap_err().contains("unknown function at 0x00001000 in TIM2"));
+        assert_eq!(check(&wakes("wake"), "TIM2", &known).map(|all| all.len()), Ok(2));
+        assert!(check(&wakes("wake_with_panic"), "TIM2", &known).unwrap_err().contains("a panic"));
+        assert!(check(&wakes("asleep"), "TIM2", &known).unwrap_err().contains("is not in the image"));
+    }
+}
