@@ -80,7 +80,7 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
 
 /// Whether a group asks where the machine is in mid-move, or stops it there: then the answers depend on the host's load.
 fn looks_at_motion(records: &[Record]) -> bool {
-    let in_motion = ["<Run", "<Jog", "<Hold:1", "<Home", "<Door:2", "ALARM:3", "ALARM:6"];
+    let in_motion = ["<Run", "<Jog", "<Hold:", "<Home", "<Door:2", "ALARM:3", "ALARM:6"];
     records.iter().flat_map(|record| &record.reply).any(|line| in_motion.iter().any(|begin| line.starts_with(begin)))
 }
 
