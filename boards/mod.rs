@@ -29,7 +29,10 @@
 #[path = "profiles.rs"]
 pub mod profiles;
 
-#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
+#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
+#[path = "nucleo64.rs"]
+mod nucleo64;
+#[cfg(not(feature = "qemu_mps2"))]
 #[path = "stm32f4.rs"]
 mod stm32f4;
 #[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
@@ -42,12 +45,18 @@ mod chosen;
 #[cfg(feature = "nucleo_f446re")]
 #[path = "nucleo_f446re/mod.rs"]
 mod chosen;
+#[cfg(feature = "nucleo_f411re")]
+#[path = "nucleo_f411re/mod.rs"]
+mod chosen;
+#[cfg(feature = "nucleo_f401re")]
+#[path = "nucleo_f401re/mod.rs"]
+mod chosen;
 #[cfg(feature = "qemu_mps2")]
 #[path = "qemu_mps2/mod.rs"]
 mod chosen;
 
-#[cfg(not(any(feature = "blackpill_f411", feature = "nucleo_f446re", feature = "qemu_mps2")))]
-compile_error!("choose a board: `cargo fw BOARD`, or `--features` blackpill_f411, nucleo_f446re or qemu_mps2");
+#[cfg(not(feature = "board"))]
+compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
 
 pub use chosen::*;
 

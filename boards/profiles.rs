@@ -46,8 +46,16 @@ pub const BLACKPILL_F411: Board =
 pub const NUCLEO_F446RE: Board =
     Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 164_000, ..DESK };
 
+/// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. The step rate as above.
+pub const NUCLEO_F411RE: Board =
+    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 91_000, ..DESK };
+
+/// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. The step rate as above.
+pub const NUCLEO_F401RE: Board =
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 76_000, ..DESK };
+
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
 
 /// All boards.
-pub const ALL: [Board; 4] = [DESK, BLACKPILL_F411, NUCLEO_F446RE, QEMU_MPS2];
+pub const ALL: [Board; 6] = [DESK, BLACKPILL_F411, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];

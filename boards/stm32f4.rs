@@ -36,7 +36,7 @@ macro_rules! raw {
 
 /// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
 /// the HAL leaves it there. The scale can be changed only while the PLL is off.
-#[cfg(feature = "blackpill_f411")]
+#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f411re"))]
 pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
     rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
     // An enabled clock takes two bus cycles to arrive; reading back waits for them.
@@ -326,6 +326,12 @@ pub fn reset_cause() -> ResetCause {
     }
 }
 
+/// Vector of the voltage detector: the device crates disagree about its name.
+#[cfg(not(feature = "nucleo_f401re"))]
+const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
+#[cfg(feature = "nucleo_f401re")]
+const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
+
 /// EXTI line of the voltage detector.
 const VOLTAGE_LINE: u32 = 1 << 16;
 
@@ -342,16 +348,16 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI) {
     // SAFETY: unsafe because priorities and masks may break critical sections; safe because the handler only ends the
     // program.
     unsafe {
-        cortex_m::Peripherals::steal().NVIC.set_priority(pac::Interrupt::PVD, 0);
-        pac::NVIC::unmask(pac::Interrupt::PVD);
+        cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
+        pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
 }
 
 /// The supply is failing.
-#[allow(non_snake_case, reason = "the name of the vector")]
-#[unsafe(no_mangle)]
+#[cfg_attr(not(feature = "nucleo_f401re"), unsafe(export_name = "PVD"))]
+#[cfg_attr(feature = "nucleo_f401re", unsafe(export_name = "EXTI16_PVD"))]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
-extern "C" fn PVD() {
+extern "C" fn voltage_low() {
     crate::panic::low_voltage()
 }
 

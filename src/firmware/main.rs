@@ -147,7 +147,7 @@ macro_rules! firmware {
 
 #[cfg(feature = "blackpill_f411")]
 firmware!(device: stm32f4xx_hal::pac, serial: USART1, step: TIM2, dispatcher: SPI1);
-#[cfg(feature = "nucleo_f446re")]
+#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
 firmware!(device: stm32f4xx_hal::pac, serial: USART2, step: TIM2, dispatcher: SPI1);
 #[cfg(feature = "qemu_mps2")]
 firmware!(device: mps2_pac, serial: UART0_RX, step: TIMER0, dispatcher: SPI);

@@ -5,5 +5,5 @@ mod boards;
 
 fn main() {
     // The suites build whole controllers as local variables, two at a time.
-    boards::link("../..", &["tests", "bins"], 100);
+    boards::link("../..", &["tests", "bins"], 80);
 }

@@ -37,6 +37,8 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
     let chip = match board {
         "blackpill_f411" => "STM32F411CEUx",
         "nucleo_f446re" => "STM32F446RETx",
+        "nucleo_f411re" => "STM32F411RETx",
+        "nucleo_f401re" => "STM32F401RETx",
         _ => return Err(format!("{board} has no probe")),
     };
     run(suites(board, &format!("probe-rs run --chip {chip}")).args(["--tests", "--no-fail-fast"]))

@@ -1,0 +1,94 @@
+//! What the Nucleo-64 boards share: the pins of the Arduino header with a CNC shield v3 on it, and all of the set-up but the
+//! clock.
+//!
+#![doc = include_str!("nucleo64.md")]
+
+use stm32f4xx_hal::{
+    gpio::{PinState, Speed},
+    prelude::*,
+    rcc::Config,
+    serial,
+};
+
+use super::stm32f4;
+pub use super::stm32f4::{
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
+    reset_cause, restart, safe_state,
+};
+pub use super::stm32f4_step::Due;
+pub use stm32f4xx_hal::pac;
+
+/// The clock counts microseconds.
+pub const CLOCK_TICKS_PER_US: u32 = 1;
+/// Samples of the inputs in a second.
+pub const SAMPLE_HZ: u32 = 20_000;
+/// A UART overwrites what is not fetched.
+pub const BACK_PRESSURE: bool = false;
+
+/// The link to the host.
+pub type SerialPort = stm32f4::Usart<pac::USART2>;
+/// Step pins on two ports, direction pins too.
+pub type StepPins = stm32f4::StepPins<2, 2>;
+/// What [`setup`] deals out.
+pub type Parts = stm32f4::Parts<pac::USART2, 2, 2>;
+
+/// Clocks, pins and timers; outputs are off.
+pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
+    #[cfg(feature = "nucleo_f411re")]
+    stm32f4::full_core_voltage(&device.RCC, &device.PWR);
+    let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(core_hz.Hz()));
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
+    let a = device.GPIOA.split(&mut rcc);
+    let b = device.GPIOB.split(&mut rcc);
+    let c = device.GPIOC.split(&mut rcc);
+
+    let slow_pins = SlowPins::new([
+        a.pa9.into_push_pull_output_in_state(PinState::High).erase(),
+        c.pc2.into_push_pull_output_in_state(PinState::Low).erase(),
+        a.pa5.into_push_pull_output_in_state(PinState::Low).erase(),
+        b.pb0.into_push_pull_output_in_state(PinState::Low).erase(),
+        c.pc1.into_push_pull_output_in_state(PinState::Low).erase(),
+    ]);
+    let inputs = InputPins::new([
+        c.pc7.into_pull_up_input().erase(),
+        b.pb6.into_pull_up_input().erase(),
+        a.pa6.into_pull_up_input().erase(),
+        c.pc0.into_pull_up_input().erase(),
+        c.pc3.into_pull_up_input().erase(),
+        a.pa1.into_pull_up_input().erase(),
+        a.pa4.into_pull_up_input().erase(),
+        a.pa0.into_pull_up_input().erase(),
+    ]);
+    let _pwm = a.pa7.into_alternate::<2>();
+    let step_pins = stm32f4::step_pins(
+        [
+            a.pa10.into_push_pull_output().speed(Speed::Medium).erase(),
+            b.pb3.into_push_pull_output().speed(Speed::Medium).erase(),
+            b.pb5.into_push_pull_output().speed(Speed::Medium).erase(),
+        ],
+        [
+            b.pb4.into_push_pull_output().erase(),
+            b.pb10.into_push_pull_output().erase(),
+            a.pa8.into_push_pull_output().erase(),
+        ],
+        &inputs,
+        device.TIM3,
+        &mut rcc,
+    );
+    let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
+    let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
+        // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
+        unreachable!()
+    };
+    let (tx, rx) = usart.split();
+    stm32f4::start_clock(device.TIM5, &mut rcc);
+    Parts {
+        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
+        step_pins,
+        serial: SerialPort::new(tx, rx),
+        inputs,
+        slow_pins,
+        settings_flash: stm32f4::settings_flash::<pac::USART2>(device.FLASH, &mut rcc),
+        watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
+    }
+}

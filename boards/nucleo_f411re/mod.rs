@@ -1,0 +1,26 @@
+//! ST Nucleo-64 with STM32F411RE and an Arduino CNC shield v3 on top. Compare with the user manual (UM1724) and with the
+//! print on your shield before you switch the motors' supply on.
+//!
+#![doc = include_str!("../nucleo64.md")]
+//!
+//! The clock comes from the ST-LINK (MCO, 8 MHz): bypass mode. 100 MHz core and step clock: no USB here. In reset all pins float: spindle,
+//! laser and coolant need pull-down resistors, driver enable a pull-up.
+
+use super::{nucleo64, profiles};
+use oxmill_controller::Profile;
+
+pub use super::nucleo64::*;
+
+/// The row of this board.
+pub const PROFILE: Profile = super::profile(&profiles::NUCLEO_F411RE);
+/// Axes that have pins.
+pub const AXES: usize = profiles::NUCLEO_F411RE.axes;
+/// Depth of the look-ahead.
+pub const BLOCKS: usize = profiles::NUCLEO_F411RE.blocks;
+/// Clock of SysTick.
+pub const CORE_HZ: u32 = 100_000_000;
+
+/// Clocks, pins and timers; outputs are off.
+pub fn setup(device: pac::Peripherals) -> Parts {
+    nucleo64::setup(device, CORE_HZ)
+}

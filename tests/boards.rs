@@ -1,0 +1,91 @@
+//! No pin of a board has two uses, and each that is used stands in the pin table of its drawing.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn board_file(name: &str) -> String {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("boards").join(name);
+    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Code and pin table of each wiring.
+fn wirings() -> [(&'static str, String, String); 2] {
+    let pill = board_file("blackpill_f411/mod.rs");
+    [("blackpill_f411", pill.clone(), pill), ("nucleo64", board_file("nucleo64.rs"), board_file("nucleo64.md"))]
+}
+
+/// Pins that the code takes, such as `a.pa7`, in their order.
+fn pins_of(code: &str) -> Vec<String> {
+    let code: String = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+    let mut found = Vec::new();
+    for port in ["a", "b", "c"] {
+        for (at, prefix) in code.match_indices(&format!("{port}.p{port}")) {
+            let number: String = code[at + prefix.len()..].chars().take_while(char::is_ascii_digit).collect();
+            if !number.is_empty() && !code[..at].ends_with(|c: char| c.is_alphanumeric()) {
+                found.push(format!("{}{number}", port.to_uppercase()));
+            }
+        }
+    }
+    found
+}
+
+/// Pins of the second column of the table of pins.
+fn pins_of_table(text: &str) -> BTreeSet<String> {
+    let rows = text.lines().map(|line| line.trim_start_matches("//!").trim()).filter(|line| line.starts_with('|'));
+    let cells = rows.filter_map(|row| row.split('|').nth(2).map(str::to_owned));
+    cells
+        .flat_map(|cell| {
+            let words = cell.split(|c: char| !c.is_ascii_alphanumeric()).map(str::to_owned).collect::<Vec<_>>();
+            words.into_iter().map(|word| word.strip_prefix('P').map_or(word.clone(), str::to_owned))
+        })
+        .collect()
+}
+
+#[test]
+fn no_pin_is_used_twice_and_each_stands_in_the_table() {
+    for (name, code, table) in wirings() {
+        let pins = pins_of(&code);
+        // Three axes with step, direction and limit; the rest of a mill; the link.
+        assert!(pins.len() >= 20, "{name}: {pins:?}");
+        let once: BTreeSet<&String> = pins.iter().collect();
+        assert_eq!(once.len(), pins.len(), "{name} uses a pin twice: {pins:?}");
+        let listed = pins_of_table(&table);
+        for pin in &pins {
+            assert!(listed.contains(pin), "{name}: the table has no {pin}, but {listed:?}");
+        }
+    }
+}
+
+/// Timers and DMA streams: each name of a peripheral has one place where its owner is made.
+#[test]
+fn no_timer_or_stream_has_two_uses() {
+    let shared = board_file("stm32f4_shelter.rs");
+    for (name, code, _) in wirings() {
+        let taken: Vec<&str> = code
+            .match_indices("device.")
+            .map(|(at, prefix)| &code[at + prefix.len()..])
+            .map(|rest| &rest[..rest.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(rest.len())])
+            .filter(|peripheral| ["TIM", "USART", "DMA"].iter().any(|kind| peripheral.starts_with(kind)))
+            .collect();
+        let once: BTreeSet<&&str> = taken.iter().collect();
+        assert!(once.contains(&&"TIM2") && once.contains(&&"TIM3") && once.contains(&&"TIM5"), "{name}: {taken:?}");
+        assert_eq!(once.len(), taken.len(), "{name} takes a peripheral twice: {taken:?}");
+    }
+    // The only streams, one for each USART that a board may have; a board has one USART.
+    let streams: Vec<&str> = shared.lines().filter(|line| line.starts_with("sheltered!(")).collect();
+    assert_eq!(streams, ["sheltered!(USART1, DMA2, 2);", "sheltered!(USART2, DMA1, 5);"]);
+}
+
+#[test]
+fn every_board_has_its_sizes_and_a_probe_profile() {
+    let boards = board_file("build.rs");
+    let list = boards.lines().find(|line| line.contains("pub const BOARDS")).unwrap();
+    let names: Vec<&str> = list.split('"').skip(1).step_by(2).collect();
+    assert!(names.len() >= 5, "{names:?}");
+    let embed = board_file("../Embed.toml");
+    for name in names {
+        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join("boards").join(name).join("chip.x").exists(), "{name}");
+        assert!(name == "qemu_mps2" || embed.contains(&format!("[{name}.general]")), "{name}");
+    }
+}
