@@ -141,20 +141,33 @@ pub struct Usart<U: Instance> {
     rx: Rx<U>,
     tx: Tx<U>,
     taken: Taken,
+    /// The USART has lost a byte while older ones were taken; still to be told.
+    lost: bool,
 }
 
 impl<U: Instance> Usart<U> {
     /// Begins to listen.
     pub fn new(tx: Tx<U>, mut rx: Rx<U>) -> Self {
         rx.listen();
-        Usart { rx, tx, taken: Taken::default() }
+        Usart { rx, tx, taken: Taken::default(), lost: false }
     }
 
     /// The next byte, if one has come.
     #[inline]
     pub fn receive(&mut self) -> Incoming {
         if let Some(byte) = self.taken.next() {
+            // Taking them all lasts longer than a byte on the line: what comes meanwhile queues up behind them.
+            if self.taken.has_room() {
+                match self.rx.read() {
+                    Ok(newer) => self.taken.append(newer),
+                    Err(nb::Error::WouldBlock) => {}
+                    Err(nb::Error::Other(_)) => self.lost = true,
+                }
+            }
             return Incoming::Byte(byte);
+        }
+        if core::mem::take(&mut self.lost) {
+            return Incoming::Lost;
         }
         match self.rx.read() {
             Ok(byte) => Incoming::Byte(byte),

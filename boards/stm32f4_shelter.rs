@@ -18,7 +18,7 @@ use stm32f4xx_hal::{
 
 const ROOM: usize = 512;
 static BYTES: [AtomicU8; ROOM] = [const { AtomicU8::new(0) }; ROOM];
-/// How many of them were received. Written while no task runs, and by `serial` when it has taken them all.
+/// How many of them were received. Written while no task runs, and by `serial`.
 static END: AtomicUsize = AtomicUsize::new(0);
 
 /// A USART whose receiver has a DMA stream (reference manual, "DMA request mapping").
@@ -140,5 +140,20 @@ impl Taken {
             END.store(0, Ordering::Relaxed);
         }
         Some(byte)
+    }
+    /// Whether [`Taken::append`] may be called.
+    #[inline]
+    pub fn has_room(&self) -> bool {
+        END.load(Ordering::Relaxed) < ROOM
+    }
+
+    /// Keeps a byte behind the others.
+    #[inline]
+    pub fn append(&mut self, byte: u8) {
+        let end = END.load(Ordering::Relaxed);
+        if let Some(place) = BYTES.get(end) {
+            place.store(byte, Ordering::Relaxed);
+            END.store(end + 1, Ordering::Relaxed);
+        }
     }
 }

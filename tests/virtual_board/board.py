@@ -18,6 +18,7 @@ from unicorn import UC_HOOK_MEM_WRITE, UC_PROT_ALL
 
 from .core import ASLEEP, DEADLINE, EXCEPTION_RETURN, FAULT, Core
 from .models.dma import Dma
+from .models.exti import Exti
 from .models.flash import Flash
 from .models.gpio import Gpio
 from .models.iwdg import Iwdg
@@ -83,6 +84,7 @@ class Board:
         self.clocks = [(0, 0.0, 16_000_000)]
         """(cycle, seconds, core clock from there on)."""
         self.powered = True
+        self.supply_v = 3.3
         self._reset_asked = None
         self._fixes = []
         self._vectors = {}
@@ -139,10 +141,12 @@ class Board:
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
+        self.exti = fit(0x4001_3C00, Exti("EXTI", self))
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
         self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
-        self.dwt = {0x1000: 0x4000_0001, 0x1004: 0}
+        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: plain words, as no debugger halts this processor.
+        self.plain = {0x1000: 0x4000_0001, 0x1004: 0, 0x4_2000: 0x1000_0431, 0x4_2004: 0, 0x4_2008: 0, 0x4_200C: 0}
 
     def _add(self, base, peripheral):
         self.peripherals[peripheral.name] = peripheral
@@ -235,6 +239,11 @@ class Board:
             return False
         return True
 
+    def set_supply(self, volts):
+        """The supply sinks or recovers. Below 1.7 V the chip would be reset, which is left to the case."""
+        self.supply_v = volts
+        self.peripherals["PWR"].supply_changed()
+
     # Memory and registers.
 
     def read_memory(self, address, size):
@@ -305,14 +314,14 @@ class Board:
     def _read_core(self, uc, offset, size, _):
         if offset == 0x1004:
             return self.now & 0xFFFF_FFFF
-        if offset in self.dwt:
-            return self.dwt[offset]
+        if offset in self.plain:
+            return self.plain[offset]
         value = self.nvic.read((offset & ~3) - 0xE000)
         return value >> 8 * (offset & 3) & (1 << 8 * size) - 1
 
     def _write_core(self, uc, offset, size, value, _):
-        if offset in self.dwt:
-            self.dwt[offset] = value
+        if offset in self.plain:
+            self.plain[offset] = value
         elif offset == 0x1FB0:
             pass  # DWT_LAR, the lock of the cycle counter.
         elif size == 1:

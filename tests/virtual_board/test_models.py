@@ -6,7 +6,7 @@ Run by `cargo xtask virtual` before the boards.
 import unittest
 from types import SimpleNamespace
 
-from .models import dma, flash, gpio, iwdg, nvic, pwr, rcc, timer, usart
+from .models import dma, exti, flash, gpio, iwdg, nvic, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
 
@@ -27,6 +27,8 @@ class Bench:
         self.dma = []
         self.stalled = 0.0
         self.limit = 1 << 40
+        self.supply_v = 3.3
+        self.exti = SimpleNamespace(edge=lambda line, rising: None)
         self.hz = hclk
 
     def replan(self):
@@ -184,6 +186,41 @@ class PwrTraces(unittest.TestCase):
         bench.rcc.values[0] = 1 << 24
         with self.assertRaises(Misuse):
             model.write(pwr.CR, 0x8000 | 3 << 16)
+
+
+class ExtiTraces(unittest.TestCase):
+    def test_the_voltage_detector(self):
+        bench = Bench()
+        bench.exti = exti.Exti("EXTI", bench)
+        model = pwr.Pwr("PWR", bench)
+        # Rising edge of line 16, threshold 7: 2.9 V.
+        bench.exti.write(exti.RTSR, 1 << 16)
+        bench.exti.write(exti.IMR, 1 << 16)
+        model.write(pwr.CR, 0x8000 | 1 << 4 | 7 << 5)
+        self.assertEqual((model.read(pwr.CSR) >> 2 & 1, bench.lines[1]), (0, False))
+        bench.supply_v = 2.85
+        model.supply_changed()
+        self.assertEqual((model.read(pwr.CSR) >> 2 & 1, bench.exti.read(exti.PR), bench.lines[1]), (1, 1 << 16, True))
+        # A 1 clears the pending bit; the falling edge is not asked for.
+        bench.exti.write(exti.PR, 1 << 16)
+        bench.supply_v = 3.3
+        model.supply_changed()
+        self.assertEqual((model.read(pwr.CSR) >> 2 & 1, bench.exti.read(exti.PR), bench.lines[1]), (0, 0, False))
+
+    def test_masked_and_by_software(self):
+        bench = Bench()
+        model = exti.Exti("EXTI", bench)
+        model.write(exti.FTSR, 1 << 16)
+        model.edge(1 << 16, rising=False)
+        # Pending is noted although the interrupt is masked, and comes as soon as it is not.
+        self.assertEqual((model.read(exti.PR), bench.lines[1]), (1 << 16, False))
+        model.write(exti.IMR, 1 << 16)
+        self.assertTrue(bench.lines[1])
+        model.write(exti.PR, 1 << 16)
+        model.write(exti.SWIER, 1 << 16)
+        self.assertEqual((model.read(exti.PR), bench.lines[1]), (1 << 16, True))
+        with self.assertRaises(Unmodelled):
+            model.write(exti.IMR, 1)
 
 
 class FlashTraces(unittest.TestCase):
