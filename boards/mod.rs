@@ -35,7 +35,7 @@ mod nucleo64;
 #[cfg(not(feature = "qemu_mps2"))]
 #[path = "stm32f4.rs"]
 mod stm32f4;
-#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f446re"))]
+#[cfg(not(feature = "qemu_mps2"))]
 #[path = "stm32f4_step.rs"]
 mod stm32f4_step;
 
