@@ -272,9 +272,10 @@ def hard_start(bench):
     for attempt in range(8):
         bench.board.run(seconds=attempt * 7e-6)
         way = f"{'-' if attempt % 2 else ''}4"
-        bench.host.send(f"G91 G1 X{way} Y{way} Z{way} F10392.3048\n")
+        # A sender asks for the state as soon as it has the answer, in the midst of the first segments.
+        bench.ask(f"G91 G1 X{way} Y{way} Z{way} F10392.3048")
+        bench.status()
         bench.board.run(seconds=0.005)
-        bench.wait_state("", 0.1)
         if not bench.host.has_said("ALARM"):
             bench.host.send(b"!")
             bench.board.run(seconds=0.04)
@@ -608,6 +609,7 @@ KNOWN = {
     ("nucleo_f446re", "safe rate"): "the pause after a pulse and two interrupts make 220 kHz 168 kHz",
     ("nucleo_f446re", "tight pulses"): "the pause is counted from the late end of the pulse: 100 kHz are not reached",
     ("blackpill_f411", "tight pulses"): "the pause is counted from the late end of the pulse: 100 kHz are not reached",
+    ("blackpill_f411", "hard start"): "a `?` at the start delays the first segments, of some 50 us each: the step task runs dry",
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
