@@ -33,6 +33,8 @@ ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
 """What RAM holds at power-up."""
+PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
+"""Words that mean an unused piece of stack: the emulation's, and the firmware's own."""
 
 
 class Failure(Exception):
@@ -488,10 +490,13 @@ class Board:
     # What remains in memory.
 
     def stack_used(self):
-        """Bytes of the stack that have ever held something else than at power-up, and its size."""
+        """Bytes of the stack that have been in use, and its size. What the firmware itself paints there does not count."""
         bottom, top = self.image.symbols["_stack_end"], self.image.symbols["_stack_start"]
         stack = self.read_memory(bottom, top - bottom)
-        return len(stack) - (len(stack) - len(stack.lstrip(FILL))), len(stack)
+        free = 0
+        while free < len(stack) and stack[free : free + 4] in PAINTS:
+            free += 4
+        return len(stack) - free, len(stack)
 
     def refill_stack(self):
         """Forgets what the stack has held below where it is now."""

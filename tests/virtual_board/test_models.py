@@ -439,6 +439,7 @@ class DmaTraces(unittest.TestCase):
         self.assertEqual((bench.read_memory(0x2000_0100, 3), port.read(usart.DR)), (b"01\xff", 0x32))
         with self.assertRaises(Misuse):
             model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+        self.assertEqual([model._shift(stream) for stream in range(8)], [0, 6, 16, 22] * 2)
         model.write(dma.LIFCR, 0x3D << 16)
         model.write(base + dma.NDTR, 1)
         model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
@@ -456,8 +457,7 @@ class IwdgTraces(unittest.TestCase):
         model.write(iwdg.KR, 0xCCCC)
         bench.until(model, 95_999_999)
         self.assertEqual(bench.resets, [])
-        bench.now = model.due
-        model.advance(bench.now)
+        bench.until(model, 96_000_000)
         self.assertEqual(bench.resets, [(96_000_000, rcc.WATCHDOG_RESET, "independent watchdog")])
 
     def test_fed_and_keys(self):

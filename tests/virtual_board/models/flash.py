@@ -33,7 +33,7 @@ class Flash(Peripheral):
         super().reset()
         self.key = 0
         self.dead = False
-        self.operations = 0
+        self.operations = self.erases = 0
 
     def read(self, offset):
         if offset == KEYR:
@@ -80,6 +80,7 @@ class Flash(Peripheral):
         sector = value >> 3 & 15
         start, size = self.board.part.sector(sector)
         self.operations += 1
+        self.erases += 1
         if not self.board.power_left(self):
             return
         self.board.write_memory(start, b"\xff" * size)

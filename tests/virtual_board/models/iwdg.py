@@ -51,4 +51,5 @@ class Iwdg(Peripheral):
             raise Misuse("the watchdog is started before the clocks are set: its model cannot follow")
 
     def advance(self, now):
+        self.plan(NEVER)
         self.board.request_reset(WATCHDOG_RESET, "independent watchdog")
