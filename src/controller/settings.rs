@@ -463,8 +463,9 @@ const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
 /// Greatest junction deviation and least arc tolerance, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_TOLERANCE: f32 = 1.0e-4;
-/// Shortest low time of a step output in microseconds; the slowest common driver (DRV8825) asks for 1.9.
-const LEAST_PAUSE_US: f32 = 2.0;
+/// Time from the end of a step pulse to the next step, microseconds: 1.9 for the slowest common driver (DRV8825), and as
+/// much again for an end of the pulse that comes late because another interrupt is in the way.
+const LEAST_PAUSE_US: f32 = 3.8;
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
 /// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
