@@ -33,6 +33,9 @@ const ATTEMPTS: u32 = 4;
 /// Longest wait for an answer: all of the travel at 500 mm/min, and some more.
 const PATIENCE: Duration = Duration::from_secs(40);
 
+/// Longest wait for the end of motion: one recording moves 0.7 mm at 0.5 mm/min, 85 s for the machine.
+const SLOWEST: Duration = Duration::from_secs(300);
+
 /// All groups without pins that do not look at a machine in mid-move, or those named.
 pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
@@ -185,7 +188,7 @@ impl Host {
             "wait" => self.listen(Duration::from_secs_f64(record.wait), |_| false),
             "idle" => {
                 let begin = Instant::now();
-                while begin.elapsed() < PATIENCE {
+                while begin.elapsed() < SLOWEST {
                     let before = std::mem::take(&mut self.said);
                     self.send(b"?")?;
                     self.listen(SILENCE, |said| said.contains(">\r\n"))?;
