@@ -398,9 +398,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let power = if self.spindle == SpindleDirection::Off || dark {
             0
         } else {
-            // A spindle is slow: it gets its overrides when its turn comes (`outputs`).
-            let percent = if laser { self.overrides.spindle } else { 100 };
-            self.spindle_range().output(checked.speed, percent).0
+            // The override is applied when its turn comes (`outputs`).
+            self.spindle_range().output(checked.speed, 100).0
         };
         Move {
             target: *target,

@@ -450,7 +450,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(watch) = self.probe_watch.take() {
             return Some(watch);
         }
-        let message = self.detour.next(&self.observed).or_else(|| self.motion.next(&self.observed));
+        let mut message = self.detour.next(&self.observed).or_else(|| self.motion.next(&self.observed));
+        if let Some(ToStep::Segment(segment)) = &mut message {
+            segment.power = self.overridden_power(segment.power);
+        }
         if message.is_some() {
             self.drivers_on = true;
             self.drivers_off_at = None;

@@ -59,10 +59,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// A segment's power under the override of this moment: queued moves feel it too.
+    pub(super) fn overridden_power(&self, power: u16) -> u16 {
+        let range = self.spindle_range();
+        match self.overrides.spindle {
+            100 => power,
+            percent => range.output(range.speed_of(power), percent).0,
+        }
+    }
+
     /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
     pub(super) fn spindle_now(&self) -> (SpindleDirection, f32) {
         let from_segments = self.settings.is_on(Key::Laser) && !self.motion.is_at_rest() && !self.spindle_stopped;
-        let power = if from_segments { self.motion.power() } else { self.resting_power() };
+        let power = if from_segments { self.overridden_power(self.motion.power()) } else { self.resting_power() };
         let direction = if power == 0 { SpindleDirection::Off } else { self.spindle };
         (direction, self.spindle_range().speed_of(power))
     }
