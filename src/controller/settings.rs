@@ -423,6 +423,8 @@ impl<const N: usize> Settings<N> {
                 Some(110 + offset)
             } else if !ACCELERATIONS.contains(&a) {
                 Some(120 + offset)
+            } else if self.axes(AxisKey::Backlash).get(axis)? * r > MOST_BACKLASH {
+                Some(160 + offset)
             } else {
                 None
             }
@@ -447,6 +449,8 @@ impl<const N: usize> Settings<N> {
             Some(24)
         } else if homing && crawls(Key::HomingSeek) {
             Some(25)
+        } else if parking && self.whole(Key::ParkingAxis) as usize >= N {
+            Some(42)
         } else if parking && crawls(Key::ParkingPullOutRate) {
             Some(57)
         } else if parking && crawls(Key::ParkingFastRate) {
@@ -460,6 +464,8 @@ impl<const N: usize> Settings<N> {
 /// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
 const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
 const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
+/// Most steps of slack that motion takes up.
+const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_TOLERANCE: f32 = 1.0e-4;

@@ -241,6 +241,62 @@ fn what_follows_the_last_of_the_slack_begins_at_rest() {
 }
 
 #[test]
+fn inverse_time_holds_for_the_whole_move() {
+    let mut times = Vec::new();
+    for mut mill in [compensated(""), mill("", "")] {
+        run(&mut mill, "G1 X10 F3000");
+        let begin = mill.busy_ticks();
+        run(&mut mill, "G93 G1 X5 F20");
+        times.push((mill.busy_ticks() - begin) as f64 / HZ as f64);
+    }
+    assert!((times[0] - times[1]).abs() < 0.02, "{times:?}");
+}
+
+#[test]
+fn less_slack_moves_nothing() {
+    let mut mill = compensated("");
+    run(&mut mill, "G1 X5 F3000\n$160=0");
+    let x = mill.machine().position()[0];
+    run(&mut mill, "G1 Y5");
+    assert_eq!(mill.machine().position()[0], x);
+    assert_eq!(mill.machine_position(), [5.0, 5.0, 0.0]);
+}
+
+#[test]
+fn a_reset_after_parking_finds_the_tool_where_it_is() {
+    let mut switches = String::new();
+    for axis in ["x", "y", "z"] {
+        write!(switches, "[[switch]]\naxis = \"{axis}\"\nat_mm = 4.0\nside = \"positive\"\n").unwrap();
+    }
+    for (pull_out, go_on) in [(5, false), (5, true), (0, true)] {
+        let settings = format!("$160=0.05\n$161=0.03\n$22=1\n$41=1\n$27=2\n$58=-2\n$392=2\n$56={pull_out}\n");
+        let mut mill = mill(&settings, &switches);
+        run(&mut mill, "$H\nM3 S100\n$162=0\nG53 G0 Z-15\nG53 G0 X-10\nG53 G0 X-9");
+        mill.send([0x84]);
+        mill.run_for(Duration::from_secs(20));
+        mill.send("~");
+        if go_on {
+            mill.run_for(Duration::from_secs(30));
+            assert!(mill.run_until_idle());
+            run(&mut mill, "G53 G0 Z-10\nG53 G0 X-8");
+        } else {
+            mill.run_for(Duration::from_secs(2));
+            let before = mill.machine_position();
+            mill.send("\x18");
+            mill.run_for(Duration::from_millis(100));
+            assert_eq!(mill.machine_position(), before);
+        }
+        // The place that homing named differs from the counted one by the same on all of the way.
+        let reported = mill.machine_position();
+        let place = mill.fittings().driven_mm();
+        let home = [2.0 + 2.0; AXES];
+        for axis in 0..AXES {
+            assert!((reported[axis] - (place[axis] - home[axis])).abs() < 0.011, "{reported:?} {place:?}");
+        }
+    }
+}
+
+#[test]
 fn an_arc_turns_its_axes_without_slowing_down() {
     let text = "G21 G90 F3000\nG2 X0 Y0 I10 J0\nG2 X0 Y0 I10 J0\n";
     let mut times = Vec::new();

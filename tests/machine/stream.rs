@@ -313,7 +313,7 @@ fn any_stream_is_answered_line_by_line() {
 /// A million increments of a thousandth make exactly a thousand.
 #[test]
 fn a_million_thousandths_make_a_thousand() {
-    let mut rig = Rig::with("$100=80\n$110=60000\n$120=5000\n");
+    let mut rig = Rig::with("$0=5\n$100=80\n$110=60000\n$120=5000\n");
     rig.keep_trace = false;
     rig.send(b"G21 G91\nG1 X0.001 F60000\n");
     let mut answers = 0;

@@ -11,7 +11,7 @@ use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, Decimal};
 
 /// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
 /// finds all of it or nothing.
@@ -22,6 +22,8 @@ const KEY_BUILD_INFO: u16 = 1200;
 const KEY_DIALECT: u16 = 2000;
 /// Number of the dialect setting.
 const DIALECT: u16 = 900;
+/// Number of the setting that says whether there is a door.
+const DOOR_FITTED: u16 = 903;
 /// Number of the setting of the kinematics.
 const KINEMATICS: u16 = 904;
 
@@ -275,6 +277,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
                 self.fall_asleep();
+            }
+            System::Set(DOOR_FITTED, value) if value != Decimal::ZERO && self.pins.door => {
+                return Err(Error::DoorOpen);
             }
             System::Set(number, value) => {
                 let soft_limits = self.settings.is_on(Key::SoftLimits);

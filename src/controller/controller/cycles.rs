@@ -44,6 +44,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.motion_locked() {
             return Err(error);
         }
+        if only.is_none() && self.settings.axes(AxisKey::HomingCycle).iter().all(|cycle| *cycle == 0.0) {
+            return Err(Error::HomingDisabled);
+        }
         let cycles = self.settings.axes(AxisKey::HomingCycle).0.map(|mask| AxisMask(mask as u8));
         let settings = HomingSettings {
             cycles,

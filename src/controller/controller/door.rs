@@ -174,10 +174,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.door.way = self.parking_way();
         match self.door.way {
             Some(way) => {
-                let here = self.motion.machine_position();
                 self.detour.configure(self.motion.settings());
-                self.detour.set_lead(self.motion.lead());
-                self.detour.set_machine_position(&here);
+                self.detour.stand_where(&self.motion);
                 self.detour_to(&way.clear, Key::ParkingPullOutRate);
                 self.mode = Mode::Door(Door::PullingOut);
             }

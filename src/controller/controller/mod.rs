@@ -752,7 +752,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch();
         } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
         {
-            self.tripped_limits = self.axes_of_switches(signals.limits & !before.limits);
+            let tripped = self.axes_of_switches(signals.limits & !before.limits);
+            let awaited = self.stop.awaited == Some(StopReason::Alarm(Alarm::HardLimit));
+            self.tripped_limits = if awaited { self.tripped_limits | tripped } else { tripped };
             self.order_stop(StopReason::Alarm(Alarm::HardLimit));
         }
         if signals.door && !before.door {

@@ -45,8 +45,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop.seen = stops;
                 self.stop.moving |= moving;
                 self.stop.line = self.motion.line_number();
-                self.motion.stopped(&position);
-                self.detour.stopped(&position);
+                self.stopped_at(&position);
             }
             StepEvent::Probed { position } => {
                 self.probe_contact(&position);
@@ -56,14 +55,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop.seen = stops;
                 self.stop.expected = self.stop.expected.wrapping_add(1);
                 self.stop.moving = true;
-                self.motion.stopped(&position);
-                self.detour.stopped(&position);
+                self.stopped_at(&position);
                 if self.stop.awaited.is_none() {
                     self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
                 }
             }
         }
         self.finish_stop();
+    }
+
+    fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
+        self.motion.stopped(position);
+        self.detour.stopped(position);
+        if self.door.is_parking() {
+            // The way to the parking place was the detour's, and it knows on which side the slack is.
+            self.motion.stand_where(&self.detour);
+        }
     }
 
     /// Goes on after a stop, once every stop that was asked for has happened.
@@ -83,6 +90,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         }
         self.door = DoorState::CLOSED;
+        self.spinning_up = None;
         self.jog_interrupted = false;
         self.probing = None;
         if reason == StopReason::Switch {

@@ -40,11 +40,17 @@ impl<const N: usize> Backlash<N> {
         self.rest(self.lead);
     }
 
+    /// A lead as far as the slack allows it.
+    pub(super) fn lead_within(&self, mut lead: Lead<N>) -> Lead<N> {
+        for (lead, slack) in lead.iter_mut().zip(self.slack) {
+            *lead = (*lead).clamp(0, slack);
+        }
+        lead
+    }
+
     /// The queue begins anew with this lead.
     pub(super) fn rest(&mut self, lead: Lead<N>) {
-        for ((own, new), slack) in self.lead.iter_mut().zip(lead).zip(self.slack) {
-            *own = new.clamp(0, slack);
-        }
+        self.lead = self.lead_within(lead);
         self.wanted = self.lead;
     }
 

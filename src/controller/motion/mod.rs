@@ -32,7 +32,7 @@ use block::{Block, MAX_STEPS, NO_OVERRIDE, Overrides, RAPID, SCALE_POWER};
 use curvature::{Chain, MOST_TURN, Piece};
 use flight::{Flight, Record};
 use kinematics::Kinematics;
-use planner::{Planner, UNLIMITED2};
+use planner::{DIGIT, Planner, UNLIMITED2};
 use profile::{Curve, Pace, greater, lesser, square_root};
 use segment::{Cut, Pacer};
 use stepper::{signed_add, steps_taken};
@@ -351,8 +351,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.pacer = Pacer::new(self.step_clock_hz);
         let scales = settings.steps_per_mm;
         let slack = settings.backlash.zip(&scales, |mm, scale| (mm * scale.to_f32() + 0.5) as i32);
+        let before = self.prepared();
         self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
-        self.plan_from(self.prepared());
+        let lead = self.backlash.lead_within(before.lead);
+        let motors = Motors { steps: before.tool().zip(&PerAxis(lead), i32::wrapping_add), lead };
+        if lead != before.lead {
+            // With less slack the motors lead less; the tool stays where it is.
+            let moved = motors.steps.zip(&before.steps, i32::wrapping_sub);
+            self.origin = self.origin.zip(&moved, i32::wrapping_add);
+            self.flight.forget(motors.tool(), lead);
+        }
+        self.plan_from(motors);
     }
 
     /// The queue begins anew with the motors here.
@@ -408,7 +417,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.free_blocks() == 0 {
             return false;
         }
-        if self.backlash.is_on() {
+        let timed;
+        let m = match m.speed {
+            // The time is that of the whole, and a piece of it may be cut off.
+            Speed::Duration(seconds) if self.backlash.is_on() => {
+                timed = Move { speed: Speed::Feed(self.distance(&m.target) / seconds), ..*m };
+                &timed
+            }
+            _ => m,
+        };
+        // A probe brakes within its own block.
+        if self.backlash.is_on() && !m.no_feed_override {
             self.begin_taking_up(m, bend2);
         }
         let steps = self.kinematics.steps(&m.target);
@@ -538,8 +557,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
-        self.direction = unit;
-        self.distance = straight;
+        // A remnant shorter than a digit has no direction to speak of: the corner is that between its neighbours.
+        if straight >= DIGIT || self.planner.len() == 0 {
+            self.direction = unit;
+            self.distance = straight;
+        }
         self.planner.push(block, self.overrides);
         if bend2 < UNLIMITED2 {
             self.chain_broken = true;
@@ -652,8 +674,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         (block.acceleration, block.limit) = self.limits(&way, length);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE;
-        // A beam that follows the speed of the tool is off while the tool stands.
-        block.power = if self.running.flags & SCALE_POWER != 0 { 0 } else { self.running.power };
+        // The tool stands: a beam would burn a hole.
+        block.power = 0;
         self.chain_broken = true;
         self.tool_stands = true;
         self.planner.push(block, self.overrides);
@@ -673,6 +695,18 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// After what is queued the motors lead the tool by this much.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.backlash.want(lead);
+        if self.planner.len() == 0 && self.backlash.is_outstanding() {
+            self.finish_taking_up();
+            self.start();
+        }
+    }
+
+    /// The machine is where another motion has brought it; at rest only. Forgets what is queued.
+    pub fn stand_where<const M: usize>(&mut self, other: &Motion<N, M>) {
+        let motors = other.prepared();
+        self.origin = other.origin;
+        self.flight.forget(motors.tool(), motors.lead);
+        self.plan_from(motors);
     }
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.

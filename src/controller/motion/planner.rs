@@ -24,7 +24,7 @@ const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
 /// Last digit of a program, mm: a corner that it can make of a straight line is none.
-const DIGIT: f32 = 0.001;
+pub(super) const DIGIT: f32 = 0.001;
 
 /// Speed² with which the corner between two directions (unit vectors, `turn2` = |difference|²) may be taken: that of a
 /// circle which touches both and leaves the corner by `deviation`, at the greatest acceleration that no axis minds along
@@ -42,11 +42,11 @@ pub(super) fn corner_speed2<const N: usize>(
 ) -> f32 {
     let [first, second] = lengths;
     let shorter = lesser(first, second);
-    if turn2 < STRAIGHT || turn2 * shorter * shorter < DIGIT * DIGIT {
-        return UNLIMITED2;
-    }
     if turn2 > REVERSAL {
         return 0.0;
+    }
+    if turn2 < STRAIGHT || turn2 * shorter * shorter < DIGIT * DIGIT {
+        return UNLIMITED2;
     }
     let turn = square_root(turn2);
     let mut least = UNLIMITED2;
