@@ -6,7 +6,7 @@
 //! ```
 //! At 115200 baud a byte comes every 87 us and the USART holds one; a written word may take 100 us, an erase half a
 //! second. What holds: a host that keeps to the flow control (at most the 255 bytes that `Bf:` counts are under way) loses
-//! nothing, and besides there is room for 257 realtime commands. A host that sends more than 512 bytes in that time
+//! nothing, and besides there is room for 64 realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time
 //! overruns the USART, which is reported like any other loss.
 
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering, compiler_fence};

@@ -56,6 +56,10 @@ impl Watch {
 
     /// To be called when there is nothing else to do.
     pub fn look(&mut self) {
+        // A line of the log masks interrupts for as long as it takes: not while motors turn.
+        if !crate::crossing::STEP_AT_REST.load(core::sync::atomic::Ordering::Relaxed) {
+            return;
+        }
         let now = boards::clock_ticks();
         if now.wrapping_sub(self.looked) < boards::CLOCK_TICKS_PER_US * 1_000_000 {
             return;

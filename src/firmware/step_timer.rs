@@ -172,7 +172,8 @@ impl Step {
         }
         // Segments of a tick or two may leave no time to fetch ahead.
         if self.stepper.ends_segment() {
-            while self.stepper.wants() && self.fetch() {}
+            // Behind a shut gate the queue is only emptied, which has time.
+            while self.stepper.wants() && !self.stepper.is_shut() && self.fetch() {}
         }
         let begun = self.stepper.segments_begun();
         let tick = self.stepper.tick();

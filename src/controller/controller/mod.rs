@@ -395,11 +395,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.stop.order = false;
             return Some(Output::Stop);
         }
-        if let Some(pins) = self.changed_pins() {
-            return Some(Output::Pins(pins));
-        }
+        // The polarity of the drivers' enable output comes before its level.
         if let Some(wiring) = self.changed_wiring() {
             return Some(Output::Wiring(wiring));
+        }
+        if let Some(pins) = self.changed_pins() {
+            return Some(Output::Pins(pins));
         }
         if let Some(store) = self.stores.pop_front() {
             return Some(Output::Store(store));
