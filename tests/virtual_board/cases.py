@@ -607,7 +607,9 @@ def faulted(bench):
         yield f"then a reset; {cause(bench)}"
 
 
-KNOWN = {}
+KNOWN = {
+    ("blackpill_f411", "hard start"): "a `?` at the start delays the first segments, of some 50 us each: the step task runs dry",
+}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
 
