@@ -269,9 +269,9 @@ fn a_reset_after_parking_finds_the_tool_where_it_is() {
         write!(switches, "[[switch]]\naxis = \"{axis}\"\nat_mm = 4.0\nside = \"positive\"\n").unwrap();
     }
     for (pull_out, go_on) in [(5, false), (5, true), (0, true)] {
-        let settings = format!("$160=0.05\n$161=0.03\n$22=1\n$41=1\n$27=2\n$58=-2\n$392=2\n$56={pull_out}\n");
+        let settings = format!("$160=0.05\n$161=0.03\n$22=1\n$41=1\n$42=0\n$27=2\n$58=-2\n$392=2\n$56={pull_out}\n");
         let mut mill = mill(&settings, &switches);
-        run(&mut mill, "$H\nM3 S100\n$162=0\nG53 G0 Z-15\nG53 G0 X-10\nG53 G0 X-9");
+        run(&mut mill, "$H\nM3 S100\nG53 G0 Z-15\nG53 G0 X-10\nG53 G0 X-9");
         mill.send([0x84]);
         mill.run_for(Duration::from_secs(20));
         mill.send("~");
