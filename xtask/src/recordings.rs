@@ -59,7 +59,7 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
             continue;
         }
         let wanted = only.iter().any(|name| group.starts_with(name));
-        if !wanted && (!only.is_empty() || looks_at_motion(&records) || group == CRAWLING)) {
+        if !wanted && (!only.is_empty() || looks_at_motion(&records) || group == CRAWLING) {
             left_out.push(group);
             continue;
         }
