@@ -35,6 +35,7 @@ usage:
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
   cargo xtask recordings [N..]  the recorded conversations on QEMU alone; or only some groups
+  cargo xtask jobs           whole jobs through the firmware on QEMU alone, compared with the simulator
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
@@ -59,6 +60,7 @@ fn main() -> ExitCode {
         ["test-target", board] => known(board).and_then(suites::on_board),
         ["recordings", ref groups @ ..] => recordings::replay_all(groups),
         ["converse"] => live::all(),
+        ["jobs"] => jobs::compare_all(),
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None),
         ["virtual", board] => virtual_board::check(Some(board)),
