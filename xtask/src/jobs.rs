@@ -13,6 +13,7 @@ use std::fs;
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::{Duration, Instant};
 
 /// Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows.
@@ -227,6 +228,8 @@ pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
         if status.contains("<Alarm|") {
             return Err(format!("streamed: an alarm instead of rest: {status}"));
         }
+        // Every question costs the board work.
+        thread::sleep(Duration::from_millis(50));
         if begin.elapsed() > LIMIT {
             return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));
         }

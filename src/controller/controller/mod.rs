@@ -405,6 +405,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(store) = self.stores.pop_front() {
             return Some(Output::Store(store));
         }
+        // The step queue never runs dry while something moves: at a start it is filled first, and then topped up. With a
+        // control task that is not late it is never so low here after that.
+        let queued = self.motion.queued_us();
+        self.well_filled = (self.well_filled || queued >= WELL_FILLED_US) && self.running;
+        let urgent = !self.motion.ends_at_rest() && (!self.well_filled || queued < LOW_WATER_US);
+        if urgent
+            && room.step
+            && let Some(message) = self.step_message()
+        {
+            return Some(Output::Step(message));
+        }
         if self.status_due && self.has_reply_room() {
             self.status_due = false;
             self.report_status();
@@ -413,17 +424,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && let Some(chunk) = self.reply_chunk()
         {
             return Some(Output::Reply(chunk));
-        }
-        // Planning never lets the step queue run dry: once it has been well filled it is topped up first. With a control
-        // task that is not late the queue is never so low here.
-        let queued = self.motion.queued_us();
-        self.well_filled = (self.well_filled || queued >= WELL_FILLED_US) && self.running;
-        if self.well_filled
-            && queued < LOW_WATER_US
-            && room.step
-            && let Some(message) = self.step_message()
-        {
-            return Some(Output::Step(message));
         }
         if self.go_on() {
             return Some(Output::Worked);

@@ -824,6 +824,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.flight.is_empty() && self.step_idle && self.rest && (!self.started || self.hold == Hold::Held)
     }
 
+    /// Whether what has been handed over ends at rest, so that nothing need follow in time.
+    pub fn ends_at_rest(&self) -> bool {
+        self.rest
+    }
+
     /// Whether the machine is at rest and nothing is queued.
     pub fn is_idle(&self) -> bool {
         self.is_at_rest() && self.planner.len() == 0 && self.long.is_none()
