@@ -7,7 +7,8 @@
 //!   steps must be the simulator's where one axis moves at a time, and is elsewhere but for places where one run is slow enough for a finer smoothing and the other is not:
 //!   whether it is, is said and not demanded.
 
-use crate::{Failure, QEMU_BOARD, cargo, image, qemu, root};
+use crate::qemu::{self, Preload};
+use crate::{Failure, QEMU_BOARD, cargo, image, root};
 use std::collections::VecDeque;
 use std::fs;
 use std::io::{ErrorKind, Read, Write};
@@ -138,7 +139,7 @@ fn run_preloaded(elf: &Path, file: &Path) -> Result<(String, String), Failure> {
     let path = folder.join(file.file_name().unwrap_or_default());
     let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &text));
     written.map_err(|error| format!("{}: {error}", path.display()))?;
-    qemu::preloaded(elf, &path, text.len(), LIMIT)
+    qemu::preloaded(elf, Preload::Job, &path, LIMIT)
 }
 
 fn refuse_errors(answers: &str) -> Result<(), Failure> {
