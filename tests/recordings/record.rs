@@ -77,7 +77,7 @@ impl Tally {
             } else {
                 self.other.push(format!("{group} {}: listed, but answered {got:?}", record.n));
             }
-        } else if rules::equal(&record.kind, &record.reply, &got) {
+        } else if rules::equal(differences::is_stopped(group, record.n), &record.reply, &got) {
             self.by_rule += 1;
         } else {
             let send = String::from_utf8_lossy(&record.send);

@@ -69,6 +69,11 @@ fn one_axis_alone_is_homed_alone() {
     bench.settle();
     assert_eq!(bench.place(), [0, AT[1] - PULL_OFF, 0]);
     assert!(!bench.mill.controller().is_trusted(), "two axes are still where they were");
+    for command in ["$HX", "$HZ"] {
+        assert_eq!(bench.ask(command), ["ok"]);
+        bench.settle();
+    }
+    assert!(bench.mill.controller().is_trusted(), "each axis has been homed");
 }
 
 #[test]

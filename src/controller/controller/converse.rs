@@ -99,12 +99,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r');
             return;
         }
+        let before_cancel = self.jog_bytes > 0;
+        self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if byte.damaged {
             self.line.damage();
             self.say(|out| report::message(out, "Received bytes lost"));
         }
         if self.line.is_empty() {
             self.line_epoch = byte.epoch;
+            self.line_before_cancel = before_cancel;
         }
         match self.line.push(byte.byte, || line_rules(&self.settings)) {
             Pushed::More => {}
@@ -117,10 +120,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 // Filled in its place: what is returned by value would be copied with all that it might hold.
                 let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
                 let _ = text.extend_from_slice(self.line.text());
-                self.line.clear();
-                self.dispatch(&text);
+                if self.must_wait(&text) {
+                    self.task = Task::JogWaits;
+                } else {
+                    self.line.clear();
+                    self.dispatch(&text);
+                }
             }
         }
+    }
+
+    /// A jog behind a jog cancel begins once the machine has stopped, at the place where it stands then.
+    fn must_wait(&self, line: &[u8]) -> bool {
+        line.starts_with(b"$J=")
+            && self.mode == (Mode::Jog { cancelling: true })
+            && self.keeps_later_jogs
+            && !self.is_jog_stale()
+    }
+
+    /// Whether the current line was sent before the end of a jog was ordered.
+    fn is_jog_stale(&self) -> bool {
+        self.line_before_cancel || (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0
+    }
+
+    /// The jog that has waited for the end of the one before it.
+    pub(super) fn begin_waiting_jog(&mut self) {
+        let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+        let _ = text.extend_from_slice(self.line.text());
+        self.line.clear();
+        self.task = Task::None;
+        self.dispatch(&text);
     }
 
     fn refuse(&mut self, error: Error) {
@@ -159,7 +188,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
         let checked = self.interpreter.check(line, self.dialect())?;
-        if let Some(error) = self.refuse_motion(&checked, false) {
+        if let Some(error) = self.refuse_line(&checked) {
             return Err(error);
         }
         if self.leaves_travel(&checked) {
@@ -172,18 +201,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        let stale = (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0;
         let mut checked = self.interpreter.check_jog(line, self.dialect())?;
-        if stale || self.mode == (Mode::Jog { cancelling: true }) {
+        if self.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
             return Ok(());
         }
-        if self.settings.is_on(Key::JogClip) {
+        let clipped = self.settings.is_on(Key::JogClip);
+        if clipped {
             self.clip_to_travel(&mut checked);
         }
-        if let Some(error) = self.refuse_motion(&checked, true) {
+        if let Some(error) = self.refuse_line(&checked) {
             return Err(error);
+        }
+        if !clipped && self.leaves_travel(&checked) {
+            return Err(Error::JogOutsideTravel);
         }
         self.begin(checked, Answer::Host, true);
         Ok(())
@@ -266,7 +298,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::CheckMode => self.toggle_check_mode()?,
             System::Unlock => self.unlock()?,
             System::Home(_) if !self.settings.is_on(Key::Homing) => return Err(Error::HomingDisabled),
-            System::Home(Some(_)) if self.dialect() == Dialect::Grbl => return Err(Error::InvalidStatement),
+            System::Home(Some(axis)) if self.dialect() == Dialect::Grbl || axis.index() >= N => {
+                return Err(Error::InvalidStatement);
+            }
             System::Home(axis) => self.begin_homing(axis)?,
             System::Jog(text) => return self.jog(text),
             System::Restore(what) => self.restore_defaults(what),
@@ -300,7 +334,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
         if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
-            self.trusted = false;
+            self.lose_place();
         }
         if number == 13 {
             self.rare_fields.offset_changed();
@@ -360,8 +394,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(what, Restore::Settings | Restore::All) {
             let mut settings = Settings::default();
             settings.restore(DIALECT, self.settings.value(Key::Dialect));
-            self.trusted &= settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
+            let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
                 && settings.arrangement() == self.settings.arrangement();
+            if !same_steps {
+                self.lose_place();
+            }
             self.settings = settings;
         }
         if matches!(what, Restore::Coordinates | Restore::All) {

@@ -86,7 +86,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.ganged_motors = motors;
                 let here = self.motion.machine_position();
                 let target = here.zip(&by, |from, by| (from + Coordinate::from_mm_f32(by)).limited());
-                self.motion.line(&seek(target, Speed::Feed(rate)));
+                self.motion.line(&seek(target, Speed::Feed(rate), 0));
                 self.start_motion();
                 self.task = Task::Homing(homing, HomingWait::Motion(watch));
             }
@@ -98,9 +98,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         place.set(axis, home);
                     }
                 }
-                // One axis alone does not make the others true; one that no cycle has is as true as it can be.
+                // One axis alone does not make the others true, but one after the other does; one that no cycle has is as
+                // true as it can be.
+                self.homed = AxisMask(self.homed.0 | axes.0);
                 let cycles = self.settings.axes(AxisKey::HomingCycle);
-                self.trusted |= !axes.is_empty() && cycles.iter().all(|cycle| *cycle as u8 & !axes.0 == 0);
+                self.trusted |= !axes.is_empty() && cycles.iter().all(|cycle| *cycle as u8 & !self.homed.0 == 0);
                 self.ganged_motors = GangedMotors::Both;
                 self.motion.set_machine_position(&place);
                 self.interpreter.set_position(self.motion.machine_position());
@@ -115,7 +117,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.
     pub(super) fn fail_homing(&mut self, alarm: Alarm) {
         self.motion.discard();
-        self.trusted = false;
+        self.lose_place();
         self.raise(alarm);
         self.task = Task::None;
         self.say(report::ok);
@@ -153,7 +155,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Probing
 
     /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
-    pub(super) fn begin_probe(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, away: bool) -> bool {
+    pub(super) fn begin_probe(
+        &mut self,
+        target: &PerAxis<Coordinate, N>,
+        speed: Speed,
+        away: bool,
+        line_number: u32,
+    ) -> bool {
         if self.signals.probe != away {
             // It would have to change to what it is.
             self.raise(Alarm::ProbeInitialState);
@@ -161,7 +169,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.interpreter.set_position(self.motion.machine_position());
             return false;
         }
-        self.motion.line(&seek(*target, speed));
+        self.motion.line(&seek(*target, speed, line_number));
         self.probe_watch = Some(ToStep::Watch { probe: Some(!away), braking: self.motion.braking() });
         self.start_motion();
         true
@@ -212,6 +220,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 pub(super) const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 /// A move that the operator's overrides leave alone.
-fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed) -> Move<N> {
-    Move { target, speed, power: 0, scale_power: false, line_number: 0, no_feed_override: true }
+fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
+    Move { target, speed, power: 0, scale_power: false, line_number, no_feed_override: true }
 }

@@ -52,6 +52,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Jog { .. } => {
                 self.motion.hold();
                 self.task.forget_jog();
+                self.forget_received_jogs();
                 self.jog_interrupted = true;
                 self.mode = Mode::Door(Door::Braking);
             }
@@ -233,7 +234,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drivers_on = false;
             self.drivers_off_at = None;
             // Axes can be moved by hand now.
-            self.trusted = false;
+            self.lose_place();
             self.mode = Mode::Sleep;
         } else {
             self.mode = Mode::Door(Door::Parked);

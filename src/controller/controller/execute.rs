@@ -32,6 +32,8 @@ pub(super) enum Task<const N: usize> {
     SoftLimit,
     /// The homing cycle.
     Homing(Homing<N>, HomingWait),
+    /// A jog whose text stands in the controller's line waits for the cancelled one before it to stop.
+    JogWaits,
     /// A line of G-code.
     Job(Job<N>),
 }
@@ -97,7 +99,7 @@ impl<const N: usize> Task<N> {
     pub(super) fn answers_host(&self) -> bool {
         match self {
             Task::Job(Job { answer, .. }) | Task::Storing(answer) => !matches!(answer, Answer::Startup(_, false)),
-            Task::Listing(..) | Task::SoftLimit | Task::Homing(..) => true,
+            Task::Listing(..) | Task::SoftLimit | Task::Homing(..) | Task::JogWaits => true,
             Task::Startup(_, answer) => answer.is_some(),
             Task::None => false,
         }
@@ -192,6 +194,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 true
             }
             Task::Homing(homing, wait) => self.go_on_homing(homing, wait),
+            Task::JogWaits if self.mode != (Mode::Jog { cancelling: true }) => {
+                self.begin_waiting_jog();
+                true
+            }
             Task::SoftLimit if self.motion.is_at_rest() => {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
@@ -261,7 +267,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                     gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
                     gcode::Motion::Probe { ref target, feed, away, .. } => {
-                        if self.begin_probe(target, speed(feed), away) {
+                        if self.begin_probe(target, speed(feed), away, job.checked.line_number) {
                             self.probing = Some(Probing::Seeking);
                             Some(Stage::Probing)
                         } else {
@@ -422,28 +428,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Stage::Chords(feed)
     }
 
-    /// Why a motion may not be begun, if so.
-    pub(super) fn refuse_motion(&mut self, checked: &Checked<N>, jog: bool) -> Option<Error> {
-        if checked.motion == gcode::Motion::None {
-            return None;
-        }
-        if let Some(error) = self.motion_locked() {
+    /// Why a line may not be carried out though it is correct, if so.
+    pub(super) fn refuse_line(&mut self, checked: &Checked<N>) -> Option<Error> {
+        if checked.motion != gcode::Motion::None
+            && let Some(error) = self.motion_locked()
+        {
             return Some(error);
         }
         if checked.uses_machine_place && self.must_home_first() {
             self.say(|out| report::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
-        (jog && self.leaves_travel(checked)).then_some(Error::JogOutsideTravel)
+        None
     }
 
-    /// Lets a jog end where the travel does.
+    /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
     pub(super) fn clip_to_travel(&self, checked: &mut Checked<N>) {
         if let gcode::Motion::Line { target, .. } = &checked.motion
             && self.limits_travel()
         {
-            let travel = self.settings.axes(AxisKey::Travel);
-            checked.redirect(target.zip(&travel, |p, t| p.clamp(-Coordinate::from_mm_f32(t), Coordinate::ZERO)));
+            let travel = self.settings.axes(AxisKey::Travel).0.map(|mm| -Coordinate::from_mm_f32(mm));
+            let ends = self.interpreter.position().zip(&PerAxis(travel), |here, end| (here.min(end), here));
+            let within = |place: Coordinate, (least, here): (Coordinate, Coordinate)| {
+                place.clamp(least, here.max(Coordinate::ZERO))
+            };
+            checked.redirect(target.zip(&ends, within));
         }
     }
 

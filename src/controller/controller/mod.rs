@@ -19,7 +19,7 @@ mod execute;
 mod outputs;
 mod stops;
 
-use crate::axes::PerAxis;
+use crate::axes::{AxisMask, PerAxis};
 use crate::error::Alarm;
 use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
@@ -96,11 +96,19 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     drop_rest: bool,
     /// Epoch of the first byte of the current line.
     line_epoch: u8,
+    /// Received bytes that stood before the end of a jog by a hold or a door: jogs among them are dropped.
+    jog_bytes: u16,
+    /// The current line began among them.
+    line_before_cancel: bool,
+    /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
+    keeps_later_jogs: bool,
 
     mode: Mode,
     alarm: Option<Alarm>,
     /// The machine is where the counters say: it falls with a stop at speed and with sleep, and comes back with homing. Without homing nobody knows better, so it is then a warning and no lock.
     trusted: bool,
+    /// Axes homed since it fell.
+    homed: AxisMask,
     /// The step queue has held [`WELL_FILLED_US`] since motion began.
     well_filled: bool,
     /// Motion has been started and not come to its end.
@@ -208,9 +216,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             drop_bytes: 0,
             drop_rest: false,
             line_epoch: 0,
+            jog_bytes: 0,
+            line_before_cancel: false,
+            keeps_later_jogs: false,
             mode: Mode::Normal,
             alarm: None,
             trusted: true,
+            homed: AxisMask::NONE,
             running: false,
             well_filled: false,
             input_ended: false,
@@ -254,7 +266,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
             self.mode = Mode::Alarm;
-            self.trusted = false;
+            self.lose_place();
         }
         self.restart = restart;
     }
@@ -266,7 +278,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
-            self.trusted = false;
+            self.lose_place();
         }
         self.initialise();
     }
@@ -294,6 +306,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Event::Connected => {
                 self.say(report::welcome);
                 self.tell_failure();
+                self.tell_lock();
             }
         }
     }
@@ -501,6 +514,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Nobody knows any more where the machine is.
+    fn lose_place(&mut self) {
+        self.trusted = false;
+        self.homed = AxisMask::NONE;
+    }
+
     /// With homing on, what goes to a place of the machine waits for a position that is true.
     fn must_home_first(&self) -> bool {
         !self.trusted
@@ -557,6 +576,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }
+            // Grbl knows no such byte and drops it.
+            Realtime::Stop if self.dialect() == Dialect::Grbl => {
+                self.epoch = self.epoch.wrapping_add(1);
+                self.keep_epochs_near();
+                self.release_held();
+            }
             Realtime::Stop => {
                 self.epoch = self.epoch.wrapping_add(1);
                 self.drop_older_bytes();
@@ -573,12 +598,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.epoch = self.epoch.wrapping_add(1);
                 // A jog that was sent before is dropped, also one that has not been read yet.
                 self.jog_epoch = self.epoch;
-                // Epochs are compared by their difference as a signed byte, so the older one must not fall behind.
-                if self.epoch.wrapping_sub(self.reset_epoch) > 64 {
-                    self.reset_epoch = self.epoch.wrapping_sub(64);
-                }
-                if matches!(self.mode, Mode::Jog { .. }) {
+                self.keep_epochs_near();
+                if self.mode == (Mode::Jog { cancelling: false }) {
                     self.cancel_jog();
+                    self.keeps_later_jogs = true;
                 }
                 self.release_held();
             }
@@ -597,6 +620,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
             Realtime::MistToggle => {}
             _ => self.set_overrides(self.overrides.after(command)),
+        }
+    }
+
+    /// Epochs are compared by their difference as a signed byte, so the older ones must not fall behind.
+    fn keep_epochs_near(&mut self) {
+        for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
+            if self.epoch.wrapping_sub(*older) > 64 {
+                *older = self.epoch.wrapping_sub(64);
+            }
         }
     }
 
@@ -677,7 +709,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Hold;
                 self.darken_laser();
             }
-            Mode::Jog { .. } => self.cancel_jog(),
+            Mode::Jog { .. } => {
+                self.cancel_jog();
+                self.forget_received_jogs();
+            }
             Mode::Hold => self.spinning_up = None,
             _ => {}
         }
@@ -744,6 +779,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.hold();
         self.task.forget_jog();
         self.mode = Mode::Jog { cancelling: true };
+        self.keeps_later_jogs = false;
+    }
+
+    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
+    fn forget_received_jogs(&mut self) {
+        self.jog_bytes = self.received_bytes();
+        self.line_before_cancel = true;
+    }
+
+    /// Line bytes that wait to be read.
+    fn received_bytes(&self) -> u16 {
+        (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free)
     }
 
     fn signals_changed(&mut self, pins: Signals) {
@@ -752,7 +799,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let before = core::mem::replace(&mut self.signals, signals);
         if signals.reset && !before.reset {
             // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
-            self.drop_bytes = (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free);
+            self.drop_bytes = self.received_bytes();
             self.order_stop(StopReason::Reset);
         }
         if self.mode == Mode::Home {

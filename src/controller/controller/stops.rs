@@ -106,7 +106,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
-                self.trusted &= !moving;
+                if moving {
+                    self.lose_place();
+                }
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
@@ -133,8 +135,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.line.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
-            self.trusted &= !moving;
-            self.trusted &= !homing;
+            if moving {
+                self.lose_place();
+            }
+            if homing {
+                self.lose_place();
+            }
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }
@@ -184,13 +190,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(|out| report::message(out, "Check Limits"));
         }
         if self.mode == Mode::Alarm {
-            self.say(|out| report::message(out, "'$H'|'$X' to unlock"));
+            self.tell_lock();
         } else {
             self.alarm = None;
             if self.signals.door {
                 self.open_door();
             }
             self.task = Task::Startup(0, None);
+        }
+    }
+
+    /// What a host has to do before the machine goes on.
+    pub(super) fn tell_lock(&mut self) {
+        match self.mode {
+            Mode::Alarm => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
+            Mode::Critical => self.say(|out| report::message(out, "Reset to continue")),
+            _ => {}
         }
     }
 }

@@ -36,7 +36,8 @@ pub struct Checked<const N: usize> {
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
     pub work_offset_changed: bool,
-    /// The motion goes to a place of the machine (G53, G28, G30), so it needs a machine position that is true.
+    /// The line goes to a place of the machine or keeps one (G53, G28, G30, G28.1, G30.1), so it needs a machine position
+    /// that is true.
     pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit.
     pub store: Option<StoredOffset>,
@@ -584,8 +585,10 @@ impl<'a, const N: usize> Check<'a, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        checked.uses_machine_place =
-            matches!(self.line.non_modal, Some(NonModal::MachineCoordinates | NonModal::Go(_)));
+        checked.uses_machine_place = matches!(
+            self.line.non_modal,
+            Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
+        );
         if checked.flow == Flow::End {
             checked.modal.end_program();
         }

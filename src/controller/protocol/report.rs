@@ -117,7 +117,7 @@ pub fn restart(out: &mut Text, restart: &Restart) {
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $RST= ");
+        put(out, b"$HX $RST= $RC ");
     }
     put(out, b"~ ! ? ctrl-x");
     if !grbl {
