@@ -376,6 +376,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.machine_position().zip(&self.interpreter.work_offset(), |m, o| m - o)
     }
 
+    /// N word of the move under way, 0 = none.
+    pub fn line_number(&self) -> u32 {
+        self.motion.line_number()
+    }
+
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.alarm
