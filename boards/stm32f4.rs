@@ -417,7 +417,7 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI) {
     }
 }
 
-/// How long a supply may take from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
+/// How long a supply may take at least from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
 /// supply.
 const RISE_MS: u32 = 200;
 

@@ -488,7 +488,7 @@ impl Simulator {
     /// The inputs that this machine has: those of its axes, a second switch, and all others.
     fn view_of_pins(&self) -> PinView {
         let axes = (1 << self.board.axes) - 1;
-        let others = !u16::from(2 * SECOND_SWITCH - 1);
+        let others = !u16::from(u8::MAX);
         PinView { fitted: axes | u16::from(SECOND_SWITCH) | others, low: self.low(), noise: self.noise }
     }
 

@@ -147,17 +147,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
         self.trusted &= !moving && !homing && !drivers_off && alarm != Alarm::DriverFault;
-        if homing && self.task.abandon() {
-            self.say(report::ok);
-        }
-        if drivers_off {
-            self.drivers_on = false;
-            self.drivers_off_at = None;
-        }
+        // As they are: an axis may drop.
+        self.drivers_off_at = None;
+        self.drivers_on &= !drivers_off;
         self.spindle_stopped = false;
         self.motion.discard();
         self.interpreter.set_position(self.motion.machine_position());
         self.raise(alarm);
+        if homing && self.task.abandon() {
+            self.say(report::ok);
+        }
         self.tell_trip(line);
         self.say(|out| report::message(out, "Reset to continue"));
         self.mode = Mode::Critical;
