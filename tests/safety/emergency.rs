@@ -118,7 +118,6 @@ fn stops_on_top_of_each_other() {
     bench.wait(0.1);
     for line in ["limit x 1", "estop 1", "reset 1", "fault 1", "estop 0", "estop 1", "reset 0", "estop 0", "fault 0", "limit x 0"] {
         bench.pin(line);
-        println!("{line}: {:?} {}", bench.read(), bench.state());
     }
     bench.send([0x18, 0x18]);
     bench.wait(0.1);

@@ -88,7 +88,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         }
         let (moving, line) = (self.stop.moving, self.stop.line);
-        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
+        // A stop that has happened and has not been told of is waited for by `step_message`.
+        let StopState { expected, seen, .. } = self.stop;
+        self.stop = StopState { expected, seen, resume: true, ..StopState::default() };
         self.running = false;
         self.probe_watch = None;
         if reason == StopReason::Nothing {
