@@ -10,8 +10,8 @@
 use crate::axes::PerAxis;
 
 /// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
-/// 115200 baud fit. Full: the link waits where it can; on a plain UART the command is lost (a reset has stopped the step
-/// task all the same).
+/// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
+/// (`Owed` in the firmware's `crossing`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).

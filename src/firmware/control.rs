@@ -18,8 +18,8 @@ use crate::{pend_serial, pend_step};
 use core::sync::atomic::Ordering;
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH, Realtime,
-    Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
+    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
+    Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
 };
 use oxmill_controller::units::Duration;
 use rtic_sync::channel::{Receiver, Sender};

@@ -87,7 +87,9 @@ mod tests {
     #[test]
     fn pins_move_one_at_a_time() {
         let mut signals = Signals::default();
-        for line in ["limit x 1", "LIMIT Z 1", " probe  1 ", "door 1", "door 0", "hold 1", "start 1", "reset 1", "fault 1"] {
+        for line in
+            ["limit x 1", "LIMIT Z 1", " probe  1 ", "door 1", "door 0", "hold 1", "start 1", "reset 1", "fault 1"]
+        {
             signals = apply(signals, 3, line).unwrap();
         }
         let some = Signals { limits: 0b101, probe: true, hold: true, start: true, ..Signals::NONE };

@@ -531,7 +531,9 @@ impl Simulator {
     }
 
     fn events_wait(&self) -> bool {
-        !self.step_events.is_empty() || !self.realtime.is_empty() || !self.stored.is_empty()
+        !self.step_events.is_empty()
+            || !self.realtime.is_empty()
+            || !self.stored.is_empty()
             || self.pins_asked
             || self.inputs.sensed() != self.told
     }

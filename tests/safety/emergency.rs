@@ -86,7 +86,10 @@ fn a_limit_switch_stops_only_where_hard_limits_are_on() {
     bench.pin("limit y 1");
     assert!(!bench.mill.is_stepping(), "in the same moment");
     let said = bench.read();
-    assert!(said.iter().any(|line| line.starts_with("[MSG:Limit switch Y at") && line.ends_with("line 5]")), "{said:?}");
+    assert!(
+        said.iter().any(|line| line.starts_with("[MSG:Limit switch Y at") && line.ends_with("line 5]")),
+        "{said:?}"
+    );
 }
 
 /// A switch pressed in an alarm stops a machine at rest once more: the alarm stays as it is, and the way out is free.
@@ -116,7 +119,18 @@ fn stops_on_top_of_each_other() {
     let mut bench = Bench::new("", "$21=1 $120=200");
     bench.send("G1 X5 F1500\n");
     bench.wait(0.1);
-    for line in ["limit x 1", "estop 1", "reset 1", "fault 1", "estop 0", "estop 1", "reset 0", "estop 0", "fault 0", "limit x 0"] {
+    for line in [
+        "limit x 1",
+        "estop 1",
+        "reset 1",
+        "fault 1",
+        "estop 0",
+        "estop 1",
+        "reset 0",
+        "estop 0",
+        "fault 0",
+        "limit x 0",
+    ] {
         bench.pin(line);
     }
     bench.send([0x18, 0x18]);

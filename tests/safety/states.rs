@@ -271,7 +271,16 @@ impl Machine {
         }
         Key {
             moving: mill.is_stepping() && !status.contains("|FS:0,"),
-            pins: [pins.door, pins.hold, pins.start, pins.reset, pins.limits != 0, pins.probe, pins.emergency_stop, pins.driver_fault],
+            pins: [
+                pins.door,
+                pins.hold,
+                pins.start,
+                pins.reset,
+                pins.limits != 0,
+                pins.probe,
+                pins.emergency_stop,
+                pins.driver_fault,
+            ],
             trusted: mill.controller().is_trusted(),
             spindle: outputs.spindle != SpindleDirection::Off,
             turned_on: self.turned_on,

@@ -20,6 +20,8 @@ HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
 TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
 """From a contact to the last rising edge: the filter, up to a sample before it begins, and the stop."""
+STACK_LEFT = 4096
+"""Bytes of the stack that no case may have used."""
 LATEST_PULSE_END_S = 5 * US
 """How much longer than $0 a pulse may be: its end is an interrupt, and waits for masks and for the rest of the tick."""
 
@@ -30,13 +32,22 @@ class Bench:
     def __init__(self, wiring, image, oxmill):
         self.wiring, self.image, self.oxmill = wiring, image, oxmill
         self.masked = {}
+        self.board, self.deepest = None, (0, 0, "")
+        self.case = ""
         self.fresh()
 
     def fresh(self):
         """Another board, not yet running."""
+        self.note_stack()
         self.board = Board(self.wiring, self.image)
         self.host = Host(self.board)
         return self.board
+
+    def note_stack(self):
+        """Keeps the deepest stack; a board that was made to fail says nothing of it."""
+        if self.board is not None and not self.board.faults_expected:
+            used, size = self.board.stack_used()
+            self.deepest = max(self.deepest, (used, size, self.case))
 
     def boot(self):
         self.fresh()

@@ -25,8 +25,8 @@ use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Realtime, Restart, Room,
-    SECOND_SWITCH, Sensed, Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Realtime, Restart,
+    Room, SECOND_SWITCH, Sensed, Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Motion, MotionSettings};
 use crate::protocol::line::Line;

@@ -142,9 +142,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let control = |key| control_word(s.whole(key));
         let all_limits = if s.is_on(Key::LimitInvert) { u16::from(limits_of::<N>() | SECOND_SWITCH) } else { 0 };
         InputWiring {
-            inverted: all_limits ^ limits(Key::LimitInvertEach)
-                | probe(Key::ProbeInvert)
-                | control(Key::ControlInvert),
+            inverted: all_limits ^ limits(Key::LimitInvertEach) | probe(Key::ProbeInvert) | control(Key::ControlInvert),
             no_pull_up: limits(Key::LimitNoPullUp) | probe(Key::ProbeNoPullUp) | control(Key::ControlNoPullUp),
             pull_down: limits(Key::LimitPullDown) | probe(Key::ProbePullDown) | control(Key::ControlPullDown),
         }

@@ -4,7 +4,9 @@
 
 use super::text::{Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, PerAxis};
-use crate::messages::{Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input};
+use crate::messages::{
+    Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
+};
 use crate::settings::{Entry, Kind};
 use crate::units::Coordinate;
 
@@ -55,7 +57,13 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
 }
 
 /// `[MSG:...]` that says which inputs tripped (limit switches by their axes), where, and at which N word (0 = none).
-pub fn trip<const N: usize>(out: &mut Text, tripped: &Signals, place: &PerAxis<Coordinate, N>, line: u32, inches: bool) {
+pub fn trip<const N: usize>(
+    out: &mut Text,
+    tripped: &Signals,
+    place: &PerAxis<Coordinate, N>,
+    line: u32,
+    inches: bool,
+) {
     put(out, b"[MSG:");
     if tripped.emergency_stop {
         put(out, b"Emergency stop");
