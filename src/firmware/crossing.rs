@@ -36,7 +36,7 @@ pub static LAST_PLACE: [AtomicI32; AXES] = [const { AtomicI32::new(0) }; AXES];
 /// `control`: N word of what was running then.
 pub static LAST_LINE: AtomicU32 = AtomicU32::new(0);
 /// `serial`: commands for which there was no room, and which must not be lost; `control` takes them.
-static OWED: AtomicU16 = AtomicU16::new(0);
+static OWED: AtomicU32 = AtomicU32::new(0);
 /// `control`: see [`Power`].
 static POWER: AtomicU32 = AtomicU32::new(0);
 /// Stops asked for since power-up (wrapping). A count and not a flag, so that each is answered.
@@ -49,13 +49,13 @@ pub fn ask_for_stop() {
 }
 
 /// Commands that had no room in their queue. Their order among each other is the safe one: a hold before a reset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Owed(u16);
+pub struct Owed;
 
 impl Owed {
-    const DOOR: u16 = 1 << 8;
-    const HOLD: u16 = 1 << 9;
-    const RESETS: u16 = 0xFF;
+    const DOOR: u32 = 1 << 16;
+    const HOLD: u32 = 1 << 17;
+    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
+    const RESETS: u32 = 0xFFFF;
 
     /// Whether a command has to be owed because another one is: what opens an epoch keeps its order.
     pub fn blocks(command: Realtime) -> bool {
@@ -63,7 +63,8 @@ impl Owed {
     }
 
     /// For `serial`, which finds no room for a command. Whether it will be obeyed all the same: a hold and a door are; 0x19
-    /// and a jog cancel become a reset, for the epochs of all later lines count on them; the others are lost.
+    /// and a jog cancel become a reset, for the epochs of all later lines count on them; the others are lost. The caller then
+    /// pends the step vector, as after [`ask_for_stop`].
     pub fn add(command: Realtime) -> bool {
         let mark = match command {
             Realtime::FeedHold => Self::HOLD,
@@ -71,7 +72,6 @@ impl Owed {
             _ if opens_epoch(command) => {
                 if command != Realtime::Reset {
                     ask_for_stop();
-                    crate::pend_step();
                 }
                 OWED.fetch_add(1, Ordering::Relaxed);
                 return true;
@@ -85,8 +85,8 @@ impl Owed {
     /// For `control`, once the queue is empty.
     pub fn take() -> impl Iterator<Item = Realtime> {
         let owed = if OWED.load(Ordering::Relaxed) == 0 { 0 } else { OWED.swap(0, Ordering::Relaxed) };
-        let once = |mark: u16, command| (owed & mark != 0).then_some(command);
-        let resets = core::iter::repeat_n(Realtime::Reset, usize::from(owed & Self::RESETS));
+        let once = |mark: u32, command| (owed & mark != 0).then_some(command);
+        let resets = core::iter::repeat_n(Realtime::Reset, (owed & Self::RESETS) as usize);
         once(Self::DOOR, Realtime::SafetyDoor).into_iter().chain(once(Self::HOLD, Realtime::FeedHold)).chain(resets)
     }
 }

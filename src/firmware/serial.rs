@@ -95,8 +95,12 @@ impl Serial {
         let queued = match received {
             Received::Nothing => return false,
             Received::Realtime(command) => {
-                (!Owed::blocks(command) && self.realtime.try_send(command).is_ok())
-                    || (!BACK_PRESSURE && Owed::add(command))
+                let queued = !Owed::blocks(command) && self.realtime.try_send(command).is_ok();
+                let owed = !queued && !BACK_PRESSURE && Owed::add(command);
+                if owed {
+                    crate::pend_step();
+                }
+                queued || owed
             }
             Received::Line(byte) => {
                 let queued = self.lines.try_send(LineByte { damaged: self.lost, ..byte }).is_ok();
