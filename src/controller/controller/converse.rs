@@ -6,7 +6,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{LINES_DEPTH, LineByte, Output, PinView, Record, Store, input};
+use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, Store, input};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -281,11 +281,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Pins | System::ClearNoise if self.dialect() == Dialect::Grbl => return Err(Error::BadNumber),
             System::Pins => {
                 self.pin_view = None;
-                self.read_pins = Some(Output::ReadPins { clear_noise: false });
+                self.read_pins = Some(false);
                 self.task = Task::Listing(Listing::Pins, 0);
             }
             System::ClearNoise => {
-                self.read_pins = Some(Output::ReadPins { clear_noise: true });
+                self.read_pins = Some(true);
                 self.say(report::ok);
             }
             System::Sleep => {

@@ -128,8 +128,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     trips: u8,
     /// Polarity and resistors of the inputs by the settings.
     input_wiring: InputWiring,
-    /// `Output::ReadPins` that has to be given out.
-    read_pins: Option<Output>,
+    /// `Output::ReadPins` has to be given out, with this `clear_noise`.
+    read_pins: Option<bool>,
     /// The answer, until it has been listed.
     pin_view: Option<PinView>,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
@@ -425,8 +425,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(store) = self.stores.pop_front() {
             return Some(Output::Store(store));
         }
-        if let Some(read) = self.read_pins.take() {
-            return Some(read);
+        if let Some(clear_noise) = self.read_pins.take() {
+            return Some(Output::ReadPins { clear_noise });
         }
         // The step queue never runs dry while something moves: at a start it is filled first, and then topped up. With a
         // control task that is not late it is never so low here after that.
