@@ -13,10 +13,12 @@
 //!   │ SysTick  sampling of inputs (there are none)      │
 //!   │ SSRAM    in place of flash, settings sectors too  │
 //!   │ PSRAM 0x2100_0000  "JOB!", length, text: optional │
+//!   │                    "HOST", length, script         │
 //!   └───────────────────────────────────────────────────┘
 //! ```
 //! A job that QEMU's loader has put into PSRAM runs without the UART: its bytes are always there when the controller
-//! wants one, so the step stream is the same in every run. At its end the report goes to UART1 and QEMU ends.
+//! wants one, so the step stream is the same in every run. At its end the report goes to UART1 and QEMU ends. A script
+//! there takes the place of a host at UART0 (see `script`).
 //!
 //! Everything with an address here is QEMU's: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
@@ -33,6 +35,7 @@ pub use mps2_pac as pac;
 use super::{Incoming, SlowLevels, profiles};
 
 mod flash;
+mod script;
 pub use flash::SettingsFlash;
 
 /// The row of this board.
@@ -79,7 +82,10 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
     device.TIMER1.set_reload(u32::MAX);
     device.TIMER1.set_value(u32::MAX);
     device.TIMER1.set_control(Timer1::ENABLE);
-    critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(device.UART1)));
+    critical_section::with(|cs| {
+        REPORTER.borrow(cs).replace(Some(device.UART1));
+        SCRIPT.borrow(cs).replace(preloaded(SCRIPT_MARK).map(script::Script::new));
+    });
     // SAFETY: unsafe because an unmasked vector may break a critical section; safe because its handler below only pends
     // another vector.
     unsafe { NVIC::unmask(Interrupt::UART0_TX) };
@@ -297,6 +303,9 @@ impl SerialPort {
     /// The next byte, if one has come.
     pub fn receive(&mut self) -> Incoming {
         self.0.clear_interrupts(Uart0::RX_INTERRUPT);
+        if let Some(byte) = script::receive() {
+            return Incoming::Byte(byte);
+        }
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
@@ -311,6 +320,7 @@ impl SerialPort {
         let free = self.0.state() & Uart0::TX_FULL == 0;
         if free {
             self.0.set_data(u32::from(byte));
+            script::hear(byte);
         }
         free
     }
@@ -351,16 +361,22 @@ pub fn safe_state() {}
 /// Where a preloaded job lies: a mark, a length, and the text.
 const JOB: usize = 0x2100_0000;
 const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
+const SCRIPT_MARK: u32 = u32::from_le_bytes(*b"HOST");
 /// What PSRAM can hold behind the two words.
 const JOB_MAXIMUM: usize = 16 * 1024 * 1024 - 8;
 
 /// The job in PSRAM, if there is one.
 pub fn preloaded_job() -> Option<&'static [u8]> {
+    preloaded(JOB_MARK)
+}
+
+/// What lies in PSRAM with this mark.
+fn preloaded(mark: u32) -> Option<&'static [u8]> {
     // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
     // the program, and nobody writes to it after the reset.
     unsafe {
         let header = JOB as *const u32;
-        if header.read_volatile() != JOB_MARK {
+        if header.read_volatile() != mark {
             return None;
         }
         let length = header.add(1).read_volatile() as usize;
@@ -410,8 +426,12 @@ pub fn job_done() {
     DONE.store(true, Ordering::Relaxed);
 }
 
+/// The host inside the machine, for [`idle`] alone.
+static SCRIPT: Mutex<RefCell<Option<script::Script>>> = Mutex::new(RefCell::new(None));
+
 /// What to do while nothing else is to be done.
 pub fn idle() {
+    follow_script();
     if DONE.load(Ordering::Relaxed) {
         send_record();
         semihosting::process::exit(0);
@@ -428,6 +448,22 @@ pub fn idle() {
         None => {}
     }
     cortex_m::asm::wfi();
+}
+
+/// Lets the host inside the machine do what it can.
+fn follow_script() {
+    let Some(mut script) = critical_section::with(|cs| SCRIPT.borrow_ref_mut(cs).take()) else { return };
+    loop {
+        match script.go_on() {
+            script::Wanted::Nothing => break,
+            script::Wanted::Mark(bytes) => send(format_args!("{bytes}\n")),
+            script::Wanted::End => {
+                send_record();
+                semihosting::process::exit(0);
+            }
+        }
+    }
+    critical_section::with(|cs| SCRIPT.borrow(cs).replace(Some(script)));
 }
 
 /// The watchdog of the CMSDK: its first expiry is an interrupt that cannot be masked, the second resets.

@@ -14,7 +14,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::{Key, SCALARS};
 use std::fs;
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::time::Instant;
 
@@ -128,10 +128,11 @@ pub fn run(options: &Run) -> Result<bool> {
             plot::write(path, &drawing, &summary).with_context(|| format!("cannot draw {}", path.display()))?;
         }
     }
-    if options.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
-    } else {
-        print!("{summary}");
+    let text = if options.json { serde_json::to_string_pretty(&summary)? + "\n" } else { summary.to_string() };
+    match io::stdout().write_all(text.as_bytes()) {
+        // A reader that has seen enough, such as `head`.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+        written => written.context("cannot write the summary")?,
     }
     Ok(summary.is_good())
 }

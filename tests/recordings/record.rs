@@ -43,6 +43,7 @@ pub fn lines(text: &str) -> Vec<String> {
 }
 
 /// How many `ok` and `error` there are.
+#[allow(dead_code, reason = "in QEMU the host inside the machine counts")]
 pub fn answers(text: &str) -> usize {
     lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
 }

@@ -72,7 +72,7 @@ const ROWS: [Row; 15] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2840, 4310))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (15000, 25720))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (13_900, 23_000))
         .beside("2800 / 4400", "4100 / 6500"),
     row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
 ];

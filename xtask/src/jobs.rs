@@ -1,13 +1,14 @@
 //! Runs jobs through the firmware in QEMU and through the simulator, and compares what the motors would have done.
 //!
 //! * preloaded: the job lies in RAM, so its bytes are never late; the digest over times, step and direction bits must
-//!   be the simulator's.
+//!   be the simulator's, and the time that the motors were busy its forecast, to the tick.
 //! * streamed: the job comes over a TCP port, with character counting as a sender does it; how fast the machine moves
 //!   at a moment then depends on when lines arrive, so answers and the final position must be the simulator's. The order of
 //!   steps must be the simulator's where one axis moves at a time, and is elsewhere but for places where one run is slow enough for a finer smoothing and the other is not:
 //!   whether it is, is said and not demanded.
 
-use crate::{Failure, QEMU_BOARD, cargo, image, qemu, root};
+use crate::qemu::{self, Preload};
+use crate::{Failure, QEMU_BOARD, cargo, image, root};
 use std::collections::VecDeque;
 use std::fs;
 use std::io::{ErrorKind, Read, Write};
@@ -33,6 +34,8 @@ struct Steps {
     time: String,
     order: String,
     net: [i64; 3],
+    /// Step-clock ticks that it took; of the simulator: what it forecasts.
+    busy: u64,
 }
 
 /// The jobs of a folder below a size, in order.
@@ -138,7 +141,7 @@ fn run_preloaded(elf: &Path, file: &Path) -> Result<(String, String), Failure> {
     let path = folder.join(file.file_name().unwrap_or_default());
     let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &text));
     written.map_err(|error| format!("{}: {error}", path.display()))?;
-    qemu::preloaded(elf, &path, text.len(), LIMIT)
+    qemu::preloaded(elf, Preload::Job, &path, LIMIT)
 }
 
 fn refuse_errors(answers: &str) -> Result<(), Failure> {
@@ -154,7 +157,8 @@ fn parse_report(report: &str) -> Result<Steps, Failure> {
     let parse = || {
         let mut net = field("steps=")?.split(',').map(|n| n.parse().ok());
         let net = [net.next()??, net.next()??, net.next()??];
-        Some(Steps { time: field("time=")?.into(), order: field("order=")?.into(), net })
+        let busy = field("busy=")?.parse().ok()?;
+        Some(Steps { time: field("time=")?.into(), order: field("order=")?.into(), net, busy })
     };
     parse().ok_or_else(|| format!("the test stand reports `{report}`"))
 }
@@ -175,7 +179,8 @@ fn simulate(file: &Path) -> Result<Steps, Failure> {
     let parse = || {
         let net = summary["steps"].as_array()?;
         let net = [net.first()?.as_i64()?, net.get(1)?.as_i64()?, net.get(2)?.as_i64()?];
-        Some(Steps { time: text("trace_hash")?, order: text("order_hash")?, net })
+        let busy = summary["forecast_s"].as_f64()? * summary["step_clock_hz"].as_f64()?;
+        Some(Steps { time: text("trace_hash")?, order: text("order_hash")?, net, busy: busy.round() as u64 })
     };
     parse().ok_or_else(|| format!("the simulator's summary lacks hashes or steps: {summary}"))
 }
@@ -273,7 +278,7 @@ mod tests {
     #[test]
     fn reports_are_read() {
         let steps = parse_report("time=00ff order=0a steps=1,-2,3 busy=9\n").unwrap();
-        assert_eq!(steps, Steps { time: "00ff".into(), order: "0a".into(), net: [1, -2, 3] });
+        assert_eq!(steps, Steps { time: "00ff".into(), order: "0a".into(), net: [1, -2, 3], busy: 9 });
         assert!(parse_report("time=00ff").is_err());
     }
 }

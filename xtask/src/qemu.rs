@@ -122,12 +122,26 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// Runs a job from RAM to its end: what the firmware answered, and the test stand's report.
-pub fn preloaded(elf: &Path, job: &Path, length: usize, limit: Duration) -> Result<(String, String), Failure> {
+/// What lies in RAM when the machine is switched on; boards/qemu_mps2 has the same marks.
+#[derive(Clone, Copy)]
+pub enum Preload {
+    /// A job.
+    Job,
+    /// The script of a host.
+    Script,
+}
+
+/// Runs a job or a script from RAM to its end: what the firmware said, and the test stand's report.
+pub fn preloaded(elf: &Path, what: Preload, job: &Path, limit: Duration) -> Result<(String, String), Failure> {
     require()?;
     let (host, stand) = (job.with_extension("answers"), job.with_extension("report"));
     let mut qemu = machine(elf, true);
-    let header = u64::from(u32::from_le_bytes(*b"JOB!")) | (length as u64) << 32;
+    let length = std::fs::metadata(job).map_err(|error| format!("{}: {error}", job.display()))?.len();
+    let mark = match what {
+        Preload::Job => *b"JOB!",
+        Preload::Script => *b"HOST",
+    };
+    let header = u64::from(u32::from_le_bytes(mark)) | length << 32;
     qemu.args(["-device", &format!("loader,addr={JOB:#x},data={header:#x},data-len=8")]);
     qemu.args(["-device", &format!("loader,addr={:#x},file={},force-raw=on", JOB + 8, job.display())]);
     for file in [&host, &stand] {

@@ -1,6 +1,7 @@
 //! Lines are dispatched and `$` commands answered.
 
 use super::execute::{Answer, Task};
+use super::outputs::dialect;
 use super::{Controller, STORED_TEXT};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
@@ -109,7 +110,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.line.is_empty() {
             self.line_epoch = byte.epoch;
         }
-        match self.line.push(byte.byte, self.line_rules()) {
+        match self.line.push(byte.byte, || line_rules(&self.settings)) {
             Pushed::More => {}
             Pushed::TooLong => {
                 self.line.clear();
@@ -117,8 +118,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop_at_error();
             }
             Pushed::Complete => {
-                let text: heapless::Vec<u8, { line::LENGTH }> =
-                    heapless::Vec::from_slice(self.line.text()).unwrap_or_default();
+                // Filled in its place: what is returned by value would be copied with all that it might hold.
+                let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+                let _ = text.extend_from_slice(self.line.text());
                 self.line.clear();
                 self.dispatch(&text);
             }
@@ -261,7 +263,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 if text.is_empty() {
                     self.store_startup_line(index, stored);
                 } else {
-                    self.gcode(text, Answer::Validation(index, stored))?;
+                    self.validated = stored;
+                    self.gcode(text, Answer::Validation(index))?;
                 }
             }
             System::CheckMode => self.toggle_check_mode()?,
@@ -546,5 +549,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let inches = self.settings.is_on(Key::ReportInches);
         self.say(|out| report::parser_state(out, &state, inches));
+    }
+}
+
+/// How lines are read.
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line::Rules {
+    match dialect(settings) {
+        Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
+        dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
     }
 }

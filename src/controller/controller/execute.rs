@@ -1,9 +1,9 @@
 //! A checked line of G-code is carried out, step by step: wait for the end of motion where the line needs it, outputs,
 //! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
 
+use super::Controller;
 use super::converse::Listing;
 use super::cycles::{HomingWait, Probing};
-use super::{Controller, STORED_TEXT};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, ArcMove, Checked, Feed, Flow};
@@ -37,14 +37,14 @@ pub(super) enum Task<const N: usize> {
 }
 
 /// Who is waiting for `ok`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Answer {
     /// The host.
     Host,
     /// A startup line that is being run; `.1` says whether the host waits for the last of them.
     Startup(usize, bool),
-    /// The host, for a startup line that is stored once it has been run without error.
-    Validation(usize, heapless::Vec<u8, STORED_TEXT>),
+    /// The host, for a startup line that is stored once it has been run without error; its text waits in the controller.
+    Validation(usize),
     /// The host, and then the controller starts anew (`$RST`).
     Restart,
 }
@@ -54,14 +54,14 @@ pub(super) enum Answer {
 pub(super) struct Job<const N: usize> {
     answer: Answer,
     checked: Checked<N>,
-    stage: Stage<N>,
+    stage: Stage,
     jog: bool,
     /// How long the spindle takes to turn, or to stand, after this line has switched it.
     spindle_delay: Duration,
 }
 
-#[derive(Debug)]
-enum Stage<const N: usize> {
+#[derive(Clone, Copy, Debug)]
+enum Stage {
     /// Motion that was queued before has to end first.
     Drain,
     /// New modal state, spindle, coolant.
@@ -78,8 +78,8 @@ enum Stage<const N: usize> {
     Target,
     /// The probe moves.
     Probing,
-    /// Chords of an arc that are still to come.
-    Chords(Arc<N>, f32),
+    /// Chords of the controller's arc that are still to come, at this feed.
+    Chords(f32),
     /// Motion has to end before the program pauses or ends.
     Flow,
     /// Paused: ends with `~`.
@@ -177,7 +177,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Does one bounded piece of the task. Whether something was done.
     pub(super) fn go_on(&mut self) -> bool {
-        if self.stop.awaited.is_some() {
+        if self.task.is_none() || self.stop.awaited.is_some() {
             return false;
         }
         if let Task::Listing(listing, line) = self.task {
@@ -211,7 +211,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.finish(answer);
                 true
             }
-            Task::Job(job) => self.go_on_job(job),
+            Task::Job(mut job) => {
+                let progressed = self.go_on_job(&mut job);
+                match job.stage {
+                    Stage::Done if progressed => self.finish(job.answer),
+                    _ => self.task = Task::Job(job),
+                }
+                progressed
+            }
             other => {
                 self.task = other;
                 false
@@ -220,7 +227,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Goes on until something has to be waited for or put out first.
-    fn go_on_job(&mut self, mut job: Job<N>) -> bool {
+    fn go_on_job(&mut self, job: &mut Job<N>) -> bool {
         let checking = self.mode == Mode::Check;
         let mut progressed = false;
         loop {
@@ -243,14 +250,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
                 Stage::Via => match job.checked.motion {
                     gcode::Motion::Line { via: Some(via), .. } if !checking => {
-                        self.queue(&via, Speed::Rapid, &job).then_some(Stage::Target)
+                        self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
                     }
                     _ => Some(Stage::Target),
                 },
                 Stage::Target if checking => Some(Stage::Flow),
                 Stage::Target => match job.checked.motion {
                     gcode::Motion::Line { ref target, feed, .. } => {
-                        self.queue(target, speed(feed), &job).then_some(Stage::Flow)
+                        self.queue(target, speed(feed), job).then_some(Stage::Flow)
                     }
                     gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
                     gcode::Motion::Probe { ref target, feed, away, .. } => {
@@ -263,36 +270,30 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                     gcode::Motion::None => Some(Stage::Flow),
                 },
-                Stage::Chords(ref mut arc, feed) => {
-                    if self.motion.free_blocks() == 0 {
-                        self.start_queued();
-                        None
-                    } else {
-                        match arc.next_chord() {
-                            Some(target) => {
-                                let speed = Speed::Feed(feed);
-                                // There is room for a block, so the move is taken.
-                                let mv = self.move_of(&target, speed, &job.checked, job.jog);
-                                self.motion.chord(&mv, arc);
-                                self.task = Task::Job(job);
-                                return true;
-                            }
-                            None => Some(Stage::Flow),
-                        }
-                    }
+                Stage::Chords(_) if self.motion.free_blocks() == 0 => {
+                    self.start_queued();
+                    None
                 }
+                Stage::Chords(feed) => match self.arc.as_mut().and_then(Arc::next_chord) {
+                    Some(target) => {
+                        let mv = self.move_of(&target, Speed::Feed(feed), &job.checked, job.jog);
+                        if let Some(arc) = &self.arc {
+                            // There is room for a block, so the move is taken.
+                            self.motion.chord(&mv, arc);
+                        }
+                        return true;
+                    }
+                    None => Some(Stage::Flow),
+                },
                 Stage::Probing => {
                     let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
                     // A failed probe has locked the machine: no M0 may open it again.
                     self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
                 }
-                Stage::Flow => self.flow(&job, checking),
+                Stage::Flow => self.flow(job, checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::DwellSuspended(_) => None,
-                Stage::Done => {
-                    self.finish(job.answer);
-                    return true;
-                }
+                Stage::Done => return true,
             };
             let Some(next) = next else { break };
             progressed = true;
@@ -306,7 +307,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 break;
             }
         }
-        self.task = Task::Job(job);
         progressed
     }
 
@@ -344,7 +344,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Program pause and end: both wait for the end of motion.
-    fn flow(&mut self, job: &Job<N>, checking: bool) -> Option<Stage<N>> {
+    fn flow(&mut self, job: &Job<N>, checking: bool) -> Option<Stage> {
         match job.checked.flow {
             Flow::None | Flow::OptionalPause => Some(Stage::Done),
             Flow::Pause if checking => Some(Stage::Done),
@@ -411,14 +411,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    fn begin_arc(&mut self, arc: &ArcMove<N>) -> Stage<N> {
+    fn begin_arc(&mut self, arc: &ArcMove<N>) -> Stage {
         let chords = Arc::new(&geometry(arc), self.settings.value(Key::ArcTolerance));
         let feed = match arc.feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => chords.length() / seconds,
             Feed::Rapid => f32::MAX,
         };
-        Stage::Chords(chords, feed)
+        self.arc = Some(chords);
+        Stage::Chords(feed)
     }
 
     /// Why a motion may not be begun, if so.
@@ -488,7 +489,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(report::ok);
                 self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
             }
-            Answer::Validation(index, line) => self.store_startup_line(index, line),
+            Answer::Validation(index) => {
+                let line = self.validated.clone();
+                self.store_startup_line(index, line);
+            }
             Answer::Restart => {
                 self.say(report::ok);
                 self.initialise();

@@ -28,7 +28,7 @@ use crate::messages::{
     Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Realtime, Restart,
     Room, SECOND_SWITCH, Sensed, Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
-use crate::motion::{Motion, MotionSettings};
+use crate::motion::{Arc, Motion, MotionSettings};
 use crate::protocol::line::Line;
 use crate::protocol::report::{self, RareFields};
 use crate::protocol::text::PIECE;
@@ -72,6 +72,10 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     profile: Profile,
     settings: Settings<N>,
     startup_lines: [heapless::Vec<u8, STORED_TEXT>; 2],
+    /// A startup line that is run before it is stored.
+    validated: heapless::Vec<u8, STORED_TEXT>,
+    /// The arc under way.
+    arc: Option<Arc<N>>,
     build_info: heapless::Vec<u8, STORED_TEXT>,
     interpreter: Interpreter<N>,
     motion: Motion<N, BLOCKS>,
@@ -200,6 +204,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             profile,
             settings: Settings::new(),
             startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
+            validated: heapless::Vec::new(),
+            arc: None,
             build_info: heapless::Vec::new(),
             interpreter: Interpreter::new(),
             motion: Motion::unconfigured(profile.step_clock_hz),

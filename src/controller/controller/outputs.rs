@@ -7,26 +7,14 @@ use crate::gcode::{Dialect, MotionMode};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::{Chunk, InputWiring, SECOND_SWITCH, Signals, SlowOutputs, SpindleDirection, Wiring, input};
-use crate::protocol::line;
 use crate::protocol::report;
 use crate::protocol::text::Text;
-use crate::settings::Key;
+use crate::settings::{Key, Settings};
 use crate::units::per_minute;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn dialect(&self) -> Dialect {
-        match self.settings.whole(Key::Dialect) {
-            0 => Dialect::Grbl,
-            2 => Dialect::Seed,
-            _ => Dialect::Oxmill,
-        }
-    }
-
-    pub(super) fn line_rules(&self) -> line::Rules {
-        match self.dialect() {
-            Dialect::Grbl => line::Rules { length: line::GRBL_LENGTH, merge_crlf: false, nested_remarks: false },
-            dialect => line::Rules { length: line::LENGTH, merge_crlf: true, nested_remarks: dialect == Dialect::Seed },
-        }
+        dialect(&self.settings)
     }
 
     pub(super) fn spindle_range(&self) -> SpindleRange {
@@ -247,4 +235,13 @@ fn control_word(mask: u32) -> u16 {
         | bit(6, input::EMERGENCY_STOP)
         | bit(8, input::DRIVER_FAULT);
     word as u16
+}
+
+/// What the host is spoken to in.
+pub(super) fn dialect<const N: usize>(settings: &Settings<N>) -> Dialect {
+    match settings.whole(Key::Dialect) {
+        0 => Dialect::Grbl,
+        2 => Dialect::Seed,
+        _ => Dialect::Oxmill,
+    }
 }

@@ -79,20 +79,22 @@ impl Line {
         self.overflow = true;
     }
 
-    /// Takes the next byte. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
-    pub fn push(&mut self, byte: u8, rules: Rules) -> Pushed {
-        let second_of_crlf = byte == b'\n' && self.after_cr && rules.merge_crlf;
+    /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
+    #[inline]
+    pub fn push(&mut self, byte: u8, rules: impl Fn() -> Rules) -> Pushed {
+        let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
         self.after_cr = byte == b'\r';
         match byte {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
-            _ if self.comment != Comment::None => self.remark(byte, rules),
+            _ if self.comment != Comment::None => self.remark(byte, rules()),
             b'(' => self.comment = Comment::Parentheses(0),
             b';' => self.comment = Comment::Semicolon,
             // Grbl's block delete: the slash goes, the rest of the line is executed.
             0..=b' ' | b'/' => {}
             _ => {
-                if self.text.len() >= rules.length || self.text.push(byte.to_ascii_uppercase()).is_err() {
+                let full = self.text.len() >= GRBL_LENGTH && self.text.len() >= rules().length;
+                if full || self.text.push(byte.to_ascii_uppercase()).is_err() {
                     self.overflow = true;
                 }
             }
@@ -125,7 +127,7 @@ mod tests {
         let mut line = Line::new();
         let mut all = Vec::new();
         for byte in bytes {
-            match line.push(*byte, rules) {
+            match line.push(*byte, || rules) {
                 Pushed::More => continue,
                 Pushed::Complete => all.push(String::from_utf8(line.text().to_vec()).unwrap()),
                 Pushed::TooLong => all.push("too long".into()),

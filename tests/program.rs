@@ -1,0 +1,126 @@
+//! The words of the command line that other programs rely on, with the program itself.
+
+use serde_json::Value;
+use std::fs;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+fn oxmill(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_oxmill"));
+    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    oxmill(arguments).output().expect("the program starts")
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+/// A file of this test's own.
+fn file(name: &str, text: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    fs::write(&path, text).expect("a file can be written");
+    path
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+#[test]
+fn a_good_job_ends_with_0_and_a_summary() {
+    let job = file("good.nc", "G21 G90\nG0 X3\n(日本語)\nG1 X10 Y5 F600\n");
+    let output = run(&["run", text(&job), "--json", "--set", "100=80", "--set", "101=80"]);
+    assert_eq!(output.status.code(), Some(0));
+    let summary = json(&output);
+    assert_eq!(summary["lines"], 4);
+    assert_eq!(summary["errors"].as_array().map(Vec::len), Some(0));
+    assert!(summary["alarm"].is_null());
+    assert_eq!(summary["position_mm"], serde_json::json!([10.0, 5.0, 0.0]));
+    assert_eq!(summary["work_position_mm"], serde_json::json!([10.0, 5.0, 0.0]));
+    assert_eq!(summary["steps"], serde_json::json!([800, 400, 0]));
+    assert_eq!(summary["extents_mm"]["max"], serde_json::json!([10.0, 5.0, 0.0]));
+    let feed = (49.0_f64 + 25.0).sqrt();
+    assert!((summary["distance_mm"].as_f64().expect("a distance") - 3.0 - feed).abs() < 1e-3);
+    assert!(summary["duration_s"].as_f64().expect("a duration") > feed / 10.0);
+    for hash in ["trace_hash", "order_hash"] {
+        let digits = summary[hash].as_str().expect("a text");
+        assert!(digits.len() == 16 && digits.chars().all(|c| c.is_ascii_hexdigit()), "{hash} is {digits}");
+    }
+    assert!(summary["step_clock_hz"].as_u64().is_some_and(|hz| hz > 0));
+    assert_eq!(json(&run(&["run", text(&job), "--json"]))["lines"], 4);
+}
+
+#[test]
+fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
+    let job = file("bad.nc", "G1 X1 F100\nG99\nX2\n");
+    let output = run(&["run", text(&job), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    let summary = json(&output);
+    let errors = summary["errors"].as_array().expect("a list");
+    assert_eq!(errors.len(), 1);
+    assert_eq!((&errors[0]["line"], &errors[0]["code"]), (&Value::from(2), &Value::from(20)));
+    assert!(errors[0]["text"].as_str().is_some_and(|text| !text.is_empty()));
+    let words = String::from_utf8(run(&["run", text(&job)]).stdout).expect("text");
+    assert!(words.contains("line 2") || words.contains("     2"), "{words}");
+}
+
+#[test]
+fn bad_usage_and_files_that_cannot_be_read_end_with_2() {
+    for arguments in [&["run", "no_such_file.nc"][..], &["run"], &["mill"], &["run", "x.nc", "--board", "none"]] {
+        let output = run(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(!output.stderr.is_empty(), "{arguments:?} ends without a reason");
+    }
+}
+
+#[test]
+fn a_job_may_come_by_standard_input() {
+    let mut program = oxmill(&["run", "-", "--json"]).stdin(Stdio::piped()).spawn().expect("the program starts");
+    program.stdin.take().expect("a pipe").write_all(b"G1 X2 F300\n").expect("the program reads");
+    let output = program.wait_with_output().expect("the program ends");
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(json(&output)["position_mm"][0], 2.0);
+}
+
+#[test]
+fn drawings_and_traces_are_what_their_names_say() {
+    let job = file("drawn.nc", "G0 X1\nG1 Y2 F300\nM3 S1000\nG1 X0\n");
+    let [svg, png, csv] = ["drawn.svg", "drawn.png", "drawn.csv"].map(|name| file(name, ""));
+    let output = run(&["run", text(&job), "--plot", text(&svg), "--plot", text(&png), "--trace", text(&csv)]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(fs::read_to_string(svg).expect("text").contains("<svg"));
+    assert_eq!(fs::read(png).expect("bytes").get(..8), Some(&b"\x89PNG\r\n\x1a\n"[..]));
+    let table = fs::read_to_string(csv).expect("text");
+    assert!(table.starts_with("t_s,x,y,z"));
+    let last = table.lines().last().expect("rows").split(',').skip(1).take(3).collect::<Vec<_>>();
+    let net = json(&run(&["run", text(&job), "--json"]))["steps"].clone();
+    assert_eq!(net, serde_json::json!(last.iter().map(|n| n.parse::<i64>().expect("steps")).collect::<Vec<_>>()));
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_failure() {
+    let job = file("piped.nc", "G1 X1 F300\n");
+    for how in [&["run", text(&job)][..], &["run", text(&job), "--json"]] {
+        let mut program = oxmill(how).spawn().expect("the program starts");
+        drop(program.stdout.take());
+        let output = program.wait_with_output().expect("the program ends");
+        assert_eq!(output.status.code(), Some(0));
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    }
+}
+
+#[test]
+fn a_device_on_standard_input_greets_and_answers() {
+    let mut program = oxmill(&["serve", "--stdio", "--speed", "max"]).stdin(Stdio::piped()).spawn().expect("it starts");
+    program.stdin.take().expect("a pipe").write_all(b"$I\nG1 X1 F1000\n").expect("the device reads");
+    let mut said = String::new();
+    program.stdout.take().expect("a pipe").read_to_string(&mut said).expect("text");
+    program.wait().expect("the device ends with its input");
+    assert!(said.contains("Grbl 1.1h ['$' for help]"), "{said}");
+    assert!(said.contains("[VER:1.1h.") && said.ends_with("ok\r\nok\r\n"), "{said}");
+}
