@@ -14,7 +14,7 @@
 //! | `call_step()` | calls the step task from any task |
 //! | `StepPins` | step and direction outputs and the spindle's PWM |
 //! | `SerialPort` | the link to the host |
-//! | `InputPins` | limit switches, probe, buttons, as they are now |
+//! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
 //! | `SlowPins` | driver enable, spindle, coolant |
 //! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
 //! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle and coolant off |
@@ -99,8 +99,9 @@ pub enum Incoming {
     Nothing,
 }
 
-/// Bits of the word that `InputPins::read` gives. A bit is set while its pin is low: the inputs have pull-ups and their
-/// switches close to ground.
+/// Bits of the word that `InputPins::read` gives. A bit is set while its pin is low: the inputs have pull-ups, if no setting
+/// says otherwise, and their switches close to ground. No board has a pin for an emergency stop besides that of the reset
+/// button (`$912`).
 pub mod input_bits {
     /// Limit switch of X; Y and Z follow.
     pub const LIMITS: u32 = 0;
@@ -114,4 +115,6 @@ pub mod input_bits {
     pub const START: u32 = 11;
     /// Reset (abort) button.
     pub const RESET: u32 = 12;
+    /// Fault output of the motor drivers.
+    pub const DRIVER_FAULT: u32 = 14;
 }

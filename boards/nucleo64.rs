@@ -58,7 +58,8 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
         a.pa1.into_pull_up_input().erase(),
         a.pa4.into_pull_up_input().erase(),
         a.pa0.into_pull_up_input().erase(),
-    ]);
+    ])
+    .with_driver_fault(c.pc10.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
     let step_pins = stm32f4::step_pins(
         [

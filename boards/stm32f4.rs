@@ -194,22 +194,32 @@ impl<U: Instance> Usart<U> {
     }
 }
 
-/// Inputs with pull-ups. At most 13, in the order of `input_bits`.
+/// Inputs, with pull-ups until a setting wants something else.
 pub struct InputPins {
-    places: [(Place, u32); 8],
+    places: [(Place, u32); 9],
+    /// How many of them there are.
+    count: usize,
     _pins: [ErasedPin<Input>; 8],
+    _driver_fault: Option<ErasedPin<Input>>,
 }
 
 impl InputPins {
     /// The pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
     pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
-        use super::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
+        use super::input_bits::{DOOR, DRIVER_FAULT, HOLD, LIMITS, PROBE, RESET, START};
         let bits = [LIMITS, LIMITS + 1, LIMITS + 2, PROBE, DOOR, HOLD, START, RESET];
-        let mut places = pins.each_ref().map(|pin| (Place::from(pin), 0));
-        for (place, bit) in places.iter_mut().zip(bits) {
-            place.1 = bit;
+        let mut places = [(Place { port: 0, pin: 0 }, DRIVER_FAULT); 9];
+        for ((place, pin), bit) in places.iter_mut().zip(&pins).zip(bits) {
+            *place = (Place::from(pin), bit);
         }
-        InputPins { places, _pins: pins }
+        InputPins { places, count: pins.len(), _pins: pins, _driver_fault: None }
+    }
+
+    /// And a pin for the fault outputs of the motor drivers, which are open drains and may be joined.
+    pub fn with_driver_fault(mut self, pin: ErasedPin<Input>) -> Self {
+        let [.., (place, _)] = &mut self.places;
+        *place = Place::from(&pin);
+        InputPins { count: self.places.len(), _driver_fault: Some(pin), ..self }
     }
 
     fn probe(&self) -> Place {
@@ -222,11 +232,42 @@ impl InputPins {
     pub fn read(&self) -> u16 {
         let ports = [read_idr(0), read_idr(1), read_idr(2)];
         let mut word = 0;
-        for (place, bit) in &self.places {
+        for (place, bit) in self.places.iter().take(self.count) {
             let level = ports.get(place.port).copied().unwrap_or(u32::MAX) >> place.pin & 1;
             word |= (level ^ 1) << bit;
         }
         word as u16
+    }
+
+    /// Which pins there are.
+    pub fn fitted(&self) -> u16 {
+        self.places.iter().take(self.count).fold(0, |word, (_, bit)| word | 1 << bit)
+    }
+
+    /// Pull-ups, but nothing for the inputs of one word, and pull-downs for those of the other.
+    pub fn set_pulls(&mut self, none: u16, down: u16) {
+        for (place, bit) in self.places.iter().take(self.count) {
+            // PUPDR: 1 pulls up, 2 down.
+            let pull = match (down >> bit & 1, none >> bit & 1) {
+                (1, _) => 2,
+                (_, 1) => 0,
+                _ => 1,
+            };
+            set_pull(*place, pull);
+        }
+    }
+}
+
+/// Chooses the pull resistor of an input (PUPDR).
+fn set_pull(place: Place, pull: u32) {
+    const PORT_SIZE: usize = 0x400;
+    const PUPDR: usize = 0x0C;
+    let register = (step::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
+    // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the port
+    // is one that has been set up, and after the set-up nobody else writes it.
+    unsafe {
+        let others = register.read_volatile() & !(0b11 << (2 * place.pin));
+        register.write_volatile(others | pull << (2 * place.pin));
     }
 }
 
@@ -364,6 +405,25 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI) {
         cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
         pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
+    // A supply that is low already raises no edge. At power-up it may still be rising, which is no failure.
+    for _ in 0..RISE_MS {
+        if !voltage_is_low() {
+            return;
+        }
+        cortex_m::asm::delay(super::CORE_HZ / 1_000);
+    }
+    if voltage_is_low() {
+        pac::NVIC::pend(VOLTAGE_VECTOR);
+    }
+}
+
+/// How long a supply may take at least from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
+/// supply.
+const RISE_MS: u32 = 200;
+
+fn voltage_is_low() -> bool {
+    // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.
+    unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() }
 }
 
 /// The supply is failing.
@@ -377,7 +437,6 @@ extern "C" fn voltage_low() {
 /// The firmware has failed: logs why and begins anew, as soon as the supply is good.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     defmt::error!("{}", defmt::Display2Format(&why));
-    // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.
-    while unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() } {}
+    while voltage_is_low() {}
     cortex_m::peripheral::SCB::sys_reset()
 }

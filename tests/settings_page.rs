@@ -20,6 +20,10 @@ fn row(page: &mut String, number: &str, entry: &Entry, default: &str) {
     let values = match entry.kind {
         Kind::Whole(least, greatest) => format!("{least} to {greatest}"),
         Kind::Switch => "0 or 1".into(),
+        Kind::Mask(bits) => {
+            let bits = (0..32).filter(|bit| bits >> bit & 1 != 0).map(|bit| (1_u32 << bit).to_string());
+            format!("sum of {}", bits.collect::<Vec<_>>().join(", "))
+        }
         Kind::Real | Kind::Speed => "0 and above".into(),
         Kind::Place => "any".into(),
         Kind::Axes => "axes of the machine".into(),

@@ -12,7 +12,7 @@
 //!            (USB D-)   A11  ──┤  STM32    ├──  A7    spindle PWM / laser
 //!            (USB D+)   A12  ──┤  F411CE   ├──  A6    Z direction
 //!                       A15  ──┤           ├──  A5    Y direction
-//!                        B3  ──┤           ├──  A4    X direction
+//!       driver fault      B3  ──┤           ├──  A4    X direction
 //!      reset (abort)     B4  ──┤           ├──  A3    Z step
 //!               hold     B5  ──┤           ├──  A2    Y step
 //!     start (resume)     B6  ──┤           ├──  A1    X step
@@ -36,7 +36,8 @@
 //! | limits X Y Z, probe | B12 B13 B14, B15 | pull-ups; switches close to ground |
 //! | reset, hold, start, door | B4, B5, B6, B7 | pull-ups; B4 is NJTRST after reset, whose pull-up fits an input |
 //! | host | A9 (TX), A10 (RX) | USART1, 115200 8N1; the same pins that the boot loader uses |
-//! | left free | A8, A15, B3 | a fourth motor; B3 is SWO meanwhile |
+//! | driver fault | B3 | pull-up; SWO after reset, which nothing here uses |
+//! | left free | A8, A15 | step and direction of a fourth motor |
 //! | left alone | A11 A12, A13 A14, A0, B2, C13-C15 | USB, SWD, key, BOOT1, LED and crystal |
 //!
 //! 96 MHz and not 100: with 96 the same PLL can give USB its 48 MHz. In reset all pins float: spindle, laser and coolant
@@ -106,7 +107,8 @@ pub fn setup(device: pac::Peripherals) -> Parts {
         b.pb5.into_pull_up_input().erase(),
         b.pb6.into_pull_up_input().erase(),
         b.pb4.into_pull_up_input().erase(),
-    ]);
+    ])
+    .with_driver_fault(b.pb3.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
     let step_pins = stm32f4::step_pins(
         [

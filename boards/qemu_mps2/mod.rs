@@ -337,6 +337,14 @@ impl InputPins {
     pub fn read(&self) -> u16 {
         0
     }
+
+    /// Which pins there are: none.
+    pub fn fitted(&self) -> u16 {
+        0
+    }
+
+    /// There are no resistors.
+    pub fn set_pulls(&mut self, _none: u16, _down: u16) {}
 }
 
 /// No pins.

@@ -39,11 +39,14 @@ pub enum Error {
     UnusedWords = 36,
     ToolLengthAxis = 37,
     ToolNumberTooHigh = 38,
+    /// Not in Grbl; the number is grblHAL's, as the next one's.
+    EmergencyStop = 50,
+    DriverFault = 51,
 }
 
 impl Error {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Error; 34] = [
+    pub const ALL: [Error; 36] = [
         Error::ExpectedLetter,
         Error::BadNumber,
         Error::InvalidStatement,
@@ -78,6 +81,8 @@ impl Error {
         Error::UnusedWords,
         Error::ToolLengthAxis,
         Error::ToolNumberTooHigh,
+        Error::EmergencyStop,
+        Error::DriverFault,
     ];
 
     /// The number on the wire.
@@ -122,6 +127,8 @@ impl Error {
             Error::UnusedWords => "value words stand in the line that no command uses",
             Error::ToolLengthAxis => "the tool length offset is for the tool axis only",
             Error::ToolNumberTooHigh => "the tool number is out of range",
+            Error::EmergencyStop => "the emergency stop is active",
+            Error::DriverFault => "a motor driver reports a fault",
         }
     }
 }
@@ -144,6 +151,9 @@ pub enum Alarm {
     /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
     /// 11 on are taken by other controllers, so one above theirs.
     Underrun = 100,
+    /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
+    EmergencyStop = 101,
+    DriverFault = 102,
 }
 
 impl Alarm {
@@ -166,6 +176,8 @@ impl Alarm {
             Alarm::HomingNoSwitch => "homing found no switch within its travel",
             Alarm::HomingSquaring => "squaring found only one of the two switches of an axis",
             Alarm::Underrun => "motion data ran out at speed; the position may be lost",
+            Alarm::EmergencyStop => "the emergency stop was pressed; the position may be lost if something moved",
+            Alarm::DriverFault => "a motor driver reported a fault; the position may be lost",
         }
     }
 }

@@ -3,15 +3,15 @@
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first
 //!  serial ──lines─────▶ control ◀──events──── step
-//!  inputs ──signals───▶ control ──replies───▶ serial
+//!  inputs ──signals───▶ control ──replies───▶ serial      (armed inputs raise it, too)
 //! ```
 //! What happens when a queue is full stands at its depth.
 
 use crate::axes::PerAxis;
 
 /// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
-/// 115200 baud fit. Full: the link waits where it can; on a plain UART the command is lost (a reset has stopped the step
-/// task all the same).
+/// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
+/// (`Owed` in the firmware's `crossing`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
@@ -24,7 +24,8 @@ pub const SEGMENTS_DEPTH: usize = 64;
 pub const EVENTS_DEPTH: usize = 4;
 /// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host slows its own answers only.
 pub const REPLIES_DEPTH: usize = 32;
-/// Depth of inputs -> control. Full: the newest state replaces what could not be sent, as levels and not edges cross.
+/// Depth of inputs -> control. Full: the newest state replaces what could not be sent, as levels and not edges cross; the
+/// stops that inputs have asked for are counted ([`Sensed::trips`]), so none of them is forgotten.
 pub const SIGNALS_DEPTH: usize = 8;
 
 /// A command that acts at once, even in the middle of a line; one byte on the wire.
@@ -178,6 +179,26 @@ pub enum StepEvent<const N: usize> {
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
 pub const SECOND_SWITCH: u8 = 1 << 6;
 
+/// Bits of a word of inputs; limit switches have those of [`Signals::limits`], from 0 on.
+pub mod input {
+    /// Touch probe.
+    pub const PROBE: u32 = 8;
+    /// Safety door.
+    pub const DOOR: u32 = 9;
+    /// Feed-hold button.
+    pub const HOLD: u32 = 10;
+    /// Cycle-start (resume) button.
+    pub const START: u32 = 11;
+    /// Reset (abort) button.
+    pub const RESET: u32 = 12;
+    /// Emergency stop.
+    pub const EMERGENCY_STOP: u32 = 13;
+    /// Fault output of a motor driver.
+    pub const DRIVER_FAULT: u32 = 14;
+    /// How many bits are in use.
+    pub const COUNT: usize = 15;
+}
+
 /// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Signals {
@@ -193,11 +214,74 @@ pub struct Signals {
     pub start: bool,
     /// Reset (abort) button.
     pub reset: bool,
+    /// Emergency stop.
+    pub emergency_stop: bool,
+    /// A motor driver reports a fault.
+    pub driver_fault: bool,
 }
 
 impl Signals {
     /// Nothing is active.
-    pub const NONE: Signals = Signals { limits: 0, probe: false, door: false, hold: false, start: false, reset: false };
+    pub const NONE: Signals = Signals {
+        limits: 0,
+        probe: false,
+        door: false,
+        hold: false,
+        start: false,
+        reset: false,
+        emergency_stop: false,
+        driver_fault: false,
+    };
+
+    /// The inputs of a word, see [`input`].
+    pub fn of_word(word: u16) -> Signals {
+        let bit = |n: u32| word >> n & 1 != 0;
+        Signals {
+            limits: word as u8 & 0x7F,
+            probe: bit(input::PROBE),
+            door: bit(input::DOOR),
+            hold: bit(input::HOLD),
+            start: bit(input::START),
+            reset: bit(input::RESET),
+            emergency_stop: bit(input::EMERGENCY_STOP),
+            driver_fault: bit(input::DRIVER_FAULT),
+        }
+    }
+
+    /// The word of these inputs, see [`input`].
+    pub fn word(&self) -> u16 {
+        let bit = |on: bool, n: u32| u16::from(on) << n;
+        u16::from(self.limits)
+            | bit(self.probe, input::PROBE)
+            | bit(self.door, input::DOOR)
+            | bit(self.hold, input::HOLD)
+            | bit(self.start, input::START)
+            | bit(self.reset, input::RESET)
+            | bit(self.emergency_stop, input::EMERGENCY_STOP)
+            | bit(self.driver_fault, input::DRIVER_FAULT)
+    }
+}
+
+/// inputs -> control.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sensed {
+    /// The levels now.
+    pub signals: Signals,
+    /// How often armed inputs ([`Wiring::armed`]) have stopped the step task since power-up (wrapping).
+    pub trips: u8,
+    /// Which inputs did so since the message before: they may be inactive again.
+    pub tripped: u16,
+}
+
+/// The inputs as they are at this moment, for `$PINS`; bits as in [`input`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PinView {
+    /// Inputs that have a pin.
+    pub fitted: u16,
+    /// Pins that are low, before polarity and filter.
+    pub low: u16,
+    /// Changes of each pin that the filter has rejected since power-up or the last clearing (saturating).
+    pub noise: [u16; input::COUNT],
 }
 
 /// Something that happened, told to the controller.
@@ -210,7 +294,9 @@ pub enum Event<const N: usize> {
     /// The step task reports.
     Step(StepEvent<N>),
     /// The inputs changed.
-    Signals(Signals),
+    Signals(Sensed),
+    /// Answers [`Output::ReadPins`].
+    Pins(PinView),
     /// The [`Output::Store`] given last is safe.
     Stored,
     /// The [`Output::Store`] given last could not be written.
@@ -304,18 +390,34 @@ pub struct Wiring {
     pub direction_invert: u8,
     /// `$4`, enable output inverted.
     pub enable_invert: bool,
-    /// `$5`, all limit inputs inverted.
-    pub limit_invert: bool,
-    /// `$6`, probe input inverted.
+    /// `$6`, probe input inverted: for the step task, which looks at the pin itself.
     pub probe_invert: bool,
-    /// `$14`, bit set = input inverted: 0 reset, 1 hold, 2 start, 3 door.
-    pub control_invert: u8,
+    /// Polarity and pull resistors of the inputs.
+    pub inputs: InputWiring,
+    /// Inputs ([`input`]) that stop the step task as soon as they become active, before `control` hears of it.
+    pub armed: u16,
     /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
     pub ganged: u8,
     /// `$906`, the second motor turns the other way.
     pub ganged_invert: bool,
     /// Which of the two motors take their steps. Changes at rest only.
     pub ganged_motors: GangedMotors,
+}
+
+/// Polarity and pull resistors of the inputs, words as in [`input`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputWiring {
+    /// Active while the pin is high (else while it is low, as with a switch to ground and a pull-up).
+    pub inverted: u16,
+    /// No pull-up.
+    pub no_pull_up: u16,
+    /// A pull-down instead.
+    pub pull_down: u16,
+}
+
+impl InputWiring {
+    /// Pull-ups, and active low.
+    pub const PULL_UPS: InputWiring = InputWiring { inverted: 0, no_pull_up: 0, pull_down: 0 };
 }
 
 /// The motors of a ganged axis that take part in a move.
@@ -369,6 +471,10 @@ pub struct Crash {
     pub kind: CrashKind,
     /// Where, or which task; printable ASCII.
     pub text: heapless::Vec<u8, 120>,
+    /// Machine position, micrometres, and N word (0 = none) of what was running, as the control task saw them last.
+    pub place: [i32; 3],
+    /// See `place`.
+    pub line: u32,
 }
 
 /// How this start came about.
@@ -426,6 +532,11 @@ pub enum Output {
     Wiring(Wiring),
     /// Stop the step task at once, as a reset does: mark and pend it. Answered by [`StepEvent::Stopped`].
     Stop,
+    /// Look at the inputs; answered by [`Event::Pins`].
+    ReadPins {
+        /// Forget the counts of noise instead, without an answer.
+        clear_noise: bool,
+    },
     /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
     Store(Store),
     /// A piece of work was done inside and there is more: ask again.

@@ -12,6 +12,8 @@ use crate::units::{Decimal, Duration, StepsPerMm};
 pub enum Kind {
     /// Whole number from `.0` to `.1`; fractions are cut off.
     Whole(u32, u32),
+    /// A sum of some of these bits; fractions are cut off.
+    Mask(u32),
     /// 0 or 1; any other whole number up to 255 counts as 1.
     Switch,
     /// Not negative, printed with three decimals.
@@ -45,6 +47,11 @@ const fn entry(number: u16, name: &'static str, unit: &'static str, kind: Kind, 
     Entry { number, name, unit, kind, default, grbl }
 }
 
+/// Bits of the control inputs, as in grblHAL's `$14` and `$17`.
+const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
+/// Bits of the limit inputs: six axes, and the switch of a second motor.
+const LIMITS: Kind = Kind::Mask(0x7F);
+
 /// Settings that exist once. The order is the order of [`Key`].
 pub const SCALARS: [Entry; Key::COUNT] = [
     entry(0, "Step pulse", "us", Kind::Whole(1, 255), 10.0, true),
@@ -58,7 +65,17 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(11, "Junction deviation", "mm", Kind::Real, 0.010, true),
     entry(12, "Arc tolerance", "mm", Kind::Real, 0.002, true),
     entry(13, "Report in inches", "", Kind::Switch, 0.0, true),
-    entry(14, "Control inputs invert (1 reset, 2 hold, 4 start, 8 door)", "mask", Kind::Whole(0, 15), 0.0, false),
+    entry(
+        14,
+        "Control inputs invert (1 reset, 2 hold, 4 start, 8 door, 64 emergency stop, 256 driver fault)",
+        "mask",
+        CONTROL,
+        0.0,
+        false,
+    ),
+    entry(17, "Control inputs without pull-up (as $14)", "mask", CONTROL, 0.0, false),
+    entry(18, "Limit inputs without pull-up (1 X, 2 Y, 4 Z, 64 second motor)", "mask", LIMITS, 0.0, false),
+    entry(19, "Probe input without pull-up", "", Kind::Switch, 0.0, false),
     entry(20, "Soft limits", "", Kind::Switch, 0.0, true),
     entry(21, "Hard limits", "", Kind::Switch, 0.0, true),
     entry(22, "Homing", "", Kind::Switch, 0.0, true),
@@ -94,6 +111,12 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false),
     entry(906, "Second motor turns the other way", "", Kind::Switch, 0.0, false),
     entry(907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false),
+    entry(908, "Limit inputs of the other polarity than $5 says (as $18)", "mask", LIMITS, 0.0, false),
+    entry(909, "Control inputs with a pull-down (as $14)", "mask", CONTROL, 0.0, false),
+    entry(910, "Limit inputs with a pull-down (as $18)", "mask", LIMITS, 0.0, false),
+    entry(911, "Probe input with a pull-down", "", Kind::Switch, 0.0, false),
+    entry(912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false),
+    entry(913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -125,6 +148,9 @@ pub enum Key {
     ArcTolerance,
     ReportInches,
     ControlInvert,
+    ControlNoPullUp,
+    LimitNoPullUp,
+    ProbeNoPullUp,
     SoftLimits,
     HardLimits,
     Homing,
@@ -160,11 +186,17 @@ pub enum Key {
     GangedAxis,
     GangedInvert,
     GangedSwitch,
+    LimitInvertEach,
+    ControlPullDown,
+    LimitPullDown,
+    ProbePullDown,
+    ResetIsEmergencyStop,
+    EmergencyDriversOff,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 47;
+    pub const COUNT: usize = 56;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -321,6 +353,10 @@ impl<const N: usize> Settings<N> {
                 }
                 whole as f32
             }
+            Kind::Mask(bits) => match u32::try_from(value.truncate()) {
+                Ok(mask) if mask & !bits == 0 => mask as f32,
+                _ => return Err(Error::InvalidStatement),
+            },
             Kind::Axes => match value.truncate() {
                 mask @ 0..=255 if mask as u8 & !axes_mask::<N>() == 0 => mask as f32,
                 _ => return Err(Error::InvalidStatement),
@@ -512,6 +548,8 @@ mod tests {
             (Key::SpinDown, 539),
             (Key::TrustNeeded, 902),
             (Key::GangedSwitch, 907),
+            (Key::ProbeNoPullUp, 19),
+            (Key::EmergencyDriversOff, 913),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }
@@ -531,6 +569,14 @@ mod tests {
         assert_eq!(set(&mut s, 102, 80_500), Ok(()));
         assert_eq!(s.axes(AxisKey::Resolution), PerAxis([250.0, 250.0, 80.5]));
         assert_eq!(s.by_number(102), Some(80.5));
+    }
+
+    #[test]
+    fn masks_take_their_bits_only() {
+        let mut s = Settings::<3>::default();
+        for (number, mask, taken) in [(14, 256 + 64 + 8, true), (14, 16, false), (18, 127, true), (908, 128, false)] {
+            assert_eq!(set(&mut s, number, mask * 1000).is_ok(), taken, "${number}={mask}");
+        }
     }
 
     #[test]

@@ -4,6 +4,6 @@
 mod boards;
 
 fn main() {
-    // The conversations in QEMU come to 8.7 KiB (`cargo xtask converse`).
+    // The conversations in QEMU come to 6.9 KiB (`cargo xtask converse`).
     boards::link("../..", &["bins"], 16);
 }

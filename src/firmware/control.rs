@@ -8,15 +8,18 @@
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
-use crate::crossing::{self, CONTROL_ASKED, LINE_BYTES_IN, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS};
+use crate::crossing::{
+    self, CONTROL_ASKED, INPUTS_FITTED, INPUTS_LOW, LAST_LINE, LAST_PLACE, LINE_BYTES_IN, NOISE, Owed, Power, RX_HELD,
+    SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
+};
 use crate::flash::Settings;
 use crate::outputs::Outputs;
 use crate::{pend_serial, pend_step};
 use core::sync::atomic::Ordering;
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Room,
-    SEGMENTS_DEPTH, SIGNALS_DEPTH, Signals, StepEvent, ToStep, Wiring,
+    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
+    Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
 };
 use oxmill_controller::units::Duration;
 use rtic_sync::channel::{Receiver, Sender};
@@ -37,7 +40,7 @@ pub struct Ends {
     /// From `step`.
     pub events: Receiver<'static, StepEvent<AXES>, EVENTS_DEPTH>,
     /// From `inputs`.
-    pub signals: Receiver<'static, Signals, SIGNALS_DEPTH>,
+    pub signals: Receiver<'static, Sensed, SIGNALS_DEPTH>,
     /// To `step`.
     pub segments: Sender<'static, ToStep, SEGMENTS_DEPTH>,
     /// To `serial`.
@@ -93,6 +96,7 @@ impl Control {
     /// Pumps until there is nothing to do, and sets the alarm for the next time.
     pub fn turn(&mut self) {
         while self.pass() {}
+        self.note_place();
         self.erase_ahead();
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
@@ -122,8 +126,12 @@ impl Control {
             made_room = true;
             self.controller.event(now, Event::Realtime(command));
         }
-        while let Ok(signals) = self.ends.signals.try_recv() {
-            self.controller.event(now, Event::Signals(signals));
+        // What found no room in that queue came after what did.
+        for command in Owed::take() {
+            self.controller.event(now, Event::Realtime(command));
+        }
+        while let Ok(sensed) = self.ends.signals.try_recv() {
+            self.controller.event(now, Event::Signals(sensed));
         }
         let mut took = false;
         while self.controller.wants_line()
@@ -166,6 +174,21 @@ impl Control {
                     crossing::ask_for_stop();
                     pend_step();
                 }
+                Output::ReadPins { clear_noise: true } => {
+                    for count in &NOISE {
+                        count.store(0, Ordering::Relaxed);
+                    }
+                }
+                Output::ReadPins { clear_noise: false } => {
+                    let view = PinView {
+                        fitted: INPUTS_FITTED.load(Ordering::Relaxed),
+                        low: INPUTS_LOW.load(Ordering::Relaxed),
+                        noise: core::array::from_fn::<_, { input::COUNT }, _>(|bit| {
+                            NOISE.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
+                        }),
+                    };
+                    self.controller.event(now, Event::Pins(view));
+                }
                 Output::Store(change) => {
                     let event = self.settings.store(&change);
                     // Bytes may have come while the processor stood.
@@ -176,6 +199,15 @@ impl Control {
                 Output::Worked => return true,
             }
         }
+    }
+
+    /// Leaves place and line where a handler that ends the program finds them.
+    fn note_place(&mut self) {
+        // 0.1 nm to micrometres: targets lie within 50 m.
+        for (slot, place) in LAST_PLACE.iter().zip(self.controller.machine_position().iter()) {
+            slot.store((place.0 / 10_000) as i32, Ordering::Relaxed);
+        }
+        LAST_LINE.store(self.controller.line_number(), Ordering::Relaxed);
     }
 
     /// Erases flash when nothing moves, turns or waits: the processor stands for a quarter of a second. What the host

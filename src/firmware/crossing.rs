@@ -1,7 +1,9 @@
 //! What crosses between tasks without a queue, because a message would lie or cost too much. Each name has one writer,
 //! unless it says otherwise; all else goes through the channels that `main` declares.
 
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+use crate::boards::AXES;
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};
+use oxmill_controller::messages::{Realtime, input};
 
 /// The flag that wakes `control`; anyone may raise it.
 pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
@@ -23,6 +25,18 @@ pub static CONTROL_ASKED: AtomicBool = AtomicBool::new(false);
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.
 pub static RX_HELD: AtomicBool = AtomicBool::new(false);
+/// `inputs`: pins that are low, and those that the board has.
+pub static INPUTS_LOW: AtomicU16 = AtomicU16::new(0);
+/// See [`INPUTS_LOW`].
+pub static INPUTS_FITTED: AtomicU16 = AtomicU16::new(0);
+/// `inputs`: changes of each input that the filter has rejected; `control`, which it preempts, sets them to 0.
+pub static NOISE: [AtomicU16; input::COUNT] = [const { AtomicU16::new(0) }; input::COUNT];
+/// `control`: machine position in micrometres after its last turn, for the record of a failure.
+pub static LAST_PLACE: [AtomicI32; AXES] = [const { AtomicI32::new(0) }; AXES];
+/// `control`: N word of what was running then.
+pub static LAST_LINE: AtomicU32 = AtomicU32::new(0);
+/// `serial`: commands for which there was no room, and which must not be lost; `control` takes them.
+static OWED: AtomicU32 = AtomicU32::new(0);
 /// `control`: see [`Power`].
 static POWER: AtomicU32 = AtomicU32::new(0);
 /// Stops asked for since power-up (wrapping). A count and not a flag, so that each is answered.
@@ -32,6 +46,53 @@ static STOPS_ASKED: AtomicU8 = AtomicU8::new(0);
 /// task has obeyed, so it can neither be lost nor be overtaken by what is queued.
 pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
+}
+
+/// Commands that had no room in their queue. Their order among each other is the safe one: a hold before a reset.
+pub struct Owed;
+
+impl Owed {
+    const DOOR: u32 = 1 << 16;
+    const HOLD: u32 = 1 << 17;
+    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
+    const RESETS: u32 = 0xFFFF;
+
+    /// Whether a command has to be owed because another one is: what opens an epoch keeps its order.
+    pub fn blocks(command: Realtime) -> bool {
+        opens_epoch(command) && OWED.load(Ordering::Relaxed) & Self::RESETS != 0
+    }
+
+    /// For `serial`, which finds no room for a command. Whether it will be obeyed all the same: a hold and a door are; 0x19
+    /// and a jog cancel become a reset, for the epochs of all later lines count on them; the others are lost. The caller then
+    /// pends the step vector, as after [`ask_for_stop`].
+    pub fn add(command: Realtime) -> bool {
+        let mark = match command {
+            Realtime::FeedHold => Self::HOLD,
+            Realtime::SafetyDoor => Self::DOOR,
+            _ if opens_epoch(command) => {
+                if command != Realtime::Reset {
+                    ask_for_stop();
+                }
+                OWED.fetch_add(1, Ordering::Relaxed);
+                return true;
+            }
+            _ => return false,
+        };
+        OWED.fetch_or(mark, Ordering::Relaxed);
+        true
+    }
+
+    /// For `control`, once the queue is empty.
+    pub fn take() -> impl Iterator<Item = Realtime> {
+        let owed = if OWED.load(Ordering::Relaxed) == 0 { 0 } else { OWED.swap(0, Ordering::Relaxed) };
+        let once = |mark: u32, command| (owed & mark != 0).then_some(command);
+        let resets = core::iter::repeat_n(Realtime::Reset, (owed & Self::RESETS) as usize);
+        once(Self::DOOR, Realtime::SafetyDoor).into_iter().chain(once(Self::HOLD, Realtime::FeedHold)).chain(resets)
+    }
+}
+
+fn opens_epoch(command: Realtime) -> bool {
+    matches!(command, Realtime::Reset | Realtime::Stop | Realtime::JogCancel)
 }
 
 /// How many stops have been asked for.

@@ -1,26 +1,37 @@
-//! Samples the input pins, filters them, and tells `control` what changed. Also looks at the alarm clock of `control`, and
-//! whether all tasks are alive.
+//! Samples the input pins and tells `control` what changed; an armed input stops the step task from here. Also looks at the
+//! alarm clock of `control`, and whether all tasks are alive.
 //!
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
 
 use crate::boards::{InputPins, input_bits};
 use crate::clock;
-use crate::crossing::Wake;
+use crate::crossing::{self, INPUTS_LOW, NOISE, Wake};
+use crate::pend_step;
 use crate::watchdog::Supervisor;
-use oxmill_controller::machine::filter::Filter;
-use oxmill_controller::messages::{SIGNALS_DEPTH, Signals, Wiring};
+use core::sync::atomic::Ordering;
+use oxmill_controller::machine::signals;
+use oxmill_controller::messages::{SIGNALS_DEPTH, Sensed, Wiring, input};
 use rtic_sync::channel::{Receiver, Sender};
+
+// A board's word of inputs is the controller's.
+const _: () = assert!(
+    input_bits::LIMITS == 0
+        && input_bits::PROBE == input::PROBE
+        && input_bits::DOOR == input::DOOR
+        && input_bits::HOLD == input::HOLD
+        && input_bits::START == input::START
+        && input_bits::RESET == input::RESET
+        && input_bits::DRIVER_FAULT == input::DRIVER_FAULT
+);
 
 /// Everything the task owns.
 pub struct Inputs {
     pins: InputPins,
-    filter: Filter,
-    /// Which inputs are active while their pin is high.
-    inverted: u16,
+    inputs: signals::Inputs,
     wiring: Receiver<'static, Wiring, 2>,
-    signals: Sender<'static, Signals, SIGNALS_DEPTH>,
-    sent: Signals,
+    signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
+    sent: Sensed,
     wake: Wake,
     supervisor: Supervisor,
 }
@@ -30,11 +41,12 @@ impl Inputs {
     pub fn new(
         pins: InputPins,
         wiring: Receiver<'static, Wiring, 2>,
-        signals: Sender<'static, Signals, SIGNALS_DEPTH>,
+        signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
         wake: Wake,
         supervisor: Supervisor,
     ) -> Inputs {
-        Inputs { pins, filter: Filter::new(), inverted: 0, wiring, signals, sent: Signals::default(), wake, supervisor }
+        crossing::INPUTS_FITTED.store(pins.fitted(), Ordering::Relaxed);
+        Inputs { pins, inputs: signals::Inputs::new(), wiring, signals, sent: Sensed::default(), wake, supervisor }
     }
 
     /// One sample.
@@ -43,38 +55,35 @@ impl Inputs {
         if clock::alarm() {
             self.wake.write(());
         }
-        let active = self.filter.sample(self.pins.read() ^ self.inverted);
-        let signals = signals(active);
+        let low = self.pins.read();
+        if self.inputs.sample(low) {
+            crossing::ask_for_stop();
+            pend_step();
+        }
+        INPUTS_LOW.store(low, Ordering::Relaxed);
+        self.count_noise();
         // Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
-        if signals != self.sent && self.signals.try_send(signals).is_ok() {
-            self.sent = signals;
+        let sensed = self.inputs.sensed();
+        if sensed != self.sent && self.signals.try_send(sensed).is_ok() {
+            self.inputs.told();
+            self.sent = self.inputs.sensed();
             self.wake.write(());
         }
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {
-            let limits = if wiring.limit_invert { 0xFF << input_bits::LIMITS } else { 0 };
-            let probe = u16::from(wiring.probe_invert) << input_bits::PROBE;
-            let control = |bit: u8, input: u32| u16::from(wiring.control_invert >> bit & 1) << input;
-            self.inverted = limits
-                | probe
-                | control(0, input_bits::RESET)
-                | control(1, input_bits::HOLD)
-                | control(2, input_bits::START)
-                | control(3, input_bits::DOOR);
+            self.inputs.wire(&wiring);
+            self.pins.set_pulls(wiring.inputs.no_pull_up, wiring.inputs.pull_down);
         }
     }
-}
 
-/// Bits to names.
-fn signals(active: u16) -> Signals {
-    let bit = |n: u32| active >> n & 1 != 0;
-    Signals {
-        limits: (active >> input_bits::LIMITS) as u8 & ((1 << crate::boards::AXES) - 1),
-        probe: bit(input_bits::PROBE),
-        door: bit(input_bits::DOOR),
-        hold: bit(input_bits::HOLD),
-        start: bit(input_bits::START),
-        reset: bit(input_bits::RESET),
+    fn count_noise(&mut self) {
+        let mut rejected = self.inputs.rejected();
+        while rejected != 0 {
+            if let Some(count) = NOISE.get(rejected.trailing_zeros() as usize) {
+                count.store(count.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
+            }
+            rejected &= rejected - 1;
+        }
     }
 }

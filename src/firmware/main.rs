@@ -3,7 +3,7 @@
 //! ```text
 //!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam
 //!  priority 3  serial   UART           ─realtime, lines─▶ ◀─replies─  bytes in and out
-//!  priority 2  inputs   SysTick        ─signals─▶                  switches, alarm clock of `control`
+//!  priority 2  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`
 //!  priority 1  control  software task  everything is decided here, by the controller
 //!  priority 0  idle                    sleeps
 //! ```
@@ -78,7 +78,7 @@ macro_rules! firmware {
                 replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
                 segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
                 events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
-                signals: Channel<Signals, SIGNALS_DEPTH> = Channel::new(),
+                signals: Channel<Sensed, SIGNALS_DEPTH> = Channel::new(),
                 // Changed settings; two of them always fit, as the receivers take them within a millisecond.
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),

@@ -3,12 +3,20 @@
 
 use crate::{boards, record};
 use core::panic::PanicInfo;
+use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
 
-/// Ends the program.
+/// The program is being ended.
+static FAILING: AtomicBool = AtomicBool::new(false);
+
+/// Ends the program. A failure while it does so (in the log, whose frames do not nest; in a `Display` of the reason) leaves
+/// the first record as it is and resets at once.
 pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     boards::safe_state();
+    if FAILING.swap(true, Ordering::Relaxed) {
+        cortex_m::peripheral::SCB::sys_reset()
+    }
     record::keep(kind, why);
     boards::restart(why)
 }

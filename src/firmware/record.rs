@@ -3,11 +3,16 @@
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
 //! ```
-//! RAM keeps its contents over every reset but not without power: then the checksum does not fit, and nothing is found.
+//! RAM keeps its contents over every reset but not without power: then the checksum does not fit, and nothing is found. So the
+//! record of a sinking supply survives a dip that leaves RAM its 1.7 V or so, and not a power-off.
+//!
+//! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
 
+use crate::crossing::{LAST_LINE, LAST_PLACE};
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
+use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{Crash, CrashKind};
 
 const MARK: u32 = u32::from_le_bytes(*b"last");
@@ -20,6 +25,8 @@ struct Kept {
     kind: u32,
     length: u32,
     text: [u8; TEXT],
+    place: [i32; 3],
+    line: u32,
     sum: u32,
 }
 
@@ -35,7 +42,8 @@ impl Kept {
     /// Fletcher's sum over everything before it: RAM after power-up is not random enough to pass by accident.
     fn sum(&self) -> u32 {
         let head = [self.mark, self.kind, self.length];
-        let bytes = head.iter().flat_map(|word| word.to_le_bytes()).chain(self.text);
+        let place = self.place.iter().flat_map(|place| place.to_le_bytes()).chain(self.line.to_le_bytes());
+        let bytes = head.iter().flat_map(|word| word.to_le_bytes()).chain(self.text).chain(place);
         let (a, b) = bytes.fold((1_u32, 0_u32), |(a, b), byte| {
             let a = (a + u32::from(byte)) % 65_535;
             (a, (b + a) % 65_535)
@@ -72,7 +80,13 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     // What does not fit is cut off.
     let _ = line.write_fmt(why);
     let kind = KINDS.iter().position(|k| *k == kind).unwrap_or(0) as u32;
-    let mut kept = Kept { mark: MARK, kind, length: line.length as u32, text: line.text, sum: 0 };
+    let mut place = [0; 3];
+    for (slot, last) in place.iter_mut().zip(&LAST_PLACE) {
+        *slot = last.load(Ordering::Relaxed);
+    }
+    let (length, text) = (line.length as u32, line.text);
+    let line = LAST_LINE.load(Ordering::Relaxed);
+    let mut kept = Kept { mark: MARK, kind, length, text, place, line, sum: 0 };
     kept.sum = kept.sum();
     // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
     unsafe { addr_of_mut!(RECORD).cast::<Kept>().write_volatile(kept) }
@@ -89,5 +103,6 @@ pub fn take() -> Option<Crash> {
         return None;
     }
     let text = kept.text.get(..kept.length as usize)?;
-    Some(Crash { kind: *KINDS.get(kept.kind as usize)?, text: heapless::Vec::from_slice(text).ok()? })
+    let kind = *KINDS.get(kept.kind as usize)?;
+    Some(Crash { kind, text: heapless::Vec::from_slice(text).ok()?, place: kept.place, line: kept.line })
 }

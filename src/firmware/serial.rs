@@ -3,7 +3,7 @@
 //! A reset stops the step task from here, before anyone has queued or decided anything.
 
 use crate::boards::{BACK_PRESSURE, Incoming, SerialPort};
-use crate::crossing::{self, LINE_BYTES_IN, RX_HELD, SERIAL_ASKED, Wake};
+use crate::crossing::{self, LINE_BYTES_IN, Owed, RX_HELD, SERIAL_ASKED, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{Received, Splitter};
@@ -94,7 +94,14 @@ impl Serial {
     fn pass_on(&mut self, received: Received) -> bool {
         let queued = match received {
             Received::Nothing => return false,
-            Received::Realtime(command) => self.realtime.try_send(command).is_ok(),
+            Received::Realtime(command) => {
+                let queued = !Owed::blocks(command) && self.realtime.try_send(command).is_ok();
+                let owed = !queued && !BACK_PRESSURE && Owed::add(command);
+                if owed {
+                    crate::pend_step();
+                }
+                queued || owed
+            }
             Received::Line(byte) => {
                 let queued = self.lines.try_send(LineByte { damaged: self.lost, ..byte }).is_ok();
                 if queued {

@@ -13,7 +13,7 @@ use crate::watchdog::Supervisor;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
-    SIGNALS_DEPTH, Signals, StepEvent, ToStep, Wiring,
+    SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -26,7 +26,7 @@ pub struct Channels {
     pub replies: &'static mut Channel<Chunk, REPLIES_DEPTH>,
     pub segments: &'static mut Channel<ToStep, SEGMENTS_DEPTH>,
     pub events: &'static mut Channel<StepEvent<AXES>, EVENTS_DEPTH>,
-    pub signals: &'static mut Channel<Signals, SIGNALS_DEPTH>,
+    pub signals: &'static mut Channel<Sensed, SIGNALS_DEPTH>,
     pub step_wiring: &'static mut Channel<Wiring, 2>,
     pub input_wiring: &'static mut Channel<Wiring, 2>,
     pub wake: &'static Signal<()>,

@@ -106,6 +106,7 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use oxmill_controller::messages::InputWiring;
 
     #[test]
     fn carriages_follow_pulses() {
@@ -149,9 +150,9 @@ mod tests {
             step_invert: 0,
             direction_invert: 0,
             enable_invert: false,
-            limit_invert: false,
             probe_invert: false,
-            control_invert: 0,
+            inputs: InputWiring::PULL_UPS,
+            armed: 0,
             ganged: 0,
             ganged_invert: false,
             ganged_motors: GangedMotors::Both,

@@ -1,9 +1,11 @@
-//! The line protocol that moves input pins: `limit x 1`, `second_limit 1` (at the second motor of an axis), `probe 1`, `door 1`, `hold 1`, `start 1`, `reset 1`.
+//! The line protocol that moves input pins: `limit x 1`, `second_limit 1` (at the second motor of an axis), `probe 1`, `door 1`,
+//! `hold 1`, `start 1`, `reset 1`, `estop 1`, `fault 1` (of a motor driver); `noise limit x` disturbs a pin for less than the filter
+//! needs.
 //!
-//! A level stays until it is changed; 1 is active, whatever the polarity of the wiring.
+//! A level stays until it is changed; 1 is a closed contact (a low pin): active, unless a setting inverts the input.
 
 use oxmill_controller::axes::Axis;
-use oxmill_controller::messages::{SECOND_SWITCH, Signals};
+use oxmill_controller::messages::{SECOND_SWITCH, Signals, input};
 
 /// The levels after a line of the protocol, or a sentence about what is wrong with it.
 pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, String> {
@@ -27,15 +29,36 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
         ["hold", value] => after.hold = level(value)?,
         ["start", value] => after.start = level(value)?,
         ["reset", value] => after.reset = level(value)?,
+        ["estop", value] => after.emergency_stop = level(value)?,
+        ["fault", value] => after.driver_fault = level(value)?,
         _ => {
             return Err(format!(
-                "`{}` is not understood; pins are set by `limit AXIS 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start` or \
-                 `reset` with 0 or 1",
+                "`{}` is not understood; pins are set by `limit AXIS 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start`, \
+                 `reset`, `estop` or `fault` with 0 or 1, and disturbed by `noise PIN`",
                 line.trim()
             ));
         }
     }
     Ok(after)
+}
+
+/// The bit of the input that a line disturbs, if it is one that does.
+pub fn disturbed(axes: usize, line: &str) -> Option<Result<u32, String>> {
+    let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let ["noise", pin @ ..] = words.as_slice() else { return None };
+    Some(match pin {
+        ["limit", axis] => axis_index(axis, axes).map(|index| index as u32),
+        ["second_limit"] => Ok(SECOND_SWITCH.trailing_zeros()),
+        ["probe"] => Ok(input::PROBE),
+        ["door"] => Ok(input::DOOR),
+        ["hold"] => Ok(input::HOLD),
+        ["start"] => Ok(input::START),
+        ["reset"] => Ok(input::RESET),
+        ["estop"] => Ok(input::EMERGENCY_STOP),
+        ["fault"] => Ok(input::DRIVER_FAULT),
+        _ => Err(format!("`{}` names no pin", line.trim())),
+    })
 }
 
 fn level(word: &str) -> Result<bool, String> {
@@ -64,10 +87,15 @@ mod tests {
     #[test]
     fn pins_move_one_at_a_time() {
         let mut signals = Signals::default();
-        for line in ["limit x 1", "LIMIT Z 1", " probe  1 ", "door 1", "door 0", "hold 1", "start 1", "reset 1"] {
+        for line in
+            ["limit x 1", "LIMIT Z 1", " probe  1 ", "door 1", "door 0", "hold 1", "start 1", "reset 1", "fault 1"]
+        {
             signals = apply(signals, 3, line).unwrap();
         }
-        assert_eq!(signals, Signals { limits: 0b101, probe: true, door: false, hold: true, start: true, reset: true });
+        let some = Signals { limits: 0b101, probe: true, hold: true, start: true, ..Signals::NONE };
+        assert_eq!(signals, Signals { reset: true, driver_fault: true, ..some });
+        assert_eq!(disturbed(3, "noise limit y"), Some(Ok(1)));
+        assert!(disturbed(3, "limit y 1").is_none() && disturbed(3, "noise lamp").unwrap().is_err());
         assert_eq!(apply(signals, 3, "limit x 0").unwrap().limits, 0b100);
     }
 

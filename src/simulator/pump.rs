@@ -20,9 +20,10 @@ use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{StepRecord, Trace};
 use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
+use oxmill_controller::machine::signals::Inputs;
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, Realtime, Room, SECOND_SWITCH, SEGMENTS_DEPTH, Signals, SlowOutputs, StepEvent,
-    ToStep, Wiring,
+    Event, LineByte, Observed, Output, PinView, Realtime, Room, SECOND_SWITCH, SEGMENTS_DEPTH, Sensed, Signals,
+    SlowOutputs, StepEvent, ToStep, Wiring, input,
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
@@ -73,9 +74,13 @@ pub struct Simulator {
     filter: Filter,
     /// When the inputs task samples next; `None` while nothing can change.
     sample_due: Option<u64>,
-    /// Levels that the controller was told of last.
-    signals: Signals,
-    signals_changed: bool,
+    inputs: Inputs,
+    /// Changes of each input that the filter has rejected.
+    noise: [u16; input::COUNT],
+    /// What the controller was told of last.
+    told: Sensed,
+    /// The controller has asked to see the inputs.
+    pins_asked: bool,
     connected: bool,
     outgoing: Vec<u8>,
     segments: VecDeque<ToStep>,
@@ -135,8 +140,10 @@ impl Simulator {
             contacts: Signals::default(),
             filter: Filter::new(),
             sample_due: None,
-            signals: Signals::default(),
-            signals_changed: false,
+            inputs: Inputs::new(),
+            noise: [0; input::COUNT],
+            told: Sensed::default(),
+            pins_asked: false,
             connected: false,
             outgoing: Vec::new(),
             segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
@@ -215,6 +222,14 @@ impl Simulator {
 
     /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong.
     pub fn pin_line(&mut self, line: &str) -> String {
+        match crate::pins::disturbed(self.board.axes, line) {
+            Some(Ok(bit)) => {
+                self.count_noise(1 << bit);
+                return "ok".into();
+            }
+            Some(Err(text)) => return format!("error: {text}"),
+            None => {}
+        }
         match crate::pins::apply(self.hand, self.board.axes, line) {
             Ok(signals) => {
                 self.set_pins(signals);
@@ -438,8 +453,8 @@ impl Simulator {
     fn sample_contacts(&mut self) {
         let now = self.clock.instant().ticks();
         let raw = self.fittings.sample(now);
-        let filtered = self.filter.sample(u16::from(raw.limits) | u16::from(raw.probe) << 8);
-        let contacts = Signals { limits: filtered as u8, probe: filtered >> 8 != 0, ..Signals::default() };
+        let contacts = Signals::of_word(self.filter.sample(raw.word()));
+        self.count_noise(self.filter.rejected());
         if contacts != self.contacts {
             self.contacts = contacts;
             self.update_signals();
@@ -449,26 +464,32 @@ impl Simulator {
         self.sample_due = (!settled).then(|| self.clock.now() + period);
     }
 
-    /// What the controller is told: hand and contacts together, with the polarity of the settings.
+    /// Pins that are low: those that a hand has put to 1, and closed contacts.
+    fn low(&self) -> u16 {
+        self.hand.word() | self.contacts.word()
+    }
+
+    /// Hand and contacts together, with the polarity of the settings; an armed input stops the step task here and now.
     fn update_signals(&mut self) {
-        let mut signals = Signals {
-            limits: self.hand.limits | self.contacts.limits,
-            probe: self.hand.probe | self.contacts.probe,
-            ..self.hand
-        };
-        if let Some(wiring) = self.wiring {
-            signals.limits ^= if wiring.limit_invert { ((1 << self.board.axes) - 1) | SECOND_SWITCH } else { 0 };
-            signals.probe ^= wiring.probe_invert;
-            let inverted = |bit: u8| wiring.control_invert >> bit & 1 != 0;
-            signals.reset ^= inverted(0);
-            signals.hold ^= inverted(1);
-            signals.start ^= inverted(2);
-            signals.door ^= inverted(3);
+        if let Some(wiring) = &self.wiring {
+            self.inputs.wire(wiring);
         }
-        if signals != self.signals {
-            self.signals = signals;
-            self.signals_changed = true;
+        if self.inputs.set(self.low()) {
+            self.stop();
         }
+    }
+
+    fn count_noise(&mut self, rejected: u16) {
+        for (bit, count) in self.noise.iter_mut().enumerate() {
+            *count = count.saturating_add(rejected >> bit & 1);
+        }
+    }
+
+    /// The inputs that this machine has: those of its axes, a second switch, and all others.
+    fn view_of_pins(&self) -> PinView {
+        let axes = (1 << self.board.axes) - 1;
+        let others = !u16::from(u8::MAX);
+        PinView { fitted: axes | u16::from(SECOND_SWITCH) | others, low: self.low(), noise: self.noise }
     }
 
     // The control task
@@ -510,12 +531,17 @@ impl Simulator {
     }
 
     fn events_wait(&self) -> bool {
-        !self.step_events.is_empty() || !self.realtime.is_empty() || !self.stored.is_empty() || self.signals_changed
+        !self.step_events.is_empty()
+            || !self.realtime.is_empty()
+            || !self.stored.is_empty()
+            || self.pins_asked
+            || self.inputs.sensed() != self.told
     }
 
     fn deliver_events(&mut self) -> bool {
         let now = self.clock.instant();
         let mut busy = false;
+        let (pins_asked, view) = (std::mem::take(&mut self.pins_asked), self.view_of_pins());
         let mut give = |controller: &mut Controller<AXES, BLOCKS>, event| {
             controller.event(now, event);
             busy = true;
@@ -529,8 +555,14 @@ impl Simulator {
         while let Some(command) = self.realtime.pop_front() {
             give(&mut self.controller, Event::Realtime(command));
         }
-        if std::mem::take(&mut self.signals_changed) {
-            give(&mut self.controller, Event::Signals(self.signals));
+        let sensed = self.inputs.sensed();
+        if sensed != self.told {
+            self.inputs.told();
+            self.told = self.inputs.sensed();
+            give(&mut self.controller, Event::Signals(sensed));
+        }
+        if pins_asked {
+            give(&mut self.controller, Event::Pins(view));
         }
         while let Some(stored) = self.stored.pop_front() {
             give(&mut self.controller, if stored { Event::Stored } else { Event::StoreFailed });
@@ -574,6 +606,8 @@ impl Simulator {
                     self.update_signals();
                     self.learn_resolution();
                 }
+                Some(Output::ReadPins { clear_noise: true }) => self.noise = [0; input::COUNT],
+                Some(Output::ReadPins { clear_noise: false }) => self.pins_asked = true,
                 Some(Output::Store(change)) => {
                     // A store that cannot be written is the host's fault; the controller tells the host.
                     let stored = self.store.apply(&change);

@@ -202,8 +202,10 @@ fn session(seed: u64) {
                 bench.send([byte]);
             }
             9 => {
-                let pin =
-                    of(&mut random, &["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe"]);
+                let pin = of(
+                    &mut random,
+                    &["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"],
+                );
                 let text = format!("{pin} {}", random.below(2));
                 write!(history, "{text} ").unwrap();
                 bench.pin(&text);
@@ -223,7 +225,7 @@ fn session(seed: u64) {
 
 /// Whatever has happened: pins released, settings and the machine as at first, and it moves as it is told to.
 fn way_back(bench: &mut Bench, what: &str) {
-    for pin in ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe"] {
+    for pin in ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"] {
         bench.pin(&format!("{pin} 0"));
     }
     for _ in 0..2 {
@@ -232,7 +234,9 @@ fn way_back(bench: &mut Bench, what: &str) {
     }
     bench.read();
     // The end of a line that a reset has cut off at its head.
-    bench.send("\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$N0=\n$N1=\n");
+    bench.send(
+        "\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$908=0\n$912=0\n$913=0\n$N0=\n$N1=\n",
+    );
     bench.wait(1.0);
     bench.send([0x18]);
     bench.wait(0.2);

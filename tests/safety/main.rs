@@ -2,6 +2,7 @@
 
 mod anything;
 mod bench;
+mod emergency;
 mod homing;
 mod injection;
 mod probing;

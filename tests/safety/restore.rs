@@ -19,6 +19,7 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
             1000 * (i64::from(least) + random.below(u64::from(greatest - least).min(300) + 1) as i64)
         }
         Kind::Switch => 1000 * random.below(2) as i64,
+        Kind::Mask(bits) => 1000 * (random.below(512) as i64 & i64::from(bits)),
         Kind::Speed => 1000 * random.below(30_000) as i64,
         Kind::Place => random.below(40_000) as i64 - 30_000,
         _ => random.below(20_000) as i64,

@@ -12,8 +12,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 /// What each event (row) may make of each state (column) at once. `.` is "stays as it is"; `/` separates what depends on
 /// whether the machine moves, parks, or has a pin active. `-` cannot be: an open door does not open.
 ///
-/// It is Grbl's, with three things more: 0x19 brakes and forgets; a limit switch ends every state but Home and alarms;
-/// `?` is answered always. Lines that come while something is held wait, so they change nothing at once.
+/// It is Grbl's, with four things more: 0x19 brakes and forgets; a limit switch ends every state but Home and alarms;
+/// an emergency stop and a driver at fault end every state; `?` is answered always. Lines that come while something is held wait, so they change nothing at once.
 const TRANSITIONS: &str = "
 event        Idle            Run       Jog       Hold:0         Hold:1       Door:0      Door:1     Door:2      Door:3         Home        Alarm   Critical  Check       Sleep
 ?            .               .         .         .              .            .           .          .           .              .           .       .         .           .
@@ -33,6 +33,10 @@ reset_1      Reset           Reset     Reset     Reset          Reset        Res
 reset_0      .               .         .         .              .            .           .          .           .              .           .       .         .           .
 limit_1      Critical        Critical  Critical  Critical       Critical     Critical    Critical   Critical    Critical       .           .       .         Critical    Critical
 limit_0      .               .         .         .              .            .           .          .           .              .           .       .         .           .
+estop_1      Critical        Critical  Critical  Critical       Critical     Critical    Critical   Critical    Critical       Critical    Critical .      Critical    Critical
+estop_0      -               -         -         -              -            -           -          -           -              -           .       .         -           .
+fault_1      Critical        Critical  Critical  Critical       Critical     Critical    Critical   Critical    Critical       Critical    Critical .      Critical    Critical
+fault_0      -               -         -         -              -            -           -          -           -              -           .       .         -           .
 probe_1      .               .         .         .              .            .           .          .           .              .           .       .         .           .
 probe_0      .               .         .         .              .            .           .          .           .              .           .       .         .           .
 override     .               .         .         .              .            .           .          .           .              .           .       .         .           .
@@ -146,6 +150,10 @@ const EVENTS: &[Event] = &[
     pin("reset_0", "reset 0"),
     pin("limit_1", "limit x 1"),
     pin("limit_0", "limit x 0"),
+    pin("estop_1", "estop 1"),
+    pin("estop_0", "estop 0"),
+    pin("fault_1", "fault 1"),
+    pin("fault_0", "fault 0"),
     pin("probe_1", "probe 1"),
     pin("probe_0", "probe 0"),
     line("move", "G91 G1 X-0.4 Z-0.3 F200"),
@@ -199,8 +207,8 @@ const TOO_LONG: &str = "X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1
 struct Key {
     state: String,
     moving: bool,
-    /// door, hold, start, reset, limit, probe
-    pins: [bool; 6],
+    /// door, hold, start, reset, limit, probe, emergency stop, driver fault
+    pins: [bool; 8],
     trusted: bool,
     spindle: bool,
     /// The program has it on.
@@ -263,7 +271,16 @@ impl Machine {
         }
         Key {
             moving: mill.is_stepping() && !status.contains("|FS:0,"),
-            pins: [pins.door, pins.hold, pins.start, pins.reset, pins.limits != 0, pins.probe],
+            pins: [
+                pins.door,
+                pins.hold,
+                pins.start,
+                pins.reset,
+                pins.limits != 0,
+                pins.probe,
+                pins.emergency_stop,
+                pins.driver_fault,
+            ],
             trusted: mill.controller().is_trusted(),
             spindle: outputs.spindle != SpindleDirection::Off,
             turned_on: self.turned_on,
@@ -278,7 +295,7 @@ impl Machine {
     fn act(&mut self, event: &Event) {
         match event.row {
             "spindle" => self.turned_on |= self.bench.mill.controller().wants_line(),
-            "0x18" | "reset_1" => self.turned_on = false,
+            "0x18" | "reset_1" | "estop_1" | "fault_1" => self.turned_on = false,
             _ => {}
         }
         match event.act {
@@ -294,7 +311,7 @@ impl Machine {
         if ["0x19", "$SLP", "M0"].contains(&event.row) {
             self.mark = event.row;
         }
-        if ["0x18", "0x19", "reset_1", "limit_1", "$SLP", "far_move"].contains(&event.row) {
+        if ["0x18", "0x19", "reset_1", "limit_1", "estop_1", "fault_1", "$SLP", "far_move"].contains(&event.row) {
             self.dropped = true;
         }
     }
@@ -302,7 +319,7 @@ impl Machine {
     /// By what an operator would do: pins released, `~`; then `$X` or `$C`; and a reset only where the table knows no
     /// other way.
     fn way_to_idle(&mut self, what: &str) {
-        for text in ["door 0", "hold 0", "start 0", "reset 0", "limit x 0", "probe 0"] {
+        for text in ["door 0", "hold 0", "start 0", "reset 0", "limit x 0", "probe 0", "estop 0", "fault 0"] {
             self.bench.pin(text);
         }
         let mut tried = Vec::new();
@@ -369,7 +386,7 @@ fn table() -> Table {
 /// Whether an event is a change: a pin is not pressed twice, and at most one besides the door at a time.
 fn sensible(key: &Key, event: &Event) -> bool {
     let Act::Pin(text) = event.act else { return true };
-    let names = ["door", "hold", "start", "reset", "limit", "probe"];
+    let names = ["door", "hold", "start", "reset", "limit", "probe", "estop", "fault"];
     let index = names.iter().position(|name| text.starts_with(name)).unwrap();
     let press = text.ends_with('1');
     let others = key.pins.iter().enumerate().skip(1).any(|(i, on)| *on && i != index);

@@ -18,9 +18,10 @@ def main(board, elf, oxmill, *wanted):
         if wanted and name not in wanted:
             continue
         begin, lines, outcome = time.monotonic(), [], "ok"
-        bench.origin = 0
+        bench.origin, bench.case = 0, name
         try:
             lines.extend(case(bench))
+            bench.note_stack()
             passed += 1
             if (board, name) in cases.KNOWN:
                 outcome = "ok, although it is on the list of known faults: take it off"
@@ -36,6 +37,11 @@ def main(board, elf, oxmill, *wanted):
         print(f"case {name} ... {outcome} ({time.monotonic() - begin:.1f} s)")
         for line in lines:
             print(f"  {line}", flush=True)
+    used, size, where = bench.deepest
+    print(f"deepest stack of all cases: {used} of {size} bytes ({where})")
+    if size - used < cases.STACK_LEFT:
+        print(f"FAILED: less than {cases.STACK_LEFT} bytes of the stack are left")
+        failed += 1
     print(f"virtual board {board}: {passed} passed, {failed} failed, {known} known faults, {missing} not yet", flush=True)
     return 1 if failed or not passed else 0
 

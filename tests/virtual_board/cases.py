@@ -18,6 +18,10 @@ STOP_S = 20 * US
 """From the moment a stop is known to the last rising edge (targets.md, section 2)."""
 HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
+TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
+"""From a contact to the last rising edge: the filter, up to a sample before it begins, and the stop."""
+STACK_LEFT = 4096
+"""Bytes of the stack that no case may have used."""
 LATEST_PULSE_END_S = 5 * US
 """How much longer than $0 a pulse may be: its end is an interrupt, and waits for masks and for the rest of the tick."""
 
@@ -28,13 +32,22 @@ class Bench:
     def __init__(self, wiring, image, oxmill):
         self.wiring, self.image, self.oxmill = wiring, image, oxmill
         self.masked = {}
+        self.board, self.deepest = None, (0, 0, "")
+        self.case = ""
         self.fresh()
 
     def fresh(self):
         """Another board, not yet running."""
+        self.note_stack()
         self.board = Board(self.wiring, self.image)
         self.host = Host(self.board)
         return self.board
+
+    def note_stack(self):
+        """Keeps the deepest stack; a board that was made to fail says nothing of it."""
+        if self.board is not None and not self.board.faults_expected:
+            used, size = self.board.stack_used()
+            self.deepest = max(self.deepest, (used, size, self.case))
 
     def boot(self):
         self.fresh()
@@ -351,7 +364,7 @@ def stops(bench):
     bench.settings(s21=1)
     board, hz = bench.board, bench.wiring.core_hz
     worst = {"0x18": 0.0, "limit": 0.0}
-    allowed = {"0x18": STOP_S, "limit": FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S}
+    allowed = {"0x18": STOP_S, "limit": TRIP_S}
     for feed, phase in ((3000, 0.0), (3000, 7.3e-6), (3000, 31e-6), (60, 123.4e-6), (6000, 49.9e-6)):
         for what in ("0x18", "limit"):
             bench.ask("$X")
@@ -389,6 +402,242 @@ def stops(bench):
                 raise Failure(f"{what} at F{feed}: pulses for another {us(late)}, allowed {us(allowed[what])}")
     for what, late in worst.items():
         yield f"{what:>5}: pulses end at most {us(late)} after it is heard, allowed {us(allowed[what])}; places as reported"
+
+
+def error_of(bench, line):
+    """The error that a line is answered by."""
+    answers = len(bench.host.answers)
+    bench.host.send(line + "\n")
+    bench.wait(lambda: len(bench.host.answers) > answers, 1, f"an answer to {line}")
+    return bench.host.answers[-1]
+
+
+def trips(bench):
+    """Limit, emergency stop ($912), reset button and driver fault end the pulses without the control task, which hangs."""
+    wiring = bench.wiring
+    for what, pin, settings in (
+        ("limit switch", wiring.limits[1], {"s21": 1}),
+        ("emergency stop", wiring.reset, {"s912": 1}),
+        ("reset button", wiring.reset, {}),
+        ("driver fault", wiring.driver_fault, {}),
+    ):
+        worst = 0
+        for phase in (0.0, 17e-6, 49e-6):
+            bench.boot()
+            board = bench.board
+            fast(bench, 1000)
+            bench.settings(**settings)
+            scope = Scope(board)
+            moving(bench)
+            board.run(seconds=phase)
+            hang(bench)
+            begin = board.now
+            board.drive(pin, 0)
+            # Less than what is queued lasts: it would go on.
+            board.run(seconds=0.006)
+            rising = [step.at for step in scope.steps()]
+            worst = max(worst, (rising[-1] - begin) / wiring.core_hz)
+        if worst > TRIP_S:
+            raise Failure(f"{what}: pulses for another {us(worst)}, allowed {us(TRIP_S)}")
+        yield f"{what}: pulses end at most {us(worst)} after its contact, allowed {us(TRIP_S)}; the control task stood still"
+
+
+def emergency_stop(bench):
+    """Pressed in full motion: all off, drivers on, latched, reported with place and line; and not trusted afterwards."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    bench.settings(s912=1)
+    fast(bench, 1000)
+    bench.ask("M3 S1000")
+    bench.ask("M8")
+    scope = Scope(board)
+    bench.ask("N42 G91 G1 X100 F3000")
+    board.run(seconds=0.1)
+    begin, after = board.now, len(host.text)
+    board.drive(wiring.reset, 0)
+    bench.wait_text("Reset to continue", 0.5, after)
+    late = (scope.steps()[-1].at - begin) / wiring.core_hz
+    off = us_off(bench, begin)
+    if late > TRIP_S or board.level(wiring.enable) != 0:
+        raise Failure(f"pulses for another {us(late)}, enable output {board.level(wiring.enable)}")
+    said = bytes(host.text[after:]).decode()
+    place = scope.counts()[0] / 1000
+    if "ALARM:101" not in said or f"[MSG:Emergency stop at machine {place:.3f},0.000,0.000, line 42]" not in said:
+        raise Failure(f"at X{place}: {said!r}")
+    bench.at_rest(0.1)
+    after = len(host.text)
+    host.send(b"\x18")
+    bench.wait_text("'$H'|'$X' to unlock", 0.5, after)
+    if b"ALARM:101" not in host.text[after:]:
+        raise Failure("a reset does not tell that the emergency stop is still active")
+    for line, answer in (("$X", "error:50"), ("G0 X0", "error:9")):
+        if error_of(bench, line) != answer:
+            raise Failure(f"{line} was answered by {host.answers[-1]}")
+    board.drive(wiring.reset, None)
+    board.run(seconds=0.01)
+    if not any("may be lost" in line for line in bench.ask("$X")):
+        raise Failure("the position is trusted after a stop at speed")
+    yield f"last rising edge {us(late)} after the contact, spindle and coolant off after {off}; told with line and place"
+
+
+def noise(bench):
+    """Disturbances of a limit pin shorter than the filter: nothing stops, and each is counted. And resistors."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    bench.settings(s21=1)
+    fast(bench, 1000)
+    bench.ask("G91 G1 X20 F3000")
+    lengths = [120 * US, 200 * US, 330 * US] * 10
+    for k, length in enumerate(lengths):
+        board.drive(wiring.limits[0], 0)
+        board.run(seconds=length)
+        board.drive(wiring.limits[0], None)
+        board.run(seconds=(80 + 37 * k % 60) * US)
+    bench.wait_state("Idle", 3)
+    shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}
+    counts = {name: int(fields[-1].split()[-1]) for name, fields in shown.items()}
+    yield f"{len(lengths)} disturbances of 120 to 330 us on the X limit: no stop; $PINS counts {counts['limit X']}"
+    if counts.pop("limit X") != len(lengths) or any(counts.values()):
+        raise Failure(f"$PINS says {shown}")
+    if set(shown) != {"limit X", "limit Y", "limit Z", "probe", "door", "hold", "start", "reset", "driver fault"}:
+        raise Failure(f"$PINS shows {sorted(shown)}")
+    bench.ask("$PINS=0")
+    bench.settings(s21=0, s18=1, s910=2)
+    board.run(seconds=0.01)
+    pulls = []
+    for pin in (*wiring.limits, wiring.probe):
+        gpio, number = board.pin(pin)
+        pulls.append(gpio.values[0x0C] >> 2 * number & 3)
+    if pulls != [0, 2, 1, 1]:
+        raise Failure(f"PUPDR of the limits and the probe: {pulls}")
+    line = next(line for line in bench.ask("$PINS") if "limit Y" in line)
+    if line != "[PIN:limit Y,low,active,active low,pull-down,noise 0]":
+        raise Failure(line)
+    yield "resistors: none ($18), pull-down ($910) and pull-up as set"
+
+
+def probe(bench):
+    """The place of a contact is that of the step at which it comes, and braking begins there."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    fast(bench, 1000)
+    acceleration, worst = 1_000_000, 0
+    for feed, wait in ((600, 0.31), (3000, 0.2), (60, 0.5001), (6000, 0.1777)):
+        scope = Scope(board)
+        before = scope_of_z(bench)
+        host.send(f"G91 G38.2 Z-30 F{feed}\n")
+        board.run(seconds=wait)
+        contact, after = board.now, len(host.lines)
+        board.drive(wiring.probe, 0)
+        bench.wait(lambda: any(line.startswith("[PRB:") for _, line in host.lines[after:]), 2, "the probe's report")
+        board.drive(wiring.probe, None)
+        report = next(line for _, line in host.lines[after:] if line.startswith("[PRB:"))
+        latched = round(float(report.split(":")[1].split(",")[2]) * 1000)
+        steps = [step.at for step in scope.steps()]
+        at_contact = before - sum(1 for at in steps if at <= contact)
+        end = before - len(steps)
+        overshoot = latched - end
+        bound = (feed / 60 * 1000) ** 2 / 2 / acceleration + 1
+        # The pin is looked at after the step of a tick: the one that is under way, or the next.
+        if not 0 <= at_contact - latched <= 1 or not report.endswith(":1]"):
+            raise Failure(f"F{feed}: contact after step {at_contact}, latched {latched}: {report}")
+        if not 0 <= overshoot <= bound + 1:
+            raise Failure(f"F{feed}: {overshoot} steps beyond the contact, v²/2a + 1 = {bound:.0f}")
+        worst = max(worst, at_contact - latched)
+        bench.wait_state("Idle", 1)
+        yield f"F{feed}: latched at step {latched} (contact after {at_contact}), then {overshoot} steps, v²/2a + 1 = {bound:.0f}"
+
+
+def scope_of_z(bench):
+    """Where Z stands by the report, in steps."""
+    return round(float(bench.status().split("MPos:")[1].split("|")[0].split(",")[2]) * 1000)
+
+
+def flood(bench):
+    """More realtime commands than their queue holds while the control task stands still, the last of them a reset: obeyed."""
+    for last, name in ((b"\x18", "0x18"), (b"\x85", "0x85"), (b"!", "!")):
+        bench.boot()
+        board, host = bench.board, bench.host
+        fast(bench, 1000)
+        moving(bench)
+        after = len(host.text)
+        hang(bench)
+        host.send(90 * b"?" + last)
+        board.run(seconds=0.012)
+        unpatch(bench)
+        if last == b"!":
+            bench.wait_state("Hold:0", 1)
+            yield "90 times ? and !: held"
+            continue
+        bench.wait_text("Grbl 1.1h", 1, after)
+        # The byte after the loss says so.
+        host.send("\n")
+        board.run(seconds=0.01)
+        bench.ask("$X")
+        bench.ask("G21")
+        yield f"90 times ? and {name}: a reset, and the link goes on"
+
+
+def low_at_power_up(bench):
+    """A supply that is low from the beginning raises no edge; one that rises slowly is no failure."""
+    board = bench.fresh()
+    board.set_supply(2.7)
+    board.run(seconds=0.12)
+    board.set_supply(3.3)
+    bench.wait_text("Grbl 1.1h", 1)
+    board.run(seconds=0.02)
+    if board.resets or bench.host.has_said("failure"):
+        raise Failure("a supply that takes 120 ms to rise counts as a failure")
+    board = bench.fresh()
+    board.set_supply(2.7)
+    board.run(seconds=1.2)
+    if board.resets or bench.host.has_said("Grbl"):
+        raise Failure("the firmware runs on a supply of 2.7 V")
+    board.set_supply(3.3)
+    tell(bench, "oltage")
+    yield f"2.7 V for 120 ms: no failure; for 1.2 s: not started before the supply was good; {cause(bench)}"
+
+
+def overflowed(bench):
+    """The stack runs out of its memory in full motion with the spindle on: everything safe, and the cause is told."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    busy(bench)
+    scope = Scope(board)
+    patch(bench, control_body(bench.image), b"\xff\xb4\xfd\xe7")  # push {r0-r7}; b .-2
+    board.faults_expected = True
+    bench.wait(lambda: board.faults, 0.1, "the fault")
+    at = board.faults[0][0]
+    board.run(seconds=0.001)
+    late = max(0, max((step.at for step in scope.steps()), default=0) - at) / wiring.core_hz
+    if late > STOP_S:
+        raise Failure(f"pulses for {us(late)} after the overflow")
+    off = us_off(bench, at)
+    bench.wait(lambda: board.resets, 1, "a reset")
+    unpatch(bench)
+    tell(bench, "stack overflow")
+    yield f"spindle and coolant off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
+def failed_twice(bench):
+    """A second failure while the first one is being logged: a reset, and the first one is told."""
+    bench.boot()
+    board, image = bench.board, bench.image
+    names = [start for start, _, name in image.functions if "stm32f4" in name and "restart" in name]
+    if not names:
+        raise Failure("the image has no function that logs a failure")
+    busy(bench)
+    board.faults_expected = True
+    hang(bench)
+    first = bench.patched
+    patch(bench, names[0], b"\x00\xde")  # udf
+    bench.wait(lambda: board.resets, 3, "a reset")
+    unpatch(bench)
+    put(bench, *first)
+    if not board.faults:
+        raise Failure("nothing failed for the second time: this proves nothing")
+    tell(bench, "stuck task")
+    yield f"{cause(bench)}"
 
 
 def settings_write(bench):
@@ -493,6 +742,7 @@ def brown_out(bench):
     board, wiring = bench.board, bench.wiring
     if not board.peripherals["PWR"].values[0] >> 4 & 1:
         raise NotYet("this firmware does not watch the supply")
+    whole = Scope(board)
     busy(bench)
     scope = Scope(board)
     begin = board.now
@@ -508,6 +758,12 @@ def brown_out(bench):
     board.set_supply(3.3)
     bench.wait(lambda: board.resets, 1, "a reset after the supply has come back")
     tell(bench, "oltage", "upply")
+    told = cause(bench)
+    place, counted = float(told.split("at machine ")[1].split(",")[0]), whole.counts()[0] / 1000
+    # The control task looks every 2 ms, and the pieces that it knows of last a millisecond: 3 ms of 50 mm/s, and a margin.
+    if not -0.1 <= counted - place <= 0.4:
+        raise Failure(f"X{place} is reported after {counted} mm: {told}")
+    yield f"the place is the one {(counted - place) * 1e3:.0f} um before the last step"
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
 
 
@@ -630,10 +886,18 @@ def all_cases(root):
         ("turns", turns),
         ("hold", hold),
         ("stops", stops),
+        ("trips", trips),
+        ("emergency stop", emergency_stop),
+        ("switch noise", noise),
+        ("probe", probe),
+        ("flood of realtime commands", flood),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),
+        ("stack overflow", overflowed),
+        ("failure in a failure", failed_twice),
         ("hung control task", hung),
         ("masked for ever", deaf),
         ("brown-out", brown_out),
+        ("low supply at power-up", low_at_power_up),
     ]

@@ -7,7 +7,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{LINES_DEPTH, LineByte, Record, Store};
+use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, Store, input};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -27,6 +27,8 @@ const DIALECT: u16 = 900;
 const DOOR_FITTED: u16 = 903;
 /// Number of the setting of the kinematics.
 const KINEMATICS: u16 = 904;
+/// Number of the setting that makes the reset input an emergency stop.
+const RESET_IS_EMERGENCY_STOP: u16 = 912;
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +39,8 @@ pub(super) enum Listing {
     Parameters,
     /// `$N`
     StartupLines,
+    /// `$PINS`
+    Pins,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -310,6 +314,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(|out| report::restart(out, &restart));
                 self.say(report::ok);
             }
+            // Grbl takes the P for the number of a setting.
+            System::Pins | System::ClearNoise if self.dialect() == Dialect::Grbl => return Err(Error::BadNumber),
+            System::Pins => {
+                self.pin_view = None;
+                self.read_pins = Some(false);
+                self.task = Task::Listing(Listing::Pins, 0);
+            }
+            System::ClearNoise => {
+                self.read_pins = Some(true);
+                self.say(report::ok);
+            }
             System::Sleep => {
                 self.say(report::ok);
                 self.say(|out| report::message(out, "Sleeping"));
@@ -317,6 +332,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::Set(DOOR_FITTED, value) if value != Decimal::ZERO && self.pins.door => {
                 return Err(Error::DoorOpen);
+            }
+            // As with the door: it would not be seen to become active.
+            System::Set(RESET_IS_EMERGENCY_STOP, value) if value != Decimal::ZERO && self.pins.reset => {
+                return Err(Error::EmergencyStop);
             }
             System::Set(number, value) => {
                 let soft_limits = self.settings.is_on(Key::SoftLimits);
@@ -378,6 +397,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.mode == Mode::Alarm {
             if self.signals.door {
                 return Err(Error::DoorOpen);
+            }
+            if let Some((_, error)) = self.emergency_now() {
+                return Err(error);
             }
             self.mode = Mode::Normal;
             self.alarm = None;
@@ -484,6 +506,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let more = match listing {
             Listing::Settings => self.list_setting(line),
             Listing::Parameters => self.list_parameter(line),
+            Listing::Pins => match self.pin_view {
+                Some(view) => self.list_pin(&view, line),
+                None => return false,
+            },
             Listing::StartupLines => match self.startup_lines.get(line).cloned() {
                 Some(text) => {
                     self.say(|out| report::startup_line(out, line, &text));
@@ -507,6 +533,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(|out| report::setting(out, &entry, number, value));
         }
         true
+    }
+
+    fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
+        if view.fitted >> bit & 1 != 0 {
+            let (active, wiring) = (self.pins.word() >> bit & 1 != 0, self.input_wiring);
+            self.say(|out| report::pin(out, bit, view, active, &wiring));
+        }
+        bit + 1 < input::COUNT
     }
 
     fn list_parameter(&mut self, line: usize) -> bool {

@@ -1,7 +1,7 @@
 //! Homing and probing are carried out: moves that an input ends.
 
 use super::execute::{Answer, Task};
-use super::{Controller, StopReason};
+use super::{Controller, StopReason, Stopped};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::{Alarm, Error};
 use crate::machine::homing::{Homing, HomingSettings, Order};
@@ -40,6 +40,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn begin_homing(&mut self, only: Option<Axis>) -> Result<(), Error> {
         if self.signals.door {
             return Err(Error::DoorOpen);
+        }
+        if let Some((_, error)) = self.emergency_now() {
+            return Err(error);
         }
         if let Some(error) = self.motion_locked() {
             return Err(error);
@@ -142,13 +145,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// A switch has closed while homing waits for it.
-    pub(super) fn home_switch(&mut self) {
+    pub(super) fn home_switch(&mut self, stopped: &mut Stopped) {
         if let Task::Homing(_, wait) = &mut self.task
             && let HomingWait::Motion(watch) = *wait
             && watch.0 & self.signals.limits != 0
         {
             *wait = HomingWait::Stop;
-            self.order_stop(StopReason::Switch);
+            self.stop_for(StopReason::Switch, stopped);
         }
     }
 

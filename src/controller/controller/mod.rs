@@ -20,13 +20,13 @@ mod outputs;
 mod stops;
 
 use crate::axes::{AxisMask, PerAxis};
-use crate::error::Alarm;
+use crate::error::{Alarm, Error};
 use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, LINES_DEPTH, LineByte, Observed, Output, Realtime, Restart, Room, SECOND_SWITCH,
-    Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Realtime, Restart,
+    Room, SECOND_SWITCH, Sensed, Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Arc, Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -134,8 +134,16 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Levels as the pins have them, and those that count.
     pins: Signals,
     signals: Signals,
-    /// Axes whose switches caused the last limit alarm.
-    tripped_limits: u8,
+    /// Inputs that caused the last alarm of an input.
+    tripped: Signals,
+    /// Stops that inputs have asked for (wrapping).
+    trips: u8,
+    /// Polarity and resistors of the inputs by the settings.
+    input_wiring: InputWiring,
+    /// `Output::ReadPins` has to be given out, with this `clear_noise`.
+    read_pins: Option<bool>,
+    /// The answer, until it has been listed.
+    pin_view: Option<PinView>,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
     /// When the drivers go off after the last motion (`$1`).
@@ -192,6 +200,8 @@ enum StopReason {
     Switch,
     /// The probe: the step task has braked already.
     Contact,
+    /// An armed input of a machine that was locked already.
+    Nothing,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -241,7 +251,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_watch: None,
             pins: Signals::NONE,
             signals: Signals::NONE,
-            tripped_limits: 0,
+            tripped: Signals::NONE,
+            trips: 0,
+            input_wiring: InputWiring::PULL_UPS,
+            read_pins: None,
+            pin_view: None,
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
@@ -297,7 +311,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Event::Realtime(command) => self.realtime(command),
             Event::Line(byte) => self.line_byte(byte),
             Event::Step(event) => self.step_event(&event),
-            Event::Signals(signals) => self.signals_changed(signals),
+            Event::Signals(sensed) => self.signals_changed(&sensed),
+            Event::Pins(view) => self.pin_view = Some(view),
             Event::Stored => self.unstored = self.unstored.saturating_sub(1),
             Event::StoreFailed => {
                 self.unstored = self.unstored.saturating_sub(1);
@@ -380,6 +395,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.machine_position().zip(&self.interpreter.work_offset(), |m, o| m - o)
     }
 
+    /// N word of the move under way, 0 = none.
+    pub fn line_number(&self) -> u32 {
+        self.motion.line_number()
+    }
+
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.alarm
@@ -424,6 +444,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(store) = self.stores.pop_front() {
             return Some(Output::Store(store));
         }
+        if let Some(clear_noise) = self.read_pins.take() {
+            return Some(Output::ReadPins { clear_noise });
+        }
         // The step queue never runs dry while something moves: at a start it is filled first, and then topped up. With a
         // control task that is not late it is never so low here after that.
         let queued = self.motion.queued_us();
@@ -457,7 +480,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn step_message(&mut self) -> Option<ToStep> {
-        if self.stop.awaited.is_some() {
+        // A stop may have happened of which only the step task has told yet: its gate is shut.
+        if self.stop.awaited.is_some() || self.stop.seen != self.stop.expected {
             return None;
         }
         if self.stop.resume {
@@ -793,23 +817,38 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free)
     }
 
-    fn signals_changed(&mut self, pins: Signals) {
-        self.pins = pins;
-        let signals = self.fitted_signals();
+    fn signals_changed(&mut self, sensed: &Sensed) {
+        // Armed inputs have stopped the step task themselves, before this message.
+        let stops = sensed.trips.wrapping_sub(self.trips);
+        self.trips = sensed.trips;
+        self.stop.expected = self.stop.expected.wrapping_add(stops);
+        let mut stopped = Stopped { already: stops != 0, answered: false };
+        self.pins = sensed.signals;
+        let signals = self.fitted(self.pins);
         let before = core::mem::replace(&mut self.signals, signals);
-        if signals.reset && !before.reset {
+        // What tripped may be inactive again.
+        let tripped = self.fitted(Signals::of_word(sensed.tripped));
+        self.emergency(&before, &tripped, &mut stopped);
+        if signals.reset && !before.reset || tripped.reset {
             // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
             self.drop_bytes = self.received_bytes();
-            self.order_stop(StopReason::Reset);
+            self.stop_for(StopReason::Reset, &mut stopped);
         }
+        let closed = signals.limits & !before.limits | tripped.limits;
         if self.mode == Mode::Home {
-            self.home_switch();
-        } else if signals.limits & !before.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm()
-        {
-            let tripped = self.axes_of_switches(signals.limits & !before.limits);
+            self.home_switch(&mut stopped);
+        } else if closed != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+            let closed = self.axes_of_switches(closed);
             let awaited = self.stop.awaited == Some(StopReason::Alarm(Alarm::HardLimit));
-            self.tripped_limits = if awaited { self.tripped_limits | tripped } else { tripped };
-            self.order_stop(StopReason::Alarm(Alarm::HardLimit));
+            let limits = if awaited { self.tripped.limits | closed } else { closed };
+            if self.stop.awaited.is_none() || awaited {
+                self.tripped = Signals { limits, ..Signals::NONE };
+            }
+            self.stop_for(StopReason::Alarm(Alarm::HardLimit), &mut stopped);
+        }
+        if stopped.already && !stopped.answered {
+            let homing = self.mode == Mode::Home;
+            self.await_stop(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
         }
         if signals.door && !before.door {
             self.open_door();
@@ -822,15 +861,63 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// The inputs, without those that the settings say are not fitted.
-    fn fitted_signals(&self) -> Signals {
-        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
-        Signals {
-            limits: self.pins.limits & (!SECOND_SWITCH | second),
-            door: self.pins.door && self.settings.is_on(Key::DoorFitted),
-            ..self.pins
+    /// Stops for an input, unless it has already been done.
+    fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
+        if stopped.already {
+            stopped.answered = true;
+            self.await_stop(reason);
+        } else {
+            self.order_stop(reason);
         }
     }
+
+    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task.
+    fn emergency(&mut self, before: &Signals, tripped: &Signals, stopped: &mut Stopped) {
+        let stop = self.signals.emergency_stop && !before.emergency_stop || tripped.emergency_stop;
+        let fault = self.signals.driver_fault && !before.driver_fault || tripped.driver_fault;
+        let alarm = match (stop, fault) {
+            (true, _) => Alarm::EmergencyStop,
+            (_, true) => Alarm::DriverFault,
+            _ => return,
+        };
+        self.spindle = SpindleDirection::Off;
+        self.coolant = Coolant::default();
+        self.interpreter.set_accessories(self.spindle, self.coolant);
+        self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
+        self.stop_for(StopReason::Alarm(alarm), stopped);
+    }
+
+    /// The emergency that is going on.
+    pub(super) fn emergency_now(&self) -> Option<(Alarm, Error)> {
+        if self.signals.emergency_stop {
+            Some((Alarm::EmergencyStop, Error::EmergencyStop))
+        } else if self.signals.driver_fault {
+            Some((Alarm::DriverFault, Error::DriverFault))
+        } else {
+            None
+        }
+    }
+
+    /// The inputs as the settings want them understood: without those that are not fitted, and the reset button as an
+    /// emergency stop (`$912`).
+    fn fitted(&self, pins: Signals) -> Signals {
+        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
+        let reset_stops = self.settings.is_on(Key::ResetIsEmergencyStop);
+        Signals {
+            limits: pins.limits & (!SECOND_SWITCH | second),
+            door: pins.door && self.settings.is_on(Key::DoorFitted),
+            reset: pins.reset && !reset_stops,
+            emergency_stop: pins.emergency_stop || pins.reset && reset_stops,
+            ..pins
+        }
+    }
+}
+
+/// Whether an input has stopped the step task itself, and whether the reason for it has been found.
+#[derive(Clone, Copy, Debug)]
+struct Stopped {
+    already: bool,
+    answered: bool,
 }
 
 /// The settings as motion wants them. A resolution that cannot be used stands as 1: motion is locked until

@@ -2,10 +2,11 @@
 
 use super::{Controller, REPLY_RESERVE, motion_settings};
 use crate::axes::AxisMask;
+use crate::error::Alarm;
 use crate::gcode::{Dialect, MotionMode};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
-use crate::messages::{Chunk, SECOND_SWITCH, Signals, SlowOutputs, SpindleDirection, Wiring};
+use crate::messages::{Chunk, InputWiring, SECOND_SWITCH, Signals, SlowOutputs, SpindleDirection, Wiring, input};
 use crate::protocol::report;
 use crate::protocol::text::Text;
 use crate::settings::{Key, Settings};
@@ -78,7 +79,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             power: self.resting_power(),
             power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
             coolant: self.coolant,
-            drivers: self.drivers_on || self.settings.whole(Key::IdleDelay) == 255,
+            drivers: (self.drivers_on || self.settings.whole(Key::IdleDelay) == 255) && !self.drivers_held_off(),
         };
         (self.pins_sent != Some(pins)).then(|| {
             self.pins_sent = Some(pins);
@@ -94,9 +95,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             step_invert: s.whole(Key::StepInvert) as u8,
             direction_invert: s.whole(Key::DirectionInvert) as u8,
             enable_invert: s.is_on(Key::EnableInvert),
-            limit_invert: s.is_on(Key::LimitInvert),
             probe_invert: s.is_on(Key::ProbeInvert),
-            control_invert: s.whole(Key::ControlInvert) as u8,
+            inputs: self.input_wiring,
+            armed: self.armed_inputs(),
             ganged: s.ganged_axis().map_or(0, |axis| AxisMask::NONE.with(axis).0),
             ganged_invert: s.is_on(Key::GangedInvert),
             ganged_motors: self.ganged_motors,
@@ -105,6 +106,34 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.wiring_sent = Some(wiring);
             wiring
         })
+    }
+
+    /// `$913`: no current in the motors until the emergency has been acknowledged.
+    fn drivers_held_off(&self) -> bool {
+        matches!(self.alarm, Some(Alarm::EmergencyStop | Alarm::DriverFault))
+            && self.settings.is_on(Key::EmergencyDriversOff)
+    }
+
+    /// Inputs that stop the step task themselves: not the switches that homing looks for.
+    fn armed_inputs(&self) -> u16 {
+        let limits = self.settings.is_on(Key::HardLimits) && self.mode != Mode::Home;
+        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
+        let switches = if limits { u16::from(limits_of::<N>() | second) } else { 0 };
+        switches | 1 << input::RESET | 1 << input::EMERGENCY_STOP | 1 << input::DRIVER_FAULT
+    }
+
+    /// Polarity and resistors of the inputs, from the settings.
+    fn wired_inputs(&self) -> InputWiring {
+        let s = &self.settings;
+        let probe = |key| u16::from(s.is_on(key)) << input::PROBE;
+        let limits = |key| s.whole(key) as u16 & u16::from(limits_of::<N>() | SECOND_SWITCH);
+        let control = |key| control_word(s.whole(key));
+        let all_limits = if s.is_on(Key::LimitInvert) { u16::from(limits_of::<N>() | SECOND_SWITCH) } else { 0 };
+        InputWiring {
+            inverted: all_limits ^ limits(Key::LimitInvertEach) | probe(Key::ProbeInvert) | control(Key::ControlInvert),
+            no_pull_up: limits(Key::LimitNoPullUp) | probe(Key::ProbeNoPullUp) | control(Key::ControlNoPullUp),
+            pull_down: limits(Key::LimitPullDown) | probe(Key::ProbePullDown) | control(Key::ControlPullDown),
+        }
     }
 
     pub(super) fn has_reply_room(&self) -> bool {
@@ -185,9 +214,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
     pub(super) fn reconfigure(&mut self) {
-        self.signals = self.fitted_signals();
+        self.signals = self.fitted(self.pins);
+        self.input_wiring = self.wired_inputs();
         self.motion.configure(motion_settings(&self.settings, &self.profile));
     }
+}
+
+/// Bits of the limit switches of the axes, without that of a second motor.
+const fn limits_of<const N: usize>() -> u8 {
+    (1 << N) - 1
+}
+
+/// The control inputs of a mask in grblHAL's order as a word of [`input`].
+fn control_word(mask: u32) -> u16 {
+    let bit = |from: u32, to: u32| (mask >> from & 1) << to;
+    let word = bit(0, input::RESET)
+        | bit(1, input::HOLD)
+        | bit(2, input::START)
+        | bit(3, input::DOOR)
+        | bit(6, input::EMERGENCY_STOP)
+        | bit(8, input::DRIVER_FAULT);
+    word as u16
 }
 
 /// What the host is spoken to in.

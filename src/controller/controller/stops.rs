@@ -17,12 +17,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A stop has been asked for by somebody who has also stopped the step task.
     pub(super) fn begin_stop(&mut self, reason: StopReason) {
         self.stop.expected = self.stop.expected.wrapping_add(1);
+        self.await_stop(reason);
+    }
+
+    /// A stop that is counted already is awaited for this reason.
+    pub(super) fn await_stop(&mut self, reason: StopReason) {
         // A reset wins over everything, an alarm over a homing switch: what they end, the others cannot go on with.
         let weight = |reason| match reason {
             None => 0,
-            Some(StopReason::Switch | StopReason::Contact) => 1,
-            Some(StopReason::Alarm(_)) => 2,
-            Some(StopReason::Reset) => 3,
+            Some(StopReason::Nothing) => 1,
+            Some(StopReason::Switch | StopReason::Contact) => 2,
+            Some(StopReason::Alarm(Alarm::EmergencyStop)) => 5,
+            Some(StopReason::Alarm(Alarm::DriverFault)) => 4,
+            Some(StopReason::Alarm(_)) => 3,
+            Some(StopReason::Reset) => 6,
         };
         if weight(Some(reason)) > weight(self.stop.awaited) {
             self.stop.awaited = Some(reason);
@@ -80,9 +88,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         }
         let (moving, line) = (self.stop.moving, self.stop.line);
-        self.stop = StopState { expected: self.stop.seen, seen: self.stop.seen, resume: true, ..StopState::default() };
+        // A stop that has happened and has not been told of is waited for by `step_message`.
+        let StopState { expected, seen, .. } = self.stop;
+        self.stop = StopState { expected, seen, resume: true, ..StopState::default() };
         self.running = false;
         self.probe_watch = None;
+        if reason == StopReason::Nothing {
+            self.motion.discard();
+            return;
+        }
         if reason == StopReason::Contact {
             // The probe goes on from here, or what has begun meanwhile: a hold, a door.
             self.probing = Some(Probing::Touched);
@@ -102,7 +116,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.coolant = Coolant::default();
         self.interpreter.set_accessories(self.spindle, self.coolant);
         match reason {
-            StopReason::Switch | StopReason::Contact => {}
+            StopReason::Nothing | StopReason::Switch | StopReason::Contact => {}
+            StopReason::Alarm(alarm @ (Alarm::EmergencyStop | Alarm::DriverFault)) => {
+                self.finish_emergency(alarm, moving, line);
+            }
             StopReason::Reset => self.finish_reset(moving),
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
@@ -112,10 +129,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
                 self.raise(alarm);
-                if alarm == Alarm::HardLimit && self.dialect() != Dialect::Grbl {
-                    let (limits, place) = (self.tripped_limits, self.motion.machine_position());
-                    let inches = self.settings.is_on(Key::ReportInches);
-                    self.say(|out| report::limit_trip(out, limits, &place, line, inches));
+                if alarm == Alarm::HardLimit {
+                    self.tell_trip(line);
                 }
                 if alarm == Alarm::Underrun {
                     if self.task.abandon() {
@@ -127,6 +142,38 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.mode = Mode::Critical;
                 }
             }
+        }
+    }
+
+    /// Latched: only a reset ends it, and one that comes while the input is still active says so again.
+    fn finish_emergency(&mut self, alarm: Alarm, moving: bool, line: u32) {
+        let homing = self.mode == Mode::Home;
+        let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
+        // A driver at fault may have lost steps, and a motor without current does not hold.
+        if moving || homing || drivers_off || alarm == Alarm::DriverFault {
+            self.lose_place();
+        }
+        // As they are: an axis may drop.
+        self.drivers_off_at = None;
+        self.drivers_on &= !drivers_off;
+        self.spindle_stopped = false;
+        self.motion.discard();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.raise(alarm);
+        if homing && self.task.abandon() {
+            self.say(report::ok);
+        }
+        self.tell_trip(line);
+        self.say(|out| report::message(out, "Reset to continue"));
+        self.mode = Mode::Critical;
+    }
+
+    /// Which inputs caused the alarm, where, and at which line.
+    fn tell_trip(&mut self, line: u32) {
+        if self.dialect() != Dialect::Grbl {
+            let (tripped, place) = (self.tripped, self.motion.machine_position());
+            let inches = self.settings.is_on(Key::ReportInches);
+            self.say(|out| report::trip(out, &tripped, &place, line, inches));
         }
     }
 
@@ -188,6 +235,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;
             self.say(|out| report::message(out, "Check Limits"));
+        }
+        if let Some((alarm, _)) = self.emergency_now() {
+            self.mode = Mode::Alarm;
+            self.raise(alarm);
+            let still = match alarm {
+                Alarm::EmergencyStop => "Emergency stop is active",
+                _ => "Driver fault is active",
+            };
+            self.say(|out| report::message(out, still));
         }
         if self.mode == Mode::Alarm {
             self.tell_lock();

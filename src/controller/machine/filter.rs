@@ -10,12 +10,13 @@ pub const SAMPLE_HZ: u32 = 20_000;
 pub struct Filter {
     level: u16,
     count: [u16; 3],
+    rejected: u16,
 }
 
 impl Filter {
     /// All inputs inactive.
     pub const fn new() -> Filter {
-        Filter { level: 0, count: [0; 3] }
+        Filter { level: 0, count: [0; 3], rejected: 0 }
     }
 
     /// Takes a sample and gives the filtered levels.
@@ -25,9 +26,15 @@ impl Filter {
         // Seven samples have differed before, and this one does too.
         let enough = a & b & c & differs;
         let carry = a & b;
+        self.rejected = (a | b | c) & !differs;
         self.count = [!a & differs & !enough, (b ^ a) & differs & !enough, (c ^ carry) & differs & !enough];
         self.level ^= enough;
         self.level
+    }
+
+    /// Inputs whose change has just ended before it had lasted long enough: noise, or the bounce of a contact.
+    pub fn rejected(&self) -> u16 {
+        self.rejected
     }
 }
 
@@ -46,6 +53,22 @@ mod tests {
             assert_eq!(filter.sample(0b100), 0b001);
         }
         assert_eq!(filter.sample(0b100), 0b100);
+    }
+
+    #[test]
+    fn a_change_too_short_is_rejected_once() {
+        let mut filter = Filter::new();
+        let rejected: Vec<u16> = [0, 1, 1, 0, 0, 1, 0]
+            .map(|raw| {
+                filter.sample(raw);
+                filter.rejected()
+            })
+            .to_vec();
+        assert_eq!(rejected, [0, 0, 0, 1, 0, 0, 1]);
+        for _ in 0..9 {
+            filter.sample(1);
+            assert_eq!(filter.rejected(), 0, "this one lasts");
+        }
     }
 
     /// The upright counters against one plain counter for each input.

@@ -3,5 +3,6 @@
 pub mod filter;
 pub mod homing;
 pub mod realtime_override;
+pub mod signals;
 pub mod spindle;
 pub mod state;

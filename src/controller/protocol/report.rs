@@ -4,7 +4,9 @@
 
 use super::text::{Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, PerAxis};
-use crate::messages::{Coolant, CrashKind, ResetCause, Restart, Signals, SpindleDirection};
+use crate::messages::{
+    Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
+};
 use crate::settings::{Entry, Kind};
 use crate::units::Coordinate;
 
@@ -54,12 +56,24 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` that says which limit switches tripped, where, and at which N word (0 = none).
-pub fn limit_trip<const N: usize>(out: &mut Text, limits: u8, place: &PerAxis<Coordinate, N>, line: u32, inches: bool) {
-    put(out, b"[MSG:Limit switch ");
-    let switches = Axis::ALL.into_iter().filter(|axis| limits & AxisMask::NONE.with(*axis).0 != 0);
-    for axis in switches {
-        put(out, &[axis.letter()]);
+/// `[MSG:...]` that says which inputs tripped (limit switches by their axes), where, and at which N word (0 = none).
+pub fn trip<const N: usize>(
+    out: &mut Text,
+    tripped: &Signals,
+    place: &PerAxis<Coordinate, N>,
+    line: u32,
+    inches: bool,
+) {
+    put(out, b"[MSG:");
+    if tripped.emergency_stop {
+        put(out, b"Emergency stop");
+    } else if tripped.driver_fault {
+        put(out, b"Driver fault");
+    } else {
+        put(out, b"Limit switch ");
+        for axis in Axis::ALL.into_iter().filter(|axis| tripped.limits & AxisMask::NONE.with(*axis).0 != 0) {
+            put(out, &[axis.letter()]);
+        }
     }
     put(out, b" at machine ");
     position(out, place, inches);
@@ -96,7 +110,16 @@ pub fn failure(out: &mut Text, restart: &Restart) {
     put(out, b"[MSG:Restarted after a failure (");
     let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
     put(out, name.as_bytes());
-    put(out, b"), $RC tells more]\r\n");
+    put(out, b")");
+    if let Some(crash) = &restart.crash {
+        put(out, b" at machine ");
+        last_place(out, &crash.place);
+        if crash.line > 0 {
+            put(out, b", line ");
+            whole(out, u64::from(crash.line));
+        }
+    }
+    put(out, b", $RC tells more]\r\n");
 }
 
 /// `[RESET:cause]`, and `[CRASH:kind:text]` if there was one.
@@ -109,15 +132,71 @@ pub fn restart(out: &mut Text, restart: &Restart) {
         put(out, crash_name(crash.kind).as_bytes());
         put(out, b":");
         put(out, &crash.text);
+        put(out, b"]\r\n[LAST:");
+        last_place(out, &crash.place);
+        put(out, b"|Ln:");
+        whole(out, u64::from(crash.line));
         put(out, b"]\r\n");
     }
+}
+
+/// A place in micrometres, always in mm: nobody knows yet which unit this host wants.
+fn last_place(out: &mut Text, place: &[i32; 3]) {
+    for (i, micrometres) in place.iter().enumerate() {
+        if i > 0 {
+            put(out, b",");
+        }
+        length(out, Coordinate(i64::from(*micrometres) * 10_000), false);
+    }
+}
+
+const fn input_name(bit: usize) -> &'static str {
+    match bit as u32 {
+        0 => "limit X",
+        1 => "limit Y",
+        2 => "limit Z",
+        3 => "limit A",
+        4 => "limit B",
+        5 => "limit C",
+        6 => "second limit",
+        input::PROBE => "probe",
+        input::DOOR => "door",
+        input::HOLD => "hold",
+        input::START => "start",
+        input::RESET => "reset",
+        input::EMERGENCY_STOP => "emergency stop",
+        input::DRIVER_FAULT => "driver fault",
+        _ => "unused",
+    }
+}
+
+/// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: level of the pin now, whether the filtered input is
+/// active, the level that makes it active, its resistor, and the changes that the filter has rejected.
+pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring) {
+    let has = |word: u16| word >> bit & 1 != 0;
+    put(out, b"[PIN:");
+    put(out, input_name(bit).as_bytes());
+    put(out, if has(view.low) { b",low" } else { b",high" });
+    put(out, if active { b",active" } else { b",inactive" });
+    put(out, if has(wiring.inverted) { b",active high" } else { b",active low" });
+    put(
+        out,
+        match (has(wiring.pull_down), has(wiring.no_pull_up)) {
+            (true, _) => b",pull-down".as_slice(),
+            (false, true) => b",no pull",
+            (false, false) => b",pull-up",
+        },
+    );
+    put(out, b",noise ");
+    whole(out, u64::from(view.noise.get(bit).copied().unwrap_or(0)));
+    put(out, b"]\r\n");
 }
 
 /// The answer to `$`.
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $RST= $RC ");
+        put(out, b"$HX $RST= $RC $PINS ");
     }
     put(out, b"~ ! ? ctrl-x");
     if !grbl {
@@ -336,7 +415,7 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, inches: bool) 
 }
 
 fn pins(out: &mut Text, pins: &Signals) {
-    let mut letters: heapless::Vec<u8, 11> = heapless::Vec::new();
+    let mut letters: heapless::Vec<u8, 13> = heapless::Vec::new();
     let active = [
         (pins.probe, b'P'),
         (pins.limits & 1 != 0, b'X'),
@@ -349,6 +428,8 @@ fn pins(out: &mut Text, pins: &Signals) {
         (pins.reset, b'R'),
         (pins.hold, b'H'),
         (pins.start, b'S'),
+        (pins.emergency_stop, b'E'),
+        (pins.driver_fault, b'F'),
     ];
     letters.extend(active.iter().filter(|(on, _)| *on).map(|(_, letter)| *letter));
     if !letters.is_empty() {

@@ -36,6 +36,10 @@ pub enum System<'a> {
     Restore(Restore),
     /// `$RC`
     ResetCause,
+    /// `$PINS`
+    Pins,
+    /// `$PINS=0`
+    ClearNoise,
     /// `$SLP`
     Sleep,
     /// `$n=v`
@@ -68,6 +72,7 @@ pub enum Allowed {
 pub fn allowed(line: &[u8]) -> Allowed {
     match line.get(1) {
         None | Some(b'$' | b'G' | b'C' | b'X') => Allowed::Always,
+        Some(b'P') if line.starts_with(b"$PINS") => Allowed::Always,
         Some(b'J') => Allowed::ForJog,
         Some(_) => Allowed::AtRest,
     }
@@ -104,6 +109,9 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             b"C" => Ok(System::ResetCause),
             _ => Err(Error::InvalidStatement),
         },
+        Some(b'P') if rest == b"INS" => Ok(System::Pins),
+        Some(b'P') if rest == b"INS=0" => Ok(System::ClearNoise),
+        Some(b'P') if rest.starts_with(b"INS") => Err(Error::InvalidStatement),
         Some(b'N') if rest.is_empty() => Ok(System::StartupLines),
         Some(b'N') => {
             let (index, line) = numbered(rest)?;

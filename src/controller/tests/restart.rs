@@ -63,7 +63,8 @@ impl Board {
 }
 
 fn crash(kind: CrashKind, text: &[u8]) -> Option<Crash> {
-    Some(Crash { kind, text: heapless::Vec::from_slice(text).unwrap() })
+    let text = heapless::Vec::from_slice(text).unwrap();
+    Some(Crash { kind, text, place: [1_250, -3_000, 0], line: 12 })
 }
 
 #[test]
@@ -79,7 +80,8 @@ fn an_ordinary_start_says_nothing_of_it() {
 
 #[test]
 fn a_failure_locks_and_is_told_until_the_host_has_asked() {
-    let message = "[MSG:Restarted after a failure (stuck task), $RC tells more]\r\n";
+    let message =
+        "[MSG:Restarted after a failure (stuck task) at machine 1.250,-3.000,0.000, line 12, $RC tells more]\r\n";
     let restart = Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control") };
     let (mut board, said) = Board::started(Some(restart));
     assert_eq!(said, format!("\r\nGrbl 1.1h ['$' for help]\r\n{message}[MSG:'$H'|'$X' to unlock]\r\n"));
@@ -87,9 +89,15 @@ fn a_failure_locks_and_is_told_until_the_host_has_asked() {
     assert!(board.reset().contains(message));
     board.controller.event(NOW, Event::Connected);
     assert!(board.pump().contains(message));
-    assert_eq!(board.line("$RC"), "[RESET:software]\r\n[CRASH:stuck task:control]\r\nok\r\n");
+    assert_eq!(
+        board.line("$RC"),
+        "[RESET:software]\r\n[CRASH:stuck task:control]\r\n[LAST:1.250,-3.000,0.000|Ln:12]\r\nok\r\n"
+    );
     assert!(!board.reset().contains("failure"));
-    assert_eq!(board.line("$RC"), "[RESET:software]\r\n[CRASH:stuck task:control]\r\nok\r\n");
+    assert_eq!(
+        board.line("$RC"),
+        "[RESET:software]\r\n[CRASH:stuck task:control]\r\n[LAST:1.250,-3.000,0.000|Ln:12]\r\nok\r\n"
+    );
     assert!(board.line("$X").ends_with("ok\r\n"));
     assert_eq!(board.line("G21"), "ok\r\n");
 }

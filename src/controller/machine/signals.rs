@@ -1,0 +1,125 @@
+//! From levels of pins to what they mean: polarity, filter, and which change stops the machine by itself. Lives in the
+//! inputs task.
+//!
+//! ```text
+//!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control
+//!                                └── armed? ──▶ stop of the step task, at once
+//! ```
+
+use super::filter::Filter;
+use crate::messages::{InputWiring, Sensed, Signals, Wiring};
+
+/// The inputs, sample by sample.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    filter: Filter,
+    wiring: InputWiring,
+    armed: u16,
+    sensed: Sensed,
+    active: u16,
+}
+
+impl Default for Inputs {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Inputs {
+    /// All inputs count as inactive until they have been sampled often enough, and none is armed.
+    pub const fn new() -> Self {
+        Inputs {
+            filter: Filter::new(),
+            wiring: InputWiring::PULL_UPS,
+            armed: 0,
+            sensed: Sensed { signals: Signals::NONE, trips: 0, tripped: 0 },
+            active: 0,
+        }
+    }
+
+    /// Takes over polarity and arming.
+    pub fn wire(&mut self, wiring: &Wiring) {
+        self.wiring = wiring.inputs;
+        self.armed = wiring.armed;
+    }
+
+    /// Takes a sample of the pins (bit set = low). Whether the step task has to be stopped.
+    pub fn sample(&mut self, low: u16) -> bool {
+        let active = self.filter.sample(low ^ self.wiring.inverted);
+        self.take(active)
+    }
+
+    /// Takes levels that need no filter (bit set = low). Whether the step task has to be stopped.
+    pub fn set(&mut self, low: u16) -> bool {
+        self.take(low ^ self.wiring.inverted)
+    }
+
+    fn take(&mut self, active: u16) -> bool {
+        let changed = active ^ self.active;
+        if changed == 0 {
+            return false;
+        }
+        self.active = active;
+        self.sensed.signals = Signals::of_word(active);
+        let tripped = changed & active & self.armed;
+        if tripped != 0 {
+            self.sensed.trips = self.sensed.trips.wrapping_add(1);
+            self.sensed.tripped |= tripped;
+        }
+        tripped != 0
+    }
+
+    /// Inputs whose change the filter has just rejected.
+    pub fn rejected(&self) -> u16 {
+        self.filter.rejected()
+    }
+
+    /// What `control` has to know.
+    pub fn sensed(&self) -> Sensed {
+        self.sensed
+    }
+
+    /// It knows [`Inputs::sensed`].
+    pub fn told(&mut self) {
+        self.sensed.tripped = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::input;
+
+    fn armed(armed: u16, inverted: u16) -> Inputs {
+        let mut inputs = Inputs::new();
+        inputs.armed = armed;
+        inputs.wiring.inverted = inverted;
+        inputs
+    }
+
+    #[test]
+    fn an_armed_input_trips_once_and_is_remembered_until_it_was_told() {
+        let mut inputs = armed(0b001, 0);
+        assert!(!inputs.set(0b010));
+        assert!(inputs.set(0b011) && !inputs.set(0b011) && !inputs.set(0));
+        assert_eq!(inputs.sensed(), Sensed { signals: Signals::NONE, trips: 1, tripped: 0b001 });
+        inputs.told();
+        assert_eq!(inputs.sensed(), Sensed { signals: Signals::NONE, trips: 1, tripped: 0 });
+    }
+
+    #[test]
+    fn the_filter_comes_before_the_trip() {
+        let mut inputs = armed(1 << input::EMERGENCY_STOP, 1 << input::EMERGENCY_STOP);
+        let tripped: Vec<bool> = (0..9).map(|_| inputs.sample(0)).collect();
+        assert_eq!(tripped.iter().position(|t| *t), Some(7));
+        assert!(inputs.sensed().signals.emergency_stop);
+    }
+
+    #[test]
+    fn words_and_names_agree() {
+        for bit in 0..input::COUNT {
+            let word = 1 << bit;
+            assert_eq!(Signals::of_word(word).word(), if bit == 7 { 0 } else { word });
+        }
+    }
+}
