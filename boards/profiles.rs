@@ -41,6 +41,10 @@ pub const DESK: Board = Board {
 pub const BLACKPILL_F411: Board =
     Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 88_000, ..DESK };
 
+/// WeAct Black Pill, STM32F401CC: 84 MHz, of which PLL and USB make 48. 64 KiB of RAM hold half the look-ahead.
+pub const BLACKPILL_F401: Board =
+    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 76_000, blocks: 256, ..DESK };
+
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
 /// more for a second port: 1091 cycles.
 pub const NUCLEO_F446RE: Board =
@@ -58,4 +62,5 @@ pub const NUCLEO_F401RE: Board =
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
 
 /// All boards.
-pub const ALL: [Board; 6] = [DESK, BLACKPILL_F411, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];
+pub const ALL: [Board; 7] =
+    [DESK, BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];

@@ -217,6 +217,8 @@ pub enum Event<const N: usize> {
     StoreFailed,
     /// A host has just opened the port.
     Connected,
+    /// The host that was listened to has closed the port or is unplugged. Not every link can tell.
+    Disconnected,
 }
 
 /// What the pump knows and the controller does not; handed over before events and outputs.

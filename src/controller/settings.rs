@@ -94,6 +94,7 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false),
     entry(906, "Second motor turns the other way", "", Kind::Switch, 0.0, false),
     entry(907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false),
+    entry(909, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -160,11 +161,12 @@ pub enum Key {
     GangedAxis,
     GangedInvert,
     GangedSwitch,
+    HoldWithoutHost,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 47;
+    pub const COUNT: usize = 48;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -512,6 +514,7 @@ mod tests {
             (Key::SpinDown, 539),
             (Key::TrustNeeded, 902),
             (Key::GangedSwitch, 907),
+            (Key::HoldWithoutHost, 909),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

@@ -77,6 +77,7 @@ pub struct Simulator {
     signals: Signals,
     signals_changed: bool,
     connected: bool,
+    disconnected: bool,
     outgoing: Vec<u8>,
     segments: VecDeque<ToStep>,
     /// A job whose lines are taken whenever the controller wants them.
@@ -138,6 +139,7 @@ impl Simulator {
             signals: Signals::default(),
             signals_changed: false,
             connected: false,
+            disconnected: false,
             outgoing: Vec::new(),
             segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
             job: None,
@@ -186,6 +188,12 @@ impl Simulator {
     /// A host has opened the port.
     pub fn connect(&mut self) {
         self.connected = true;
+        self.turn();
+    }
+
+    /// The host has closed the port, or is unplugged.
+    pub fn disconnect(&mut self) {
+        self.disconnected = true;
         self.turn();
     }
 
@@ -522,6 +530,9 @@ impl Simulator {
         };
         while let Some(event) = self.step_events.pop_front() {
             give(&mut self.controller, Event::Step(event));
+        }
+        if std::mem::take(&mut self.disconnected) {
+            give(&mut self.controller, Event::Disconnected);
         }
         if std::mem::take(&mut self.connected) {
             give(&mut self.controller, Event::Connected);
