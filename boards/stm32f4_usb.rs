@@ -45,7 +45,8 @@ const NEXT_ENDPOINT: usize = 0x20;
 /// GINTSTS and GINTMSK: the receive FIFO is not empty; and all that the driver attends to, with suspend, reset, enumeration,
 /// IN endpoints and wake-up.
 const RXFLVL: u32 = 1 << 4;
-const EVENTS: u32 = RXFLVL | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 18 | 1 << 31;
+const EVENTS: u32 = RXFLVL | 1 << 11 | USBRST | 1 << 13 | 1 << 18 | 1 << 31;
+const USBRST: u32 = 1 << 12;
 /// GRXSTSR and GRXSTSP: endpoint, and what the entry is.
 const EPNUM: u32 = 0xF;
 const PKTSTS_SHIFT: u32 = 17;
@@ -94,6 +95,9 @@ pub struct UsbPort {
     /// The host has sent something since it set the device up: some never raise DTR.
     spoken: bool,
     dtr: bool,
+    /// The bus is being reset: until its end the driver takes the device for set up, but what is written to an endpoint
+    /// meanwhile is never sent and keeps it busy for ever.
+    resetting: bool,
     /// The interrupt of the receive FIFO is masked.
     masked: bool,
 }
@@ -122,9 +126,19 @@ impl UsbPort {
             .product(super::super::PROFILE.name)
             .serial_number(core::str::from_utf8(number).unwrap_or_default());
         let device = UsbDeviceBuilder::new(bus, ID).device_class(USB_CLASS_CDC).strings(&[strings]);
-        let Ok(device) = device.map(UsbDeviceBuilder::build) else { unreachable!("one set of strings fits") };
+        let device = device.and_then(|device| device.max_packet_size_0(PACKET as u8));
+        let Ok(device) = device.map(UsbDeviceBuilder::build) else { unreachable!("both are what the builder takes") };
         let received = Received { packet: [0; PACKET], length: 0, next: 0, ended: false };
-        UsbPort { device, class, received, outgoing: heapless::Vec::new(), spoken: false, dtr: false, masked: false }
+        UsbPort {
+            device,
+            class,
+            received,
+            outgoing: heapless::Vec::new(),
+            spoken: false,
+            dtr: false,
+            resetting: false,
+            masked: false,
+        }
     }
 
     /// What the receive FIFO begins with, if it is for the data endpoint.
@@ -160,7 +174,7 @@ impl UsbPort {
     }
 
     fn is_configured(&self) -> bool {
-        self.device.state() == UsbDeviceState::Configured
+        self.device.state() == UsbDeviceState::Configured && !self.resetting
     }
 
     fn flush(&mut self) {
@@ -176,12 +190,15 @@ impl Port for UsbPort {
     fn poll(&mut self) -> bool {
         self.hold_endpoint();
         // The driver masks interrupts for as long as it looks: not for nothing.
-        if read(GINTSTS) & EVENTS != 0 {
+        let events = read(GINTSTS);
+        self.resetting |= events & USBRST != 0;
+        if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
         }
         let state = self.device.state();
         if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
             // A reset of the bus has emptied the FIFO and enabled the endpoint.
+            self.resetting = false;
             self.received = Received { length: 0, next: 0, ended: false, ..self.received };
         }
         let dtr = self.class.dtr();

@@ -85,9 +85,9 @@ impl<P: Port, const HELD: usize> Link<P, HELD> {
     }
 
     /// Asks for the floor. A line that the other host has begun and left there ends as a damaged one.
-    fn claim<const OTHER: usize>(&self, floor: &mut Floor, free: bool, room: &mut Room<OTHER>) -> bool {
+    fn claim<const OTHER: usize>(&self, floor: &mut Floor, firm: bool, room: &mut Room<OTHER>) -> bool {
         let before = floor.holder();
-        let granted = floor.claim(self.number, free);
+        let granted = floor.claim(self.number, room.is_free(), firm);
         if granted && before != self.number && !room.other.is_between_lines() {
             room.other.cut_off(room.splitter.epoch());
             room.other.pass_on(room.queues);
@@ -103,7 +103,7 @@ impl<P: Port, const HELD: usize> Link<P, HELD> {
         }
         if open {
             // Another host's job goes on, and this one is not greeted in its midst.
-            if self.claim(floor, room.is_free(), room) {
+            if self.claim(floor, true, room) {
                 HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
             }
         } else {
@@ -142,10 +142,10 @@ impl<P: Port, const HELD: usize> Link<P, HELD> {
                         self.intake.begin_anew();
                         room.other.begin_anew();
                     }
-                    self.claim(floor, room.is_free(), room);
+                    self.claim(floor, false, room);
                 }
                 Received::Line(line) => {
-                    if !self.claim(floor, room.is_free(), room) {
+                    if !self.claim(floor, true, room) {
                         if matches!(line.byte, b'\n' | b'\r') {
                             self.refusals = self.refusals.saturating_add(1);
                         }

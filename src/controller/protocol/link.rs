@@ -122,14 +122,14 @@ impl<const HELD: usize> Intake<HELD> {
 #[derive(Debug)]
 pub struct Floor {
     holder: usize,
-    /// The holder has gone, or nobody has said anything yet.
-    vacant: bool,
+    /// The holder has gone or has only asked for a report; or nobody has said anything yet.
+    weak: bool,
 }
 
 impl Floor {
     /// Answers go to link 0, and whoever speaks first has the floor.
     pub const fn new() -> Self {
-        Self { holder: 0, vacant: true }
+        Self { holder: 0, weak: true }
     }
 
     /// Who gets the answers.
@@ -137,11 +137,12 @@ impl Floor {
         self.holder
     }
 
-    /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder, nor
-    /// has that one begun a line.
-    pub fn claim(&mut self, link: usize, free: bool) -> bool {
-        if self.vacant || free {
-            self.seize(link);
+    /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.
+    /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps nobody out.
+    pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
+        if self.weak || free {
+            self.holder = link;
+            self.weak = !firm;
         }
         self.holder == link
     }
@@ -149,12 +150,12 @@ impl Floor {
     /// The host of `link` has reset the machine, and with it everything that another one wanted.
     pub fn seize(&mut self, link: usize) {
         self.holder = link;
-        self.vacant = false;
+        self.weak = false;
     }
 
     /// The host of `link` has gone.
     pub fn leave(&mut self, link: usize) {
-        self.vacant |= self.holder == link;
+        self.weak |= self.holder == link;
     }
 }
 
@@ -342,17 +343,29 @@ mod tests {
     fn one_host_at_a_time_has_the_floor() {
         let mut floor = Floor::new();
         assert_eq!(floor.holder(), 0);
-        assert!(floor.claim(1, false));
-        assert!(!floor.claim(0, false));
+        assert!(floor.claim(1, false, true));
+        assert!(!floor.claim(0, false, true));
         assert_eq!(floor.holder(), 1);
         // Idle: whoever speaks.
-        assert!(floor.claim(0, true));
-        assert!(floor.claim(0, false) && !floor.claim(1, false));
+        assert!(floor.claim(0, true, true));
+        assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
         floor.leave(1);
-        assert!(!floor.claim(1, false));
+        assert!(!floor.claim(1, false, true));
         floor.leave(0);
-        assert!(floor.claim(1, false));
+        assert!(floor.claim(1, false, true));
         floor.seize(0);
-        assert!(!floor.claim(1, false));
+        assert!(!floor.claim(1, false, true));
+    }
+
+    #[test]
+    fn a_question_keeps_nobody_out() {
+        let mut floor = Floor::new();
+        assert!(floor.claim(1, false, true));
+        // The holder's own questions change nothing.
+        assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
+        floor.leave(1);
+        assert!(floor.claim(0, false, false));
+        assert!(floor.claim(1, false, true));
+        assert!(!floor.claim(0, false, true));
     }
 }
