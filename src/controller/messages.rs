@@ -14,7 +14,7 @@ use crate::axes::PerAxis;
 /// task all the same).
 pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
-/// back-pressure (USB, QEMU); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
+/// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
 /// normally bounds it (see `QUEUED_TIME` in `motion`).
