@@ -36,7 +36,7 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
     }
     let chip = match board {
         "blackpill_f411" => "STM32F411CEUx",
-        "blackpill_f401" => "STM32F401CCUx",
+        "blackpill_f401" => return Err("the suites need a stack of 80 KiB, and blackpill_f401 has 64 of RAM".into()),
         "nucleo_f446re" => "STM32F446RETx",
         "nucleo_f411re" => "STM32F411RETx",
         "nucleo_f401re" => "STM32F401RETx",
