@@ -6,7 +6,16 @@
 use std::{env, fs, path::PathBuf};
 
 /// Every board; each is also a feature of the packages that end in an image.
-pub const BOARDS: [&str; 5] = ["blackpill_f411", "nucleo_f446re", "nucleo_f411re", "nucleo_f401re", "qemu_mps2"];
+pub const BOARDS: [&str; 6] =
+    ["blackpill_f411", "blackpill_f401", "nucleo_f446re", "nucleo_f411re", "nucleo_f401re", "qemu_mps2"];
+
+/// Boards whose flash holds only an image that is built for size.
+pub const SMALL: [&str; 1] = ["blackpill_f401"];
+
+/// The cargo profile of a board's image.
+pub fn profile(board: &str) -> &'static str {
+    if SMALL.contains(&board) { "firmware-small" } else { "firmware" }
+}
 
 /// Puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts. `root` is the workspace
 /// root as seen from the package, `kinds` the kinds of target in `cargo:rustc-link-arg-KIND`.

@@ -8,12 +8,12 @@
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of `profiles.rs`, and the two numbers of it that are types |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the firmware tells the time |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
-//! | `BACK_PRESSURE` | whether a byte that is not fetched waits (true) or is overwritten by the next (false) |
 //! | `setup(device) -> Parts` | everything below, set up once; outputs are off |
 //! | `StepTimer`, `Due` | free-running counter at the step clock with three moments: next tick, end of pulse, some time after it |
 //! | `call_step()` | calls the step task from any task |
 //! | `StepPins` | step and direction outputs and the spindle's PWM |
-//! | `SerialPort` | the link to the host |
+//! | `SerialPort` | the UART to the host, a [`Port`] |
+//! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
 //! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
 //! | `SlowPins` | driver enable, spindle, coolant |
 //! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
@@ -29,6 +29,9 @@
 #[path = "profiles.rs"]
 pub mod profiles;
 
+#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
+#[path = "blackpill.rs"]
+mod blackpill;
 #[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
 #[path = "nucleo64.rs"]
 mod nucleo64;
@@ -41,6 +44,9 @@ mod stm32f4_step;
 
 #[cfg(feature = "blackpill_f411")]
 #[path = "blackpill_f411/mod.rs"]
+mod chosen;
+#[cfg(feature = "blackpill_f401")]
+#[path = "blackpill_f401/mod.rs"]
 mod chosen;
 #[cfg(feature = "nucleo_f446re")]
 #[path = "nucleo_f446re/mod.rs"]
@@ -88,12 +94,57 @@ pub struct SlowLevels {
     pub mist: bool,
 }
 
-/// What `SerialPort::receive` found.
+/// A link to a host.
+pub trait Port {
+    /// Whether a byte that is not fetched waits (true) or is overwritten by the next (false).
+    const WAITS: bool;
+
+    /// Does what the link itself needs, and tells whether a host is there: a UART cannot know, and always says so.
+    fn poll(&mut self) -> bool {
+        true
+    }
+    /// The next byte, if one has come.
+    fn receive(&mut self) -> Incoming;
+    /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
+    /// [`Port::receive`].
+    fn allow(&mut self, room: usize);
+    /// Sends a byte, if there is room for it.
+    fn send(&mut self, byte: u8) -> bool;
+    /// What was sent goes out; and whether to be called when there is room for more.
+    fn call_when_free(&mut self, wanted: bool);
+}
+
+/// A link that a board does not have: nobody ever comes.
+#[allow(dead_code, reason = "some boards have both links")]
+pub struct NoPort;
+
+impl Port for NoPort {
+    const WAITS: bool = true;
+
+    fn poll(&mut self) -> bool {
+        false
+    }
+
+    fn receive(&mut self) -> Incoming {
+        Incoming::Nothing
+    }
+
+    fn allow(&mut self, _room: usize) {}
+
+    fn send(&mut self, _byte: u8) -> bool {
+        true
+    }
+
+    fn call_when_free(&mut self, _wanted: bool) {}
+}
+
+/// What `Port::receive` found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Incoming {
     /// A byte.
     Byte(u8),
     /// One or more bytes came and are lost.
+    #[allow(dead_code, reason = "not on links that wait")]
     Lost,
     /// Nothing new.
     Nothing,

@@ -10,27 +10,27 @@ use stm32f4xx_hal::{
     serial,
 };
 
-use super::stm32f4;
 pub use super::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
     reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
+use super::{NoPort, stm32f4};
 pub use stm32f4xx_hal::pac;
 
 /// The clock counts microseconds.
 pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Samples of the inputs in a second.
 pub const SAMPLE_HZ: u32 = 20_000;
-/// A UART overwrites what is not fetched.
-pub const BACK_PRESSURE: bool = false;
 
 /// The link to the host.
 pub type SerialPort = stm32f4::Usart<pac::USART2>;
+/// USB is the ST-LINK's.
+pub type UsbPort = NoPort;
 /// Step pins on two ports, direction pins too.
 pub type StepPins = stm32f4::StepPins<2, 2>;
 /// What [`setup`] deals out.
-pub type Parts = stm32f4::Parts<pac::USART2, 2, 2>;
+pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2, 2>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
@@ -87,6 +87,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
         step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
         step_pins,
         serial: SerialPort::new(tx, rx),
+        usb: NoPort,
         inputs,
         slow_pins,
         settings_flash: stm32f4::settings_flash::<pac::USART2>(device.FLASH, &mut rcc),

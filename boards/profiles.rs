@@ -35,14 +35,20 @@ pub const DESK: Board = Board {
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
-/// `cargo xtask count` gives 411 cycles for the worst tick, 350 for the fetching of a message after it and 25 for the
-/// longest masked time; with 24 for each entry and 1.3 for flash wait states they take 1085 cycles, and half of the CPU at
-/// the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
+/// `cargo xtask count` gives 411 cycles for the worst tick and 350 for the fetching of a message after it, `cargo xtask
+/// virtual` 306 for the longest masked time, which is the USB driver's; with 24 for each entry and 1.3 for flash wait states
+/// they take 1450 cycles, and half of the CPU at the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 88_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 66_000, ..DESK };
+
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, so the worst tick takes
+/// 505 cycles, the fetching 431 and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): 1806 in all.
+/// That is what the step task can follow; `control` is slower (docs/how-it-works.md, "Small parts").
+pub const BLACKPILL_F401: Board =
+    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 46_000, blocks: 256, ..DESK };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
-/// more for a second port: 1091 cycles.
+/// more for a second port and 25 for the longest masked time, as there is no USB: 1091 cycles.
 pub const NUCLEO_F446RE: Board =
     Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 164_000, ..DESK };
 
@@ -58,4 +64,5 @@ pub const NUCLEO_F401RE: Board =
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
 
 /// All boards.
-pub const ALL: [Board; 6] = [DESK, BLACKPILL_F411, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];
+pub const ALL: [Board; 7] =
+    [DESK, BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];

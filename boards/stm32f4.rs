@@ -15,12 +15,15 @@ use stm32f4xx_hal::{
 };
 
 use super::stm32f4_step::{self as step, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
-use super::{Incoming, SlowLevels};
+use super::{Incoming, Port, SlowLevels};
 
 #[path = "stm32f4_flash.rs"]
 mod flash;
 #[path = "stm32f4_shelter.rs"]
 mod shelter;
+#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
+#[path = "stm32f4_usb.rs"]
+pub mod usb;
 
 pub use flash::SettingsFlash;
 use shelter::{Sheltered, Taken, shelter};
@@ -151,10 +154,14 @@ impl<U: Instance> Usart<U> {
         rx.listen();
         Usart { rx, tx, taken: Taken::default(), lost: false }
     }
+}
+
+impl<U: Instance> Port for Usart<U> {
+    const WAITS: bool = false;
 
     /// The next byte, if one has come.
     #[inline]
-    pub fn receive(&mut self) -> Incoming {
+    fn receive(&mut self) -> Incoming {
         if let Some(byte) = self.taken.next() {
             // Taking them all lasts longer than a byte on the line: what comes meanwhile queues up behind them.
             if self.taken.has_room() {
@@ -177,19 +184,19 @@ impl<U: Instance> Usart<U> {
         }
     }
 
-    /// For links with back-pressure; here every byte is fetched at once.
+    /// Every byte is fetched at once.
     #[inline]
-    pub fn quiet(&mut self) {}
+    fn allow(&mut self, _room: usize) {}
 
     /// Sends a byte if the data register is free.
     #[inline]
-    pub fn send(&mut self, byte: u8) -> bool {
+    fn send(&mut self, byte: u8) -> bool {
         self.tx.write(byte).is_ok()
     }
 
     /// Whether to be called when the data register becomes free.
     #[inline]
-    pub fn call_when_free(&mut self, wanted: bool) {
+    fn call_when_free(&mut self, wanted: bool) {
         if wanted { self.tx.listen() } else { self.tx.unlisten() }
     }
 }
@@ -297,13 +304,15 @@ impl SlowPins {
 }
 
 /// What `setup` deals out.
-pub struct Parts<U: Instance, const S: usize, const D: usize> {
+pub struct Parts<U: Instance, L: Port, const S: usize, const D: usize> {
     /// For `step`.
     pub step_timer: StepTimer,
     /// For `step`.
     pub step_pins: StepPins<S, D>,
     /// For `serial`.
     pub serial: Usart<U>,
+    /// For `serial`.
+    pub usb: L,
     /// For `inputs`.
     pub inputs: InputPins,
     /// For `control`.
@@ -381,9 +390,9 @@ pub fn reset_cause() -> ResetCause {
 }
 
 /// Vector of the voltage detector: the device crates disagree about its name.
-#[cfg(not(feature = "nucleo_f401re"))]
+#[cfg(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")))]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
-#[cfg(feature = "nucleo_f401re")]
+#[cfg(any(feature = "nucleo_f401re", feature = "blackpill_f401"))]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
 
 /// EXTI line of the voltage detector.
@@ -427,8 +436,8 @@ fn voltage_is_low() -> bool {
 }
 
 /// The supply is failing.
-#[cfg_attr(not(feature = "nucleo_f401re"), unsafe(export_name = "PVD"))]
-#[cfg_attr(feature = "nucleo_f401re", unsafe(export_name = "EXTI16_PVD"))]
+#[cfg_attr(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")), unsafe(export_name = "PVD"))]
+#[cfg_attr(any(feature = "nucleo_f401re", feature = "blackpill_f401"), unsafe(export_name = "EXTI16_PVD"))]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
 extern "C" fn voltage_low() {
     crate::panic::low_voltage()

@@ -11,8 +11,8 @@ fn board_file(name: &str) -> String {
 
 /// Code and pin table of each wiring.
 fn wirings() -> [(&'static str, String, String); 2] {
-    let pill = board_file("blackpill_f411/mod.rs");
-    [("blackpill_f411", pill.clone(), pill), ("nucleo64", board_file("nucleo64.rs"), board_file("nucleo64.md"))]
+    let pill = board_file("blackpill.rs");
+    [("blackpill", pill.clone(), pill), ("nucleo64", board_file("nucleo64.rs"), board_file("nucleo64.md"))]
 }
 
 /// Pins that the code takes, such as `a.pa7`, in their order.
@@ -65,22 +65,62 @@ fn no_timer_or_stream_has_two_uses() {
         let taken: Vec<&str> = code
             .match_indices("device.")
             .map(|(at, prefix)| &code[at + prefix.len()..])
-            .map(|rest| &rest[..rest.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(rest.len())])
-            .filter(|peripheral| ["TIM", "USART", "DMA"].iter().any(|kind| peripheral.starts_with(kind)))
+            .map(|rest| &rest[..rest.find(|c: char| !c.is_ascii_alphanumeric() && c != '_').unwrap_or(rest.len())])
+            .filter(|peripheral| ["TIM", "USART", "DMA", "OTG"].iter().any(|kind| peripheral.starts_with(kind)))
             .collect();
         let once: BTreeSet<&&str> = taken.iter().collect();
         assert!(once.contains(&&"TIM2") && once.contains(&&"TIM3") && once.contains(&&"TIM5"), "{name}: {taken:?}");
         assert_eq!(once.len(), taken.len(), "{name} takes a peripheral twice: {taken:?}");
     }
-    // The only streams, one for each USART that a board may have; a board has one USART.
+    // The only streams, one for each USART that a board may have; a board has one USART, and USB needs no stream.
     let streams: Vec<&str> = shared.lines().filter(|line| line.starts_with("sheltered!(")).collect();
     assert_eq!(streams, ["sheltered!(USART1, DMA2, 2);", "sheltered!(USART2, DMA1, 5);"]);
+}
+
+/// USB has no choice of pins, and VBUS sensing, which would take A9 from the USART, is off in the driver.
+#[test]
+fn usb_has_its_pins_its_clock_and_its_vector() {
+    let pill = board_file("blackpill.rs");
+    let pins = pins_of(&pill);
+    for pin in ["A11", "A12"] {
+        assert!(pins.iter().any(|taken| taken == pin), "USB has no {pin}");
+    }
+    assert!(pill.contains("require_pll48clk()"));
+    let main = board_file("../src/firmware/main.rs");
+    let boards: Vec<&str> = main.split("#[cfg(").skip(1).filter(|part| part.contains("usb: OTG_FS")).collect();
+    assert_eq!(boards.len(), 1);
+    for board in ["blackpill_f411", "blackpill_f401"] {
+        assert!(boards[0].contains(board), "{board} has no vector for USB");
+    }
+    let nucleo = board_file("nucleo64.rs");
+    assert!(nucleo.contains("UsbPort = NoPort") && !nucleo.contains("OTG"));
+}
+
+/// The list of boards is written down in several places that no compiler compares.
+#[test]
+fn every_board_stands_in_every_list() {
+    let text = board_file("build.rs");
+    let list = text.split("pub const BOARDS").nth(1).unwrap().split(';').nth(1).unwrap();
+    let names: Vec<&str> = list.split('"').skip(1).step_by(2).collect();
+    assert!(names.contains(&"blackpill_f401") && names.contains(&"qemu_mps2"), "{names:?}");
+    let small = text.split("pub const SMALL").nth(1).unwrap().split(';').nth(1).unwrap();
+    let ci = board_file("../.ci/run");
+    for name in names {
+        for file in
+            ["../.ci/run", "../src/firmware/Cargo.toml", "../tests/on_target/Cargo.toml", "sizes.txt", "profiles.rs"]
+        {
+            assert!(board_file(file).contains(name), "{file} has no {name}");
+        }
+        assert!(name == "qemu_mps2" || board_file("../README.md").contains(name), "README.md has no {name}");
+        let case = ci.contains(&format!("{name}) echo firmware-small"));
+        assert_eq!(case, small.contains(&format!("\"{name}\"")), "the profile of {name} in .ci/run");
+    }
 }
 
 #[test]
 fn every_board_has_its_sizes_and_a_probe_profile() {
     let boards = board_file("build.rs");
-    let list = boards.lines().find(|line| line.contains("pub const BOARDS")).unwrap();
+    let list = boards.split("pub const BOARDS").nth(1).unwrap().split(';').nth(1).unwrap();
     let names: Vec<&str> = list.split('"').skip(1).step_by(2).collect();
     assert!(names.len() >= 5, "{names:?}");
     let embed = board_file("../Embed.toml");

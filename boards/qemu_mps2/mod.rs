@@ -32,7 +32,10 @@ use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
-use super::{Incoming, SlowLevels, profiles};
+use super::{Incoming, NoPort, Port, SlowLevels, profiles};
+
+/// There is none.
+pub type UsbPort = NoPort;
 
 mod flash;
 mod script;
@@ -50,8 +53,6 @@ pub const CLOCK_TICKS_PER_US: u32 = 25;
 pub const CORE_HZ: u32 = 25_000_000;
 /// Samples of the inputs in a second: there are none, only the alarm clock of `control`, and each costs the host time.
 pub const SAMPLE_HZ: u32 = 2_000;
-/// QEMU offers no byte before the last one has been fetched.
-pub const BACK_PRESSURE: bool = true;
 
 /// What `setup` deals out.
 pub struct Parts {
@@ -61,6 +62,8 @@ pub struct Parts {
     pub step_pins: StepPins,
     /// For `serial`.
     pub serial: SerialPort,
+    /// For `serial`.
+    pub usb: NoPort,
     /// For `inputs`.
     pub inputs: InputPins,
     /// For `control`.
@@ -93,6 +96,7 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
         step_timer: StepTimer { timer: device.TIMER0, moments: [None; 3], next_tick: 0 },
         step_pins: StepPins,
         serial: SerialPort(device.UART0),
+        usb: NoPort,
         inputs: InputPins,
         slow_pins: SlowPins,
         settings_flash: SettingsFlash::new(),
@@ -299,9 +303,12 @@ impl StepPins {
 /// UART0.
 pub struct SerialPort(Uart0);
 
-impl SerialPort {
+impl Port for SerialPort {
+    /// QEMU offers no byte before the last one has been fetched.
+    const WAITS: bool = true;
+
     /// The next byte, if one has come.
-    pub fn receive(&mut self) -> Incoming {
+    fn receive(&mut self) -> Incoming {
         self.0.clear_interrupts(Uart0::RX_INTERRUPT);
         if let Some(byte) = script::receive() {
             return Incoming::Byte(byte);
@@ -311,12 +318,14 @@ impl SerialPort {
 
     /// A byte may wait unfetched: without this its interrupt would come again for ever. [`SerialPort::receive`] looks at
     /// the register itself and finds it later.
-    pub fn quiet(&mut self) {
-        self.0.clear_interrupts(Uart0::RX_INTERRUPT);
+    fn allow(&mut self, room: usize) {
+        if room == 0 {
+            self.0.clear_interrupts(Uart0::RX_INTERRUPT);
+        }
     }
 
     /// Sends a byte if the data register is free.
-    pub fn send(&mut self, byte: u8) -> bool {
+    fn send(&mut self, byte: u8) -> bool {
         let free = self.0.state() & Uart0::TX_FULL == 0;
         if free {
             self.0.set_data(u32::from(byte));
@@ -326,7 +335,7 @@ impl SerialPort {
     }
 
     /// The interrupt comes after every byte sent, wanted or not.
-    pub fn call_when_free(&mut self, _wanted: bool) {}
+    fn call_when_free(&mut self, _wanted: bool) {}
 }
 
 /// No pins: nothing is active.

@@ -14,7 +14,7 @@ use crate::axes::PerAxis;
 /// (`Owed` in the firmware's `crossing`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
-/// back-pressure (USB, QEMU); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
+/// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
 /// normally bounds it (see `QUEUED_TIME` in `motion`).
@@ -303,6 +303,8 @@ pub enum Event<const N: usize> {
     StoreFailed,
     /// A host has just opened the port.
     Connected,
+    /// The host that was listened to has closed the port or is unplugged. Not every link can tell.
+    Disconnected,
 }
 
 /// What the pump knows and the controller does not; handed over before events and outputs.

@@ -117,6 +117,7 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(911, "Probe input with a pull-down", "", Kind::Switch, 0.0, false),
     entry(912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false),
     entry(913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false),
+    entry(914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -192,11 +193,12 @@ pub enum Key {
     ProbePullDown,
     ResetIsEmergencyStop,
     EmergencyDriversOff,
+    HoldWithoutHost,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 56;
+    pub const COUNT: usize = 57;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -550,6 +552,7 @@ mod tests {
             (Key::GangedSwitch, 907),
             (Key::ProbeNoPullUp, 19),
             (Key::EmergencyDriversOff, 913),
+            (Key::HoldWithoutHost, 914),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

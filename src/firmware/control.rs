@@ -9,8 +9,8 @@
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
 use crate::crossing::{
-    self, CONTROL_ASKED, INPUTS_FITTED, INPUTS_LOW, LAST_LINE, LAST_PLACE, LINE_BYTES_IN, NOISE, Owed, Power, RX_HELD,
-    SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
+    self, CONTROL_ASKED, HEARD, HOSTS_CAME, HOSTS_WENT, INPUTS_FITTED, INPUTS_LOW, LAST_LINE, LAST_PLACE,
+    LINE_BYTES_IN, NOISE, Owed, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
 };
 use crate::flash::Settings;
 use crate::outputs::Outputs;
@@ -60,6 +60,9 @@ pub struct Control {
     clock: Clock,
     /// Bytes taken out of the line queue since power-up (wrapping).
     line_bytes_out: u32,
+    /// [`HOSTS_CAME`] and [`HOSTS_WENT`] as they were.
+    hosts_came: u8,
+    hosts_went: u8,
     job: Option<Job>,
     /// Wiring facts for which there was no room.
     unsent_wiring: Option<Wiring>,
@@ -82,6 +85,8 @@ impl Control {
             settings,
             clock: Clock::new(),
             line_bytes_out: 0,
+            hosts_came: 0,
+            hosts_went: 0,
             job,
             unsent_wiring: None,
         }
@@ -95,9 +100,14 @@ impl Control {
 
     /// Pumps until there is nothing to do, and sets the alarm for the next time.
     pub fn turn(&mut self) {
+        let heard = HEARD.load(Ordering::Relaxed);
         while self.pass() {}
         self.note_place();
         self.erase_ahead();
+        let observed = self.observed();
+        let nothing_waits = usize::from(observed.rx_free) == LINES_DEPTH && self.ends.realtime.is_empty();
+        let answered = self.controller.is_idle() && self.ends.replies.is_empty();
+        crossing::set_free(heard, nothing_waits && answered && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observed().step_idle
@@ -120,6 +130,15 @@ impl Control {
         self.controller.observe(observed);
         while let Ok(event) = self.ends.events.try_recv() {
             self.controller.event(now, Event::Step(event));
+        }
+        let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
+        if went != self.hosts_went {
+            self.hosts_went = went;
+            self.controller.event(now, Event::Disconnected);
+        }
+        if came != self.hosts_came {
+            self.hosts_came = came;
+            self.controller.event(now, Event::Connected);
         }
         let mut made_room = false;
         while let Ok(command) = self.ends.realtime.try_recv() {

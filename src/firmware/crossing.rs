@@ -23,6 +23,14 @@ pub static SERIAL_ASKED: AtomicBool = AtomicBool::new(false);
 pub static CONTROL_ASKED: AtomicBool = AtomicBool::new(false);
 /// `serial`: bytes put into the line queue since power-up (wrapping).
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
+/// `serial`: commands and line bytes received since power-up (wrapping).
+pub static HEARD: AtomicU32 = AtomicU32::new(0);
+/// `control`: the value of [`HEARD`] up to which everything has been done and answered.
+static FREE_AT: AtomicU32 = AtomicU32::new(u32::MAX);
+/// `serial`: how often a host that got the floor by it has opened a port since power-up (wrapping).
+pub static HOSTS_CAME: AtomicU8 = AtomicU8::new(0);
+/// `serial`: how often the host with the floor has gone since power-up (wrapping).
+pub static HOSTS_WENT: AtomicU8 = AtomicU8::new(0);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.
 pub static RX_HELD: AtomicBool = AtomicBool::new(false);
 /// `inputs`: pins that are low, and those that the board has.
@@ -99,6 +107,16 @@ fn opens_epoch(command: Realtime) -> bool {
 #[inline(always)]
 pub fn stops_asked() -> u8 {
     STOPS_ASKED.load(Ordering::Relaxed)
+}
+
+/// For `control`: whether all that was heard up to the count `heard` is done and answered.
+pub fn set_free(heard: u32, free: bool) {
+    FREE_AT.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
+}
+
+/// For `serial`: whether nothing that any host has said is still to be done or answered.
+pub fn is_free() -> bool {
+    FREE_AT.load(Ordering::Relaxed) == HEARD.load(Ordering::Relaxed)
 }
 
 /// What the spindle's PWM shows.

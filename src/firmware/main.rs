@@ -37,7 +37,7 @@ use defmt_rtt as _;
 // Without `skip` rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {
-    (device: $pac:path, serial: $serial:ident, step: $step:ident, dispatcher: $dispatcher:ident) => {
+    (device: $pac:path, serial: $serial:ident $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
         /// Calls the step task.
         pub fn pend_step() {
             boards::call_step();
@@ -61,12 +61,15 @@ macro_rules! firmware {
             use rtic_sync::signal::{Signal, SignalReader};
 
             #[shared]
-            struct Shared {}
+            struct Shared {
+                /// Only of tasks of one priority.
+                #[lock_free]
+                serial: Serial,
+            }
 
             #[local]
             struct Local {
                 step: Step,
-                serial: Serial,
                 inputs: Inputs,
                 control: Control,
                 woken: SignalReader<'static, ()>,
@@ -106,7 +109,7 @@ macro_rules! firmware {
                 // Cannot fail: it has not been spawned before.
                 let _ = control::spawn();
                 let startup::Tasks { step, serial, inputs, control } = tasks;
-                (Shared {}, Local { step, serial, inputs, control, woken })
+                (Shared { serial }, Local { step, inputs, control, woken })
             }
 
             #[task(binds = $step, priority = 4, local = [step])]
@@ -114,10 +117,18 @@ macro_rules! firmware {
                 cx.local.step.run();
             }
 
-            #[task(binds = $serial, priority = 3, local = [serial])]
+            #[task(binds = $serial, priority = 3, shared = [serial])]
             fn serial(cx: serial::Context) {
-                cx.local.serial.run();
+                cx.shared.serial.run();
             }
+
+            // The same work for another vector.
+            $(
+                #[task(binds = $usb, priority = 3, shared = [serial])]
+                fn usb(cx: usb::Context) {
+                    cx.shared.serial.run();
+                }
+            )?
 
             #[task(binds = SysTick, priority = 2, local = [inputs])]
             fn inputs(cx: inputs::Context) {
@@ -145,8 +156,8 @@ macro_rules! firmware {
     };
 }
 
-#[cfg(feature = "blackpill_f411")]
-firmware!(device: stm32f4xx_hal::pac, serial: USART1, step: TIM2, dispatcher: SPI1);
+#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
+firmware!(device: stm32f4xx_hal::pac, serial: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
 #[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
 firmware!(device: stm32f4xx_hal::pac, serial: USART2, step: TIM2, dispatcher: SPI1);
 #[cfg(feature = "qemu_mps2")]

@@ -82,6 +82,7 @@ pub struct Simulator {
     /// The controller has asked to see the inputs.
     pins_asked: bool,
     connected: bool,
+    disconnected: bool,
     outgoing: Vec<u8>,
     segments: VecDeque<ToStep>,
     /// A job whose lines are taken whenever the controller wants them.
@@ -145,6 +146,7 @@ impl Simulator {
             told: Sensed::default(),
             pins_asked: false,
             connected: false,
+            disconnected: false,
             outgoing: Vec::new(),
             segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
             job: None,
@@ -193,6 +195,12 @@ impl Simulator {
     /// A host has opened the port.
     pub fn connect(&mut self) {
         self.connected = true;
+        self.turn();
+    }
+
+    /// The host has closed the port, or is unplugged.
+    pub fn disconnect(&mut self) {
+        self.disconnected = true;
         self.turn();
     }
 
@@ -548,6 +556,9 @@ impl Simulator {
         };
         while let Some(event) = self.step_events.pop_front() {
             give(&mut self.controller, Event::Step(event));
+        }
+        if std::mem::take(&mut self.disconnected) {
+            give(&mut self.controller, Event::Disconnected);
         }
         if std::mem::take(&mut self.connected) {
             give(&mut self.controller, Event::Connected);

@@ -35,8 +35,10 @@ enum Happened {
     Connected(SyncSender<Vec<u8>>),
     /// Bytes of the client.
     Bytes(Vec<u8>),
-    /// The client sends nothing more.
+    /// The client sends nothing more; it may still read.
     Disconnected,
+    /// The client has closed the port.
+    Left,
     /// The link itself has come to its end.
     Ended,
     /// A line of the pin protocol; the answer goes to the sender.
@@ -145,6 +147,7 @@ impl Device {
                 Some(Happened::Connected(client)) => self.connected(client),
                 Some(Happened::Bytes(bytes)) => self.simulator.send(bytes),
                 Some(Happened::Disconnected) => self.leaving = true,
+                Some(Happened::Left) => self.left(),
                 Some(Happened::Ended) => self.ended = true,
                 Some(Happened::Pins(line, reply)) => {
                     let answer = self.simulator.pin_line(&line);
@@ -166,6 +169,13 @@ impl Device {
         } else {
             self.simulator.connect();
         }
+    }
+
+    fn left(&mut self) {
+        self.client = None;
+        self.kept = None;
+        self.leaving = false;
+        self.simulator.disconnect();
     }
 
     fn pass_time(&mut self) {
@@ -210,7 +220,8 @@ impl Device {
                     self.kept = Some(answer);
                     return;
                 }
-                Err(TrySendError::Disconnected(_)) => break,
+                // It takes no answers any more.
+                Err(TrySendError::Disconnected(_)) => return self.left(),
             }
         }
         if self.leaving && !self.simulator.is_active() && self.simulator.unread() == 0 {
@@ -381,7 +392,7 @@ mod pty {
                     return;
                 }
             } else if hung_up {
-                if open && sender.send(Happened::Disconnected).is_err() {
+                if open && sender.send(Happened::Left).is_err() {
                     return;
                 }
                 open = false;

@@ -10,6 +10,7 @@
 //! .. idle             time passes until nothing moves and nothing is owed
 //! .. quiet            no answer is left unread, and none comes in a tenth of a second
 //! pin limit x 1       an input pin moves
+//! host goes           the host closes the port; `host comes`: it opens it
 //! ```
 //! Each file begins with a machine that has just been switched on, so its greeting comes first. At the end no answer may
 //! be left unread.
@@ -72,6 +73,7 @@ impl Talk {
             }
             ".." => self.rig.run_for(rest.parse().map_err(|_| format!("not a number of seconds: {rest:?}"))?),
             "pin" => self.rig.pin(rest),
+            "host" if rest == "comes" || rest == "goes" => self.rig.host(rest == "comes"),
             _ => return Err("not understood".into()),
         }
         Ok(())

@@ -41,6 +41,16 @@ impl Rig {
         self.mill.take_output()
     }
 
+    /// The host opens the port, or leaves it.
+    pub fn host(&mut self, there: bool) {
+        if there {
+            self.mill.connect();
+        } else {
+            self.mill.disconnect();
+        }
+        self.count();
+    }
+
     /// Moves an input pin, in the words of the simulator's pin protocol.
     pub fn pin(&mut self, line: &str) {
         assert_eq!(self.mill.pin_line(line), "ok", "{line}");

@@ -1,6 +1,7 @@
 //! Tells the linker about the board.
 
 #[path = "../../boards/build.rs"]
+#[allow(dead_code, reason = "profiles are for xtask")]
 mod boards;
 
 fn main() {

@@ -23,6 +23,7 @@ from .models.flash import Flash
 from .models.gpio import Gpio
 from .models.iwdg import Iwdg
 from .models.nvic import HARD_FAULT, Nvic
+from .models.otg import OtgFs
 from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pwr import Pwr
 from .models.rcc import Rcc
@@ -68,6 +69,10 @@ class Image:
         return f"{address:#010x}"
 
 
+UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
+"""A part's number, as one of them had it."""
+
+
 class Board:
     """One board. Time is `now`, in core cycles since power-up; `seconds` makes seconds of it."""
 
@@ -110,6 +115,10 @@ class Board:
             self.write_memory(address, data)
         guarded = self._guarded
         self.core.map_registers(0x4000_0000, 0x8_0000, guarded(self._read_register), guarded(self._write_register))
+        self.core.map_registers(0x5000_0000, 0x4_0000, guarded(self._read_otg), guarded(self._write_otg))
+        # System memory: the part's own number at 0x1FFF_7A10.
+        uc.mem_map(0x1FFF_7000, 0x1000, UC_PROT_ALL)
+        self.write_memory(0x1FFF_7A10, UNIQUE_ID)
         self.core.map_registers(0x4200_0000, 0x100_0000, guarded(self._read_bit), guarded(self._write_bit))
         self.core.map_registers(0xE000_0000, 0x10_0000, guarded(self._read_core), guarded(self._write_core))
         uc.hook_add(
@@ -143,6 +152,7 @@ class Board:
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
+        self.otg = self.peripherals["OTG_FS"] = OtgFs("OTG_FS", self)
         self.exti = fit(0x4001_3C00, Exti("EXTI", self))
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
@@ -302,6 +312,18 @@ class Board:
         if address & 3 or size == 1:
             raise Unmodelled(f"store of {size} bytes to {address:#010x}")
         self._at(address).write(address & 0x3FC, value)
+
+    def _read_otg(self, uc, offset, size, _):
+        # AHB2: no wait for a slower bus. The FIFO of the receiver is read at endpoint 0's.
+        return self._otg_on().read(offset)
+
+    def _write_otg(self, uc, offset, size, value, _):
+        self._otg_on().write(offset, value)
+
+    def _otg_on(self):
+        if not self.rcc.values[self.otg.CLOCK[0]] >> self.otg.CLOCK[1] & 1:
+            raise Misuse("OTG_FS is used while its clock is off")
+        return self.otg
 
     def _read_bit(self, uc, offset, size, _):
         address, bit = 0x4000_0000 + (offset >> 7 << 2), offset >> 2 & 31

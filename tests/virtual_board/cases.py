@@ -9,6 +9,7 @@ from pathlib import Path
 from .board import Board, Failure
 from .host import Host
 from .scope import Scope, steady
+from .usb import UsbHost
 
 US = 1e-6
 LATEST_TICK_S = 3 * US
@@ -53,6 +54,16 @@ class Bench:
         self.fresh()
         self.wait_text("Grbl 1.1h", 1.0)
         self.wait_text("\r\n", 0.1, after=len(self.host.text))
+        self.forget_masks()
+
+    def boot_with_usb(self):
+        """Another board, with a host that has opened its USB port. The host at the UART is `uart`."""
+        self.fresh()
+        self.uart, self.host = self.host, UsbHost(self.board)
+        self.wait(lambda: self.host.is_set_up, 1.0, "the set-up of the USB device")
+        self.board.run(seconds=0.02)
+        self.host.order("open")
+        self.wait_text("Grbl 1.1h ['$' for help]\r\n", 0.1)
         self.forget_masks()
 
     # Time and text.
@@ -863,8 +874,145 @@ def faulted(bench):
         yield f"then a reset; {cause(bench)}"
 
 
+def with_usb(bench):
+    if not bench.wiring.usb:
+        raise NotYet("this board has no USB of its own")
+    bench.boot_with_usb()
+    return bench.board, bench.host
+
+
+def usb_port(bench):
+    """Enumeration, the welcome line when the port is opened, a job by character counting, and a second host at the UART."""
+    board, host = with_usb(bench)
+    device = host.descriptors[1, 0]
+    number = host.descriptors[3, 3][2:].decode("utf-16-le")
+    words = [board.word(0x1FFF_7A10 + 4 * k) for k in range(3)]
+    if device[8:12] != bytes([0x09, 0x12, 0x01, 0x00]) or number != "".join(f"{word:08X}" for word in words):
+        raise Failure(f"device {device.hex()}, serial number {number}")
+    if not bench.uart.has_said("Grbl 1.1h"):
+        raise Failure("the UART was not greeted at power-up")
+    yield f"set up and greeted; serial number {number}"
+    bench.settings(**JOB_SETTINGS)
+    scope = Scope(board)
+    bench.forget_masks()
+    before = len(host.answers)
+    host.stream("\n".join(["G91 F3000"] + [f"G1 X{'-' if k % 2 else ''}0.5 Y0.25" for k in range(20)]))
+    polls, moving, masks = 0, True, []
+    while moving:
+        # The log is written at rest only, and masks for longer than anything in motion.
+        masks.append(bench.longest_mask())
+        moving = not (bench.status().startswith("<Idle") and host.all_answered)
+        polls += 1
+        # Somebody else wants to drive: refused as long as this one has something to do.
+        if polls == 5:
+            bench.uart.send("G0X50\n")
+        board.run(seconds=0.01)
+    if any(answer != "ok" for answer in host.answers[before:]) or scope.counts() != [0, 20 * 250 // 4, 0]:
+        raise Failure(f"{host.answers[before:]}, motors at {scope.counts()}")
+    if bench.uart.lines[-1][1] != "error:8":
+        raise Failure(f"the UART was told {bench.uart.lines[-3:]}")
+    mask, where = max(entry for entry in masks if "defmt" not in entry[1])
+    yield f"20 lines and {polls} status reports while they moved; {host.waits} times told to wait; longest time masked {us(mask)} ({where})"
+    if host.waits:
+        raise Failure("a sender that counts had to wait")
+    uart, bench.host = bench.host, bench.uart
+    bench.ask("G4P0")
+    bench.host = uart
+    bench.ask("G4P0")
+    yield "at rest the UART takes over with a line, and USB again"
+
+
+def usb_flood(bench):
+    """A host that does not count: it is told to wait, loses nothing, and commands within the promise act at once."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    # 255 bytes fill the queue, 128 more wait behind it; a dwell keeps the controller from reading them.
+    host.send("G4P0.3\n" + "G4P0\n" * 75)
+    board.run(seconds=0.02)
+    if len(host.answers) > 10 or host.waits:
+        raise Failure(f"{len(host.answers)} answers, {host.waits} waits: this proves nothing")
+    begin = board.now
+    bench.status()
+    yield f"380 bytes of lines under way: `?` answered after {us((board.now - begin) / bench.wiring.core_hz)}"
+    bench.wait(lambda: len(host.answers) >= 76 + len(JOB_SETTINGS), 3, "all answers")
+    before = len(host.answers)
+    bench.forget_masks()
+    text = "".join(f"G4P0.00{k % 9 + 1}\n" for k in range(600))
+    begin = board.now
+    host.send(text)
+    masks = []
+    while len(host.answers) < before + 600 and board.seconds(board.now) - board.seconds(begin) < 20:
+        board.run(seconds=0.005)
+        masks.append(bench.longest_mask())
+    if any(answer != "ok" for answer in host.answers[before:]) or host.has_said("lost") or host.packets:
+        raise Failure(f"answers {set(host.answers[before:])}, {len(host.packets)} packets left")
+    mask, where = max(entry for entry in masks if "defmt" not in entry[1])
+    yield f"{len(text)} bytes poured in: {host.waits} times told to wait, nothing lost, {(board.now - begin) / bench.wiring.core_hz:.2f} s; longest time masked {us(mask)} ({where})"
+    if not host.waits:
+        raise Failure("the host was never told to wait: this proves nothing")
+    # The port is closed while the host waits: DTR must be heard, and the next one find a free way.
+    host.send("G1X3F300\n" + "G4P0.01\n" * 100)
+    board.run(seconds=0.3)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    host.packets.clear()
+    board.run(seconds=0.3)
+    host.order("open")
+    after = len(host.text)
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    if not (status := bench.status()).startswith("<Hold"):
+        raise Failure(f"after the port was closed: {status}")
+    host.send(b"\x18")
+    bench.wait_text("Grbl 1.1h", 0.2, len(host.text))
+    bench.ask("$X")
+    bench.ask("G4P0")
+    yield "closed while it waited: held; opened again, reset, and answered"
+
+
+def usb_unplugged(bench):
+    """The cable is pulled in mid-job: a hold, and the UART or the next host takes over."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    scope = Scope(board)
+    bench.ask("G91 G1 X10 F600")
+    board.run(seconds=0.2)
+    host.order("unplug")
+    board.run(seconds=0.5)
+    steps = len(scope.steps())
+    board.run(seconds=0.5)
+    if len(scope.steps()) != steps or not steps:
+        raise Failure("the machine goes on without a host")
+    bench.host = bench.uart
+    if not (status := bench.status()).startswith("<Hold:0"):
+        raise Failure(f"the UART is told {status}")
+    bench.host = host
+    host.order("plug")
+    bench.wait(lambda: host.is_set_up, 1, "the set-up of the USB device")
+    host.order("open")
+    after = len(host.text)
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    host.send(b"~")
+    bench.wait_state("Idle", 5)
+    if scope.counts() != [2500, 0, 0]:
+        raise Failure(f"the motors are at {scope.counts()}")
+    yield "held after the cable was pulled, gone on after `~`, no step lost"
+    bench.settings(s914=0)
+    bench.ask("G91 G1 X-10 F600")
+    board.run(seconds=0.2)
+    host.order("unplug")
+    board.run(seconds=1.5)
+    if scope.counts() != [0, 0, 0]:
+        raise Failure(f"with $914=0 the motors are at {scope.counts()}")
+    yield "with $914=0 the move was finished"
+
+
 KNOWN = {
-    ("blackpill_f411", "hard start"): "a `?` at the start delays the first segments, of some 50 us each: the step task runs dry",
+    **{
+        ("blackpill_f401", name): "built for size, control is too slow to prepare the first segments of a hard start: the step task runs dry"
+        for name in ("pulses", "safe rate", "tight pulses", "hard start", "turns", "hold")
+    },
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
@@ -900,4 +1048,7 @@ def all_cases(root):
         ("masked for ever", deaf),
         ("brown-out", brown_out),
         ("low supply at power-up", low_at_power_up),
+        ("usb", usb_port),
+        ("usb flood", usb_flood),
+        ("usb unplugged", usb_unplugged),
     ]

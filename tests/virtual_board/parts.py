@@ -1,7 +1,7 @@
 """What the parts and the boards are, written down a second time from data sheets and from the drawings in boards/: the
 emulation must not learn its pins from the code that it checks."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 MHZ = 1_000_000
 
@@ -38,6 +38,11 @@ STM32F411 = Part(
     wait_states=(30 * MHZ, 64 * MHZ, 90 * MHZ, 100 * MHZ),
     scale_hz={1: 64 * MHZ, 2: 84 * MHZ, 3: 100 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=86,
 )  # fmt: skip
+STM32F401 = Part(
+    "STM32F401CC", 84 * MHZ, 42 * MHZ, 84 * MHZ,
+    wait_states=(30 * MHZ, 60 * MHZ, 84 * MHZ),
+    scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, flash_kib=256, ram_kib=64,
+)  # fmt: skip
 STM32F446 = Part(
     "STM32F446RE", 180 * MHZ, 45 * MHZ, 90 * MHZ,
     wait_states=tuple(n * 30 * MHZ for n in range(1, 7)),
@@ -72,6 +77,8 @@ class Wiring:
     usart: str
     safe_step_hz: int
     step_irq: int = 28
+    usb: bool = False
+    """OTG_FS is the first link to the host."""
     extra: dict = field(default_factory=dict)
 
 
@@ -79,8 +86,9 @@ BLACKPILL_F411 = Wiring(
     "blackpill_f411", STM32F411, 25 * MHZ, False, 96 * MHZ,
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
-    probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", usart="USART1", safe_step_hz=88_000,
+    probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", usart="USART1", safe_step_hz=66_000, usb=True,
 )  # fmt: skip
+BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=46_000)
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
@@ -88,4 +96,4 @@ NUCLEO_F446RE = Wiring(
     probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", usart="USART2", safe_step_hz=164_000,
 )  # fmt: skip
 
-BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, NUCLEO_F446RE)}
+BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE)}

@@ -6,6 +6,8 @@ pub struct Segment {
     pub stored: u32,
     /// How many bytes.
     pub size: u32,
+    /// Where they lie in the file.
+    pub offset: u32,
 }
 
 /// A part of the file.
@@ -62,11 +64,12 @@ impl Elf<'_> {
 
     /// The segments that have bytes to be loaded.
     pub fn segments(&self) -> Option<Vec<Segment>> {
-        let (programs, size, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
+        let (programs, entry, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
         let mut segments = Vec::new();
         for i in 0..count {
-            let program = programs + i * size;
-            let segment = Segment { stored: self.word(program + 12)?, size: self.word(program + 16)? };
+            let program = programs + i * entry;
+            let (offset, stored, size) = (self.word(program + 4)?, self.word(program + 12)?, self.word(program + 16)?);
+            let segment = Segment { stored, size, offset };
             if self.word(program)? == 1 && segment.size > 0 {
                 segments.push(segment);
             }

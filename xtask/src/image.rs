@@ -2,10 +2,11 @@
 
 use crate::elf::{Elf, Section, Segment};
 use crate::reach::{self, Allowed};
-use crate::{Failure, QEMU_BOARD, TARGET, cargo, root, run};
+use crate::{Failure, QEMU_BOARD, TARGET, cargo, flashable, root, run, sizes};
 use std::fmt;
 use std::fs;
-use std::path::PathBuf;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 /// Less code than this is no controller.
 const LEAST_CODE: u32 = 16 * 1024;
@@ -17,19 +18,26 @@ fn step_handler(board: &str) -> &'static str {
 
 /// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, which is to pend its
 /// dispatcher's interrupt.
-const STEP_CALLS: [Allowed; 3] = [
+const STEP_CALLS: [Allowed; 5] = [
     Allowed { function: "step_timer::Step", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
+    // The same in images built for size, where they are not inlined.
+    Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
+    Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
 ];
 
-/// A checked image./// A checked image.
+/// A checked image.
 pub struct Image {
     /// The ELF file.
     pub path: PathBuf,
     flash: (u32, u32),
     ram: (u32, u32),
     stack: u32,
+    /// Files for flashing tools.
+    files: Vec<PathBuf>,
+    /// What there is to say about its size.
+    remark: Option<String>,
     /// Functions that the step interrupt can reach.
     reached: usize,
 }
@@ -41,6 +49,12 @@ impl fmt::Display for Image {
         writeln!(f, "{}", self.path.display())?;
         writeln!(f, "flash  {flash:>7} bytes used, {:>7} left", of_flash - flash)?;
         writeln!(f, "RAM    {ram:>7} bytes used, {:>7} left, beside a stack of {}", of_ram - ram, self.stack)?;
+        if let Some(remark) = &self.remark {
+            writeln!(f, "{remark}")?;
+        }
+        for file in &self.files {
+            writeln!(f, "{}", file.display())?;
+        }
         write!(
             f,
             "step interrupt: {} functions in reach, none of them panics, divides or computes in software",
@@ -51,10 +65,11 @@ impl fmt::Display for Image {
 
 /// Release build of the firmware for a board.
 pub fn build(board: &str) -> Result<Image, Failure> {
+    let profile = crate::boards::profile(board);
     run(cargo().args([
         "build",
         "--profile",
-        "firmware",
+        profile,
         "--package",
         "oxmill-firmware",
         "--target",
@@ -62,14 +77,36 @@ pub fn build(board: &str) -> Result<Image, Failure> {
         "--features",
         board,
     ]))?;
-    let built = root().join("target").join(TARGET).join("firmware/oxmill-firmware");
+    let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same name; a copy of its own survives the next board.
     let folder = root().join("target/boards");
     let path = folder.join(format!("{board}.elf"));
     let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
     copy.map_err(|error| format!("{}: {error}", built.display()))?;
     let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-    check(board, &bytes, path)
+    let mut image = check(board, &bytes, path)?;
+    if board != QEMU_BOARD {
+        image.files = write(board, &bytes, &folder)?;
+    }
+    image.remark = sizes::judge(board, image.flash.0, image.ram.0)?;
+    Ok(image)
+}
+
+/// Writes what flashing tools take, and reads the hex file again.
+fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let chip = Chip::read(board)?;
+    let stretches = flashable::stretches(&Elf { bytes }, &chip.settings_sectors())
+        .ok_or_else(|| format!("the image of {board} has segments that overlap"))?;
+    let name = |ending: &str| folder.join(format!("{board}{ending}"));
+    let mut files = vec![(name(".hex"), flashable::hex(&stretches).into_bytes())];
+    files.extend(stretches.iter().map(|s| (name(&format!("-{:#010x}.bin", s.address)), s.bytes.clone())));
+    for (path, contents) in &files {
+        fs::write(path, contents).map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    let paths: Vec<PathBuf> = files.into_iter().map(|(path, _)| path).collect();
+    let text = fs::read_to_string(&paths[0]).map_err(|error| format!("{}: {error}", paths[0].display()))?;
+    flashable::check(&text, &stretches, &chip.settings_sectors())?;
+    Ok(paths)
 }
 
 fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
@@ -108,7 +145,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
     let stack = stack_pointer - chip.ram;
     let for_program = chip.flash_size - (chip.code - chip.settings);
-    Ok(Image { path, flash: (flash, for_program), ram: (ram, chip.ram_size - stack), stack, reached })
+    let (flash, ram) = ((flash, for_program), (ram, chip.ram_size - stack));
+    Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 
 /// The numbers of a board's `chip.x`.
@@ -143,6 +181,11 @@ impl Chip {
 }
 
 impl Chip {
+    /// The two settings sectors, and what else lies before the program.
+    fn settings_sectors(&self) -> Range<u32> {
+        self.settings..self.code
+    }
+
     /// Whether a tool that loads a segment writes to the settings sectors.
     fn is_in_settings(&self, segment: &Segment) -> bool {
         segment.stored < self.code && segment.stored + segment.size > self.settings

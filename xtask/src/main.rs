@@ -4,6 +4,7 @@
 
 mod count;
 mod elf;
+mod flashable;
 mod image;
 mod jobs;
 mod live;
@@ -12,6 +13,7 @@ mod programs;
 mod qemu;
 mod reach;
 mod recordings;
+mod sizes;
 mod suites;
 mod thumb;
 mod virtual_board;
@@ -30,7 +32,7 @@ const QEMU_BOARD: &str = "qemu_mps2";
 
 const USAGE: &str = "\
 usage:
-  cargo fw BOARD             release build; prints the ELF file and its sizes, and checks the image
+  cargo fw BOARD             release build; prints the ELF file and its sizes, checks the image, and writes .hex and .bin
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe
@@ -41,7 +43,8 @@ usage:
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
-  cargo xtask count          what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU
+  cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
+                             `small`: in images that are built for size
 boards: ";
 
 /// What went wrong, for people.
@@ -65,7 +68,8 @@ fn main() -> ExitCode {
         ["virtual"] => virtual_board::check(None),
         ["virtual", board] => virtual_board::check(Some(board)),
         ["mutants", ref names @ ..] => mutants::run(names),
-        ["count"] => count::count(),
+        ["count"] => count::count("firmware"),
+        ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
@@ -145,7 +149,7 @@ fn flash(board: &str) -> Result<(), Failure> {
     run(cargo().args([
         "embed",
         "--profile",
-        "firmware",
+        boards::profile(board),
         "--package",
         "oxmill-firmware",
         "--target",

@@ -1,6 +1,6 @@
 //! The defmt-test suites of `tests/on_target`, on QEMU or on a board.
 
-use crate::{Failure, QEMU_BOARD, TARGET, cargo, exists, qemu, root, run};
+use crate::{Failure, QEMU_BOARD, TARGET, boards, cargo, exists, qemu, root, run};
 
 /// Where a runner for the ARM target is configured.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
@@ -11,7 +11,7 @@ fn suites(board: &str, runner: &str) -> std::process::Command {
     cargo.args([
         "test",
         "--profile",
-        "firmware",
+        boards::profile(board),
         "--package",
         "oxmill-on-target",
         "--target",
@@ -36,6 +36,7 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
     }
     let chip = match board {
         "blackpill_f411" => "STM32F411CEUx",
+        "blackpill_f401" => return Err("the suites need a stack of 80 KiB, and blackpill_f401 has 64 of RAM".into()),
         "nucleo_f446re" => "STM32F446RETx",
         "nucleo_f411re" => "STM32F411RETx",
         "nucleo_f401re" => "STM32F401RETx",

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 /// Boards whose parts are modelled.
-pub const BOARDS: [&str; 2] = ["blackpill_f411", "nucleo_f446re"];
+pub const BOARDS: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
 
 /// All cases on one board, or on all of them, two at a time.
 pub fn check(board: Option<&str>) -> Result<(), Failure> {

@@ -323,6 +323,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.tell_failure();
                 self.tell_lock();
             }
+            Event::Disconnected => self.host_left(),
+        }
+    }
+
+    /// Nobody is there to stop what moves or to see where it goes: it is held if `$914` says so. A jog ends either way, as
+    /// the key that would end it has no wire any more.
+    fn host_left(&mut self) {
+        let at_work = self.running || !self.motion.is_idle() || !self.task.is_none();
+        match self.mode {
+            Mode::Jog { .. } => self.cancel_jog(),
+            Mode::Normal if at_work && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
+            _ => {}
         }
     }
 

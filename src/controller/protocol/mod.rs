@@ -1,9 +1,10 @@
 //! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine.
 //!
-//! [`realtime`] picks commands out of the byte stream, [`mod@line`] turns the rest into filtered lines, [`system`] reads `$`
+//! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`system`] reads `$`
 //! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get.
 
 pub mod line;
+pub mod link;
 pub mod realtime;
 pub mod report;
 pub mod system;

@@ -25,6 +25,11 @@ impl Splitter {
         Self { epoch: 0 }
     }
 
+    /// The epoch of the next line byte.
+    pub fn epoch(&self) -> u8 {
+        self.epoch
+    }
+
     /// Takes the next byte.
     pub fn push(&mut self, byte: u8) -> Received {
         match command(byte) {

@@ -9,8 +9,8 @@ Not modelled: the other PLLs, clock security, MCO, RTC and the backup domain, lo
 from .peripheral import Misuse, Peripheral
 
 CR, PLLCFGR, CFGR, CIR = 0x00, 0x04, 0x08, 0x0C
-AHB1RSTR, APB1RSTR, APB2RSTR = 0x10, 0x20, 0x24
-AHB1ENR, APB1ENR, APB2ENR = 0x30, 0x40, 0x44
+AHB1RSTR, AHB2RSTR, APB1RSTR, APB2RSTR = 0x10, 0x14, 0x20, 0x24
+AHB1ENR, AHB2ENR, APB1ENR, APB2ENR = 0x30, 0x34, 0x40, 0x44
 CSR, DCKCFGR = 0x74, 0x8C
 
 HSI_HZ = 16_000_000
@@ -25,9 +25,11 @@ class Rcc(Peripheral):
         PLLCFGR: ("PLLCFGR", 0x2400_3010, 0x7F43_7FFF),
         CFGR: ("CFGR", 0, 0x0000_FCF3),
         AHB1RSTR: ("AHB1RSTR", 0, 0x0060_109F),
+        AHB2RSTR: ("AHB2RSTR", 0, 0x80),
         APB1RSTR: ("APB1RSTR", 0, 0x1002_000F),
         APB2RSTR: ("APB2RSTR", 0, 0x0000_4010),
         AHB1ENR: ("AHB1ENR", 0, 0x0060_109F),
+        AHB2ENR: ("AHB2ENR", 0, 0x80),
         APB1ENR: ("APB1ENR", 0, 0x1002_000F),
         APB2ENR: ("APB2ENR", 0, 0x0000_4010),
         CSR: ("CSR", 0x0E00_0000, 0x0100_0001),
@@ -77,7 +79,7 @@ class Rcc(Peripheral):
             self.values[CSR] = flags | value & 1
             return
         super().write(offset, value)
-        if offset in (AHB1RSTR, APB1RSTR, APB2RSTR):
+        if offset in (AHB1RSTR, AHB2RSTR, APB1RSTR, APB2RSTR):
             for peripheral in self.board.peripherals.values():
                 if peripheral.CLOCK and peripheral.CLOCK[0] - 0x20 == offset and value >> peripheral.CLOCK[1] & 1:
                     peripheral.reset()

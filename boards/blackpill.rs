@@ -1,0 +1,145 @@
+//! What the Black Pills share: WeAct Black Pill V2/V3, with STM32F411CE or STM32F401CC, the same board with either chip.
+//! Compare the drawing with the print on yours before you wire it.
+//!
+//! ```text
+//!                              ┌──[USB-C]──┐
+//!            X limit    B12  ──┤           ├──  5V
+//!            Y limit    B13  ──┤           ├──  GND
+//!            Z limit    B14  ──┤           ├──  3V3
+//!              probe    B15  ──┤           ├──  B10   spindle direction
+//!                        A8  ──┤           ├──  B2    (BOOT1)
+//!   TX to the host       A9  ──┤           ├──  B1    spindle on
+//!   RX from the host    A10  ──┤           ├──  B0    driver enable
+//!            (USB D-)   A11  ──┤  STM32F4  ├──  A7    spindle PWM / laser
+//!            (USB D+)   A12  ──┤ 11CE/01CC ├──  A6    Z direction
+//!                       A15  ──┤           ├──  A5    Y direction
+//!       driver fault      B3  ──┤           ├──  A4    X direction
+//!      reset (abort)     B4  ──┤           ├──  A3    Z step
+//!               hold     B5  ──┤           ├──  A2    Y step
+//!     start (resume)     B6  ──┤           ├──  A1    X step
+//!               door     B7  ──┤           ├──  A0    (KEY)
+//!              flood     B8  ──┤           ├──  RST
+//!               mist     B9  ──┤           ├──  C15   (32 kHz crystal)
+//!                        5V  ──┤           ├──  C14   (32 kHz crystal)
+//!                       GND  ──┤           ├──  C13   (LED)
+//!                       3V3  ──┤           ├──  VBAT
+//!                              └─[SWD pins]┘
+//! ```
+//!
+//! | function | pin | why there |
+//! |---|---|---|
+//! | step X Y Z | A1 A2 A3 | one port: all edges in one store |
+//! | direction X Y Z | A4 A5 A6 | the same port; shared with the unpopulated SPI flash on the back |
+//! | spindle PWM / laser | A7 | TIM3 channel 2, the same timer as on the Nucleo |
+//! | driver enable | B0 | |
+//! | spindle on, direction | B1, B10 | |
+//! | flood, mist | B8, B9 | |
+//! | limits X Y Z, probe | B12 B13 B14, B15 | pull-ups; switches close to ground |
+//! | reset, hold, start, door | B4, B5, B6, B7 | pull-ups; B4 is NJTRST after reset, whose pull-up fits an input |
+//! | host, USB | A11 (D-), A12 (D+) | the only pins of OTG_FS, wired to the socket; a serial port (CDC-ACM) on the host |
+//! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1, listened to beside USB; the pins that the boot loader uses too. A9 would be VBUS sensing, which is off: a board with a supply of its own sees an unplugged host by the bus going idle |
+//! | driver fault | B3 | pull-up; SWO after reset, which nothing here uses |
+//! | left free | A8, A15 | step and direction of a fourth motor |
+//! | left alone | A13 A14, A0, B2, C13-C15 | SWD, key, BOOT1, LED and crystal |
+//!
+//! In reset all pins float: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
+
+use stm32f4xx_hal::{
+    gpio::{PinState, Pull, Speed},
+    prelude::*,
+    rcc::Config,
+    serial,
+};
+
+use super::stm32f4;
+pub use super::stm32f4::{
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
+    reset_cause, restart, safe_state,
+};
+pub use super::stm32f4_step::Due;
+pub use stm32f4xx_hal::pac;
+
+/// The clock counts microseconds.
+pub const CLOCK_TICKS_PER_US: u32 = 1;
+/// Samples of the inputs in a second.
+pub const SAMPLE_HZ: u32 = 20_000;
+
+/// The second way to the host.
+pub type SerialPort = stm32f4::Usart<pac::USART1>;
+/// The first way to the host.
+pub type UsbPort = stm32f4::usb::UsbPort;
+/// Step pins on one port, direction pins too.
+pub type StepPins = stm32f4::StepPins<1, 1>;
+/// What [`setup`] deals out.
+pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1, 1>;
+
+/// Clocks, pins and timers; outputs are off.
+pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
+    #[cfg(feature = "blackpill_f411")]
+    stm32f4::full_core_voltage(&device.RCC, &device.PWR);
+    let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(core_hz.Hz()).require_pll48clk());
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
+    let a = device.GPIOA.split(&mut rcc);
+    let b = device.GPIOB.split(&mut rcc);
+    // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.
+    let _c = device.GPIOC.split(&mut rcc);
+
+    let slow_pins = SlowPins::new([
+        b.pb0.into_push_pull_output_in_state(PinState::High).erase(),
+        b.pb1.into_push_pull_output_in_state(PinState::Low).erase(),
+        b.pb10.into_push_pull_output_in_state(PinState::Low).erase(),
+        b.pb8.into_push_pull_output_in_state(PinState::Low).erase(),
+        b.pb9.into_push_pull_output_in_state(PinState::Low).erase(),
+    ]);
+    let inputs = InputPins::new([
+        b.pb12.into_pull_up_input().erase(),
+        b.pb13.into_pull_up_input().erase(),
+        b.pb14.into_pull_up_input().erase(),
+        b.pb15.into_pull_up_input().erase(),
+        b.pb7.into_pull_up_input().erase(),
+        b.pb5.into_pull_up_input().erase(),
+        b.pb6.into_pull_up_input().erase(),
+        b.pb4.into_pull_up_input().erase(),
+    ])
+    .with_driver_fault(b.pb3.into_pull_up_input().erase());
+    let _pwm = a.pa7.into_alternate::<2>();
+    let step_pins = stm32f4::step_pins(
+        [
+            a.pa1.into_push_pull_output().speed(Speed::Medium).erase(),
+            a.pa2.into_push_pull_output().speed(Speed::Medium).erase(),
+            a.pa3.into_push_pull_output().speed(Speed::Medium).erase(),
+        ],
+        [
+            a.pa4.into_push_pull_output().erase(),
+            a.pa5.into_push_pull_output().erase(),
+            a.pa6.into_push_pull_output().erase(),
+        ],
+        &inputs,
+        device.TIM3,
+        &mut rcc,
+    );
+    let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
+    // With no host on the UART its input must idle high, or noise would be taken for commands.
+    let mut rx = a.pa10.into_alternate::<7>();
+    rx.set_internal_resistor(Pull::Up);
+    let Ok(usart) = serial::Serial::new(device.USART1, (a.pa9, rx), link, &mut rcc) else {
+        // 115200 divides 84 and 96 MHz to within 0.1 %.
+        unreachable!()
+    };
+    let (tx, rx) = usart.split();
+    stm32f4::start_clock(device.TIM5, &mut rcc);
+    Parts {
+        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
+        step_pins,
+        serial: SerialPort::new(tx, rx),
+        usb: UsbPort::new(
+            (device.OTG_FS_GLOBAL, device.OTG_FS_DEVICE, device.OTG_FS_PWRCLK),
+            (a.pa11, a.pa12),
+            &rcc.clocks,
+        ),
+        inputs,
+        slow_pins,
+        settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
+        watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
+    }
+}

@@ -1,0 +1,25 @@
+//! WeAct Black Pill V2/V3 with STM32F401CC: 256 KiB of flash, 64 KiB of RAM, 25 MHz crystal. Drawing and pin table:
+//! `boards/blackpill.rs`.
+//!
+//! 84 MHz, the most of this part, and 48 MHz for USB from the same PLL (336 MHz by 4 and by 7). The image also runs on an
+//! STM32F401CE (512 KiB, 96 KiB), whose further memory it leaves unused. With 256 KiB, built for size, and a look-ahead of
+//! half the length; see "Small parts" in docs/how-it-works.md.
+
+use super::{blackpill, profiles};
+use oxmill_controller::Profile;
+
+pub use super::blackpill::*;
+
+/// The row of this board.
+pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F401);
+/// Axes that have pins.
+pub const AXES: usize = profiles::BLACKPILL_F401.axes;
+/// Depth of the look-ahead.
+pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
+/// Clock of SysTick.
+pub const CORE_HZ: u32 = 84_000_000;
+
+/// Clocks, pins and timers; outputs are off.
+pub fn setup(device: pac::Peripherals) -> Parts {
+    blackpill::setup(device, CORE_HZ)
+}

@@ -1,0 +1,267 @@
+//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
+//!
+//! ```text
+//!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it
+//!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
+//! ```
+//! Back-pressure: the hardware answers NAK from the end of one packet until software enables the endpoint again. The driver
+//! would do that by itself, and a packet that nobody fetches would then sit in the FIFO, call the interrupt for ever and
+//! keep the control endpoint behind it from being heard. So the entry that ends a packet is taken out of the FIFO here, and
+//! the endpoint is enabled when a whole packet fits: what is in the FIFO can always be fetched at once, and DTR, suspend
+//! and reset are heard while the host is told to wait.
+//!
+//! While flash is written the processor stands; the FIFO keeps one packet, and the host is told to wait.
+
+use cortex_m::singleton;
+use stm32f4xx_hal::{
+    gpio::alt::otg_fs as alt,
+    otg_fs::{USB, UsbBus, UsbBusType},
+    pac,
+    rcc::Clocks,
+};
+use usb_device::prelude::*;
+use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
+
+use super::super::{Incoming, Port};
+
+/// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
+const PACKET: usize = 64;
+/// Bytes sent at a time. A transfer ends with a packet that is not full, so every packet is a transfer of its own.
+const SENT: usize = PACKET - 1;
+/// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
+const BUFFERS: usize = 2 * PACKET / 4;
+
+/// The test id of pid.codes: for development only, nobody may sell a device with it.
+const ID: UsbVidPid = UsbVidPid(0x1209, 0x0001);
+
+/// OTG_FS registers as offsets from its base (RM0383, 22.16.2 to 22.16.4).
+const GINTSTS: usize = 0x014;
+const GINTMSK: usize = 0x018;
+const GRXSTSR: usize = 0x01C;
+const GRXSTSP: usize = 0x020;
+const DOEPCTL: usize = 0xB00;
+/// Bytes from the register of one endpoint to that of the next.
+const NEXT_ENDPOINT: usize = 0x20;
+/// GINTSTS and GINTMSK: the receive FIFO is not empty; and all that the driver attends to, with suspend, reset, enumeration,
+/// IN endpoints and wake-up.
+const RXFLVL: u32 = 1 << 4;
+const EVENTS: u32 = RXFLVL | 1 << 11 | USBRST | 1 << 13 | 1 << 18 | 1 << 31;
+const USBRST: u32 = 1 << 12;
+/// GRXSTSR and GRXSTSP: endpoint, and what the entry is.
+const EPNUM: u32 = 0xF;
+const PKTSTS_SHIFT: u32 = 17;
+const PKTSTS: u32 = 0xF;
+const OUT_DATA: u32 = 2;
+const OUT_COMPLETED: u32 = 3;
+/// DOEPCTL: no more NAK, enabled.
+const ENABLED_AGAIN: u32 = 1 << 26 | 1 << 31;
+
+/// Where the part's number of 96 bits lies (RM0383, 24.1; RM0368, 24.1).
+const UNIQUE_ID: usize = 0x1FFF_7A10;
+/// Hexadecimal digits of it.
+const SERIAL_NUMBER: usize = 24;
+
+fn read(offset: usize) -> u32 {
+    let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *const u32;
+    // SAFETY: unsafe because a register is read by its address past the driver that owns it; safe because only the offsets
+    // above are used, and only by the serial task, in between the driver's calls. GRXSTSP takes an entry out of the FIFO,
+    // which the driver does not miss: it keeps no account of them.
+    unsafe { address.read_volatile() }
+}
+
+fn write(offset: usize, word: u32) {
+    let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
+    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK
+    // and the control register of the data endpoint are written, by the serial task, in between the driver's calls, and
+    // with values that the driver writes too.
+    unsafe { address.write_volatile(word) }
+}
+
+/// The receiving half: what has been fetched of the last packet.
+struct Received {
+    packet: [u8; PACKET],
+    length: usize,
+    next: usize,
+    /// The packet before has ended, and the endpoint waits to be enabled.
+    ended: bool,
+}
+
+/// The port.
+pub struct UsbPort {
+    device: UsbDevice<'static, UsbBusType>,
+    class: CdcAcmClass<'static, UsbBusType>,
+    received: Received,
+    outgoing: heapless::Vec<u8, SENT>,
+    /// The host has sent something since it set the device up: some never raise DTR.
+    spoken: bool,
+    dtr: bool,
+    /// The bus is being reset: until its end the driver takes the device for set up, but what is written to an endpoint
+    /// meanwhile is never sent and keeps it busy for ever.
+    resetting: bool,
+    /// The interrupt of the receive FIFO is masked.
+    masked: bool,
+}
+
+impl UsbPort {
+    /// Switches OTG_FS on; 48 MHz must be there. To be called once.
+    pub fn new(
+        registers: (pac::OTG_FS_GLOBAL, pac::OTG_FS_DEVICE, pac::OTG_FS_PWRCLK),
+        pins: (impl Into<alt::Dm>, impl Into<alt::Dp>),
+        clocks: &Clocks,
+    ) -> UsbPort {
+        // OTG_FS works at 48 MHz within 0.25 % (USB 2.0, 7.1.11); another clock would never come to life.
+        assert!(clocks.pll48clk().is_some_and(|clock| clock.raw() == 48_000_000), "no 48 MHz for USB");
+        let usb = USB::new(registers, pins, clocks);
+        let (Some(buffers), Some(number)) =
+            (singleton!(: [u32; BUFFERS] = [0; BUFFERS]), singleton!(: [u8; SERIAL_NUMBER] = serial_number()))
+        else {
+            unreachable!("set up twice")
+        };
+        let Some(bus) = singleton!(: usb_device::bus::UsbBusAllocator<UsbBusType> = UsbBus::new(usb, buffers)) else {
+            unreachable!("set up twice")
+        };
+        let class = CdcAcmClass::new(bus, PACKET as u16);
+        let strings = StringDescriptors::default()
+            .manufacturer("Oxmill")
+            .product(super::super::PROFILE.name)
+            .serial_number(core::str::from_utf8(number).unwrap_or_default());
+        let device = UsbDeviceBuilder::new(bus, ID).device_class(USB_CLASS_CDC).strings(&[strings]);
+        let device = device.and_then(|device| device.max_packet_size_0(PACKET as u8));
+        let Ok(device) = device.map(UsbDeviceBuilder::build) else { unreachable!("both are what the builder takes") };
+        let received = Received { packet: [0; PACKET], length: 0, next: 0, ended: false };
+        UsbPort {
+            device,
+            class,
+            received,
+            outgoing: heapless::Vec::new(),
+            spoken: false,
+            dtr: false,
+            resetting: false,
+            masked: false,
+        }
+    }
+
+    /// What the receive FIFO begins with, if it is for the data endpoint.
+    fn entry(&self) -> Option<u32> {
+        let entry = (read(GINTSTS) & RXFLVL != 0).then(|| read(GRXSTSR))?;
+        let data = (entry & EPNUM) as usize == self.class.read_ep().address().index();
+        data.then_some(entry >> PKTSTS_SHIFT & PKTSTS)
+    }
+
+    /// Takes the end of a data packet out of the FIFO, before the driver sees it and enables the endpoint.
+    fn hold_endpoint(&mut self) {
+        if self.entry() == Some(OUT_COMPLETED) {
+            read(GRXSTSP);
+            self.received.ended = true;
+        }
+    }
+
+    /// Lets the host send the next packet.
+    fn enable_endpoint(&mut self) {
+        let control = DOEPCTL + self.class.read_ep().address().index() * NEXT_ENDPOINT;
+        write(control, read(control) | ENABLED_AGAIN);
+        self.received.ended = false;
+    }
+
+    /// A packet can end between two looks at the FIFO, and the driver then enables the endpoint; twice in a row, and a
+    /// packet waits that has no place. Its interrupt must not call for ever: it is masked until there is room.
+    fn mask(&mut self, masked: bool) {
+        if masked != self.masked {
+            self.masked = masked;
+            let mask = read(GINTMSK);
+            write(GINTMSK, if masked { mask & !RXFLVL } else { mask | RXFLVL });
+        }
+    }
+
+    fn is_configured(&self) -> bool {
+        self.device.state() == UsbDeviceState::Configured && !self.resetting
+    }
+
+    fn flush(&mut self) {
+        if !self.outgoing.is_empty() && self.class.write_packet(&self.outgoing).is_ok() {
+            self.outgoing.clear();
+        }
+    }
+}
+
+impl Port for UsbPort {
+    const WAITS: bool = true;
+
+    fn poll(&mut self) -> bool {
+        self.hold_endpoint();
+        // The driver masks interrupts for as long as it looks: not for nothing.
+        let events = read(GINTSTS);
+        self.resetting |= events & USBRST != 0;
+        if events & EVENTS != 0 {
+            self.device.poll(&mut [&mut self.class]);
+        }
+        let state = self.device.state();
+        if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
+            // A reset of the bus has emptied the FIFO and enabled the endpoint.
+            self.resetting = false;
+            self.received = Received { length: 0, next: 0, ended: false, ..self.received };
+        }
+        let dtr = self.class.dtr();
+        // DTR falls when the port is closed, the bus goes idle when the cable is pulled.
+        if self.dtr && !dtr || !self.is_configured() {
+            self.spoken = false;
+            self.outgoing.clear();
+        }
+        self.dtr = dtr;
+        self.spoken |= self.is_configured() && self.received.next < self.received.length;
+        self.is_configured() && (dtr || self.spoken)
+    }
+
+    fn receive(&mut self) -> Incoming {
+        let received = &mut self.received;
+        if received.next >= received.length {
+            received.next = 0;
+            received.length = self.class.read_packet(&mut received.packet).unwrap_or(0);
+            self.spoken |= received.length > 0;
+        }
+        let Some(byte) = received.packet.get(received.next).filter(|_| received.next < received.length) else {
+            return Incoming::Nothing;
+        };
+        received.next += 1;
+        Incoming::Byte(*byte)
+    }
+
+    fn allow(&mut self, room: usize) {
+        let fetched = self.received.next >= self.received.length;
+        self.mask(!fetched && self.entry() == Some(OUT_DATA));
+        if self.received.ended && fetched && room >= PACKET && self.is_configured() {
+            self.enable_endpoint();
+        }
+    }
+
+    fn send(&mut self, byte: u8) -> bool {
+        if !self.is_configured() || !(self.dtr || self.spoken) {
+            // Nobody listens: as on a UART whose cable is not plugged in.
+            return true;
+        }
+        if self.outgoing.is_full() {
+            self.flush();
+        }
+        self.outgoing.push(byte).is_ok()
+    }
+
+    fn call_when_free(&mut self, _wanted: bool) {
+        // The end of each packet calls.
+        if self.is_configured() {
+            self.flush();
+        }
+    }
+}
+
+/// The part's own number in hexadecimal digits: it tells two boards on one host apart.
+fn serial_number() -> [u8; SERIAL_NUMBER] {
+    let mut digits = [0; SERIAL_NUMBER];
+    for (word, digits) in digits.chunks_exact_mut(8).enumerate() {
+        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in read-only system memory.
+        let word = unsafe { (UNIQUE_ID as *const u32).add(word).read_volatile() };
+        for (place, digit) in digits.iter_mut().rev().enumerate() {
+            *digit = b"0123456789ABCDEF".get((word >> (4 * place) & 0xF) as usize).copied().unwrap_or_default();
+        }
+    }
+    digits
+}

@@ -1,0 +1,212 @@
+"""OTG_FS as a full-speed device (RM0383 chapter 22), with the host at the other end of the cable.
+
+Modelled: soft connect, bus reset and end of enumeration, suspend and wake-up, the receive FIFO with its status entries (a packet
+and, a moment later, its end), NAK and enable of endpoints, transmit FIFOs, transfer-complete of IN endpoints, the interrupt. An OUT
+endpoint answers NAK from the end of a packet until it is enabled again; a SETUP packet is always taken. A packet that
+comes while its predecessor is still unread stays in the FIFO.
+Not modelled: the host role, isochronous transfers, SOF, VBUS sensing (which must be off), errors on the bus, FIFO sizes beyond their
+sum, EP0's STALL for more than the transfer at hand, transfers of more than one packet, CRC, data toggles.
+"""
+
+from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+
+GOTGCTL, GAHBCFG, GUSBCFG, GRSTCTL, GINTSTS, GINTMSK = 0x000, 0x008, 0x00C, 0x010, 0x014, 0x018
+GRXSTSR, GRXSTSP, GRXFSIZ, DIEPTXF0, GCCFG, CID = 0x01C, 0x020, 0x024, 0x028, 0x038, 0x03C
+DIEPTXF = (0x104, 0x108, 0x10C)
+DCFG, DCTL, DSTS, DIEPMSK, DOEPMSK, DAINTMSK, PCGCCTL = 0x800, 0x804, 0x808, 0x810, 0x814, 0x81C, 0xE00
+IN, OUT, FIFO = 0x900, 0xB00, 0x1000
+USBSUSP, USBRST, ENUMDNE, WKUPINT, RXFLVL, IEPINT = 1 << 11, 1 << 12, 1 << 13, 1 << 31, 1 << 4, 1 << 18
+USBAEP, NAKSTS, STALL, CNAK, SNAK, EPDIS, EPENA = 1 << 15, 1 << 17, 1 << 21, 1 << 26, 1 << 27, 1 << 30, 1 << 31
+OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
+ENDPOINTS, FIFO_WORDS = 4, 320
+END_S = 0.5e-6
+"""From a packet to the entry that says that it has ended."""
+
+
+class OtgFs(Peripheral):
+    CLOCK = (0x34, 7)
+    IRQ = 67
+    PLAIN = (GOTGCTL, GAHBCFG, GUSBCFG, GINTMSK, GRXFSIZ, DIEPTXF0, GCCFG, *DIEPTXF, DCFG, DCTL, DIEPMSK, DOEPMSK, DAINTMSK, PCGCCTL)
+
+    def __init__(self, name, board):
+        self.host = None
+        """The other end of the cable: `step()` is called when `due` has come."""
+        super().__init__(name, board)
+
+    def reset(self):
+        super().reset()
+        self.values = dict.fromkeys(self.PLAIN, 0)
+        # Not connected until DCTL.SDIS is cleared by software.
+        self.values[DCTL] = 2
+        self.flags = 0
+        self.fifo, self.words = [], []
+        """Entries (cycle, endpoint, bytes, status), and the words of the data entry that was popped last."""
+        self.control = {(side, n): 0 for side in (IN, OUT) for n in range(ENDPOINTS)}
+        self.size = dict(self.control)
+        self.complete = [0] * ENDPOINTS
+        self.sending = [bytearray() for _ in range(ENDPOINTS)]
+
+    # Registers.
+
+    def _entries(self):
+        return [entry for entry in self.fifo if entry[0] <= self.board.now]
+
+    def _status(self):
+        status = self.flags | (RXFLVL if self._entries() else 0)
+        mask = self.values[DAINTMSK]
+        if any(self.complete[n] & self.values[DIEPMSK] and mask >> n & 1 for n in range(ENDPOINTS)):
+            status |= IEPINT
+        return status
+
+    def call(self):
+        up = self.values[GAHBCFG] & 1 and self._status() & self.values[GINTMSK]
+        self.board.nvic.level(self.IRQ, bool(up))
+
+    def _endpoint(self, offset):
+        side, number, register = offset & ~0x1FF | 0x100, offset >> 5 & 7, offset & 0x1F
+        if side not in (IN, OUT) or number >= ENDPOINTS:
+            raise Unmodelled(f"OTG_FS has no model of the register at {offset:#05x}")
+        return side, number, register
+
+    def read(self, offset):
+        if offset >= FIFO:
+            if not self.words:
+                raise Misuse("OTG_FS: the receive FIFO is read while it holds no data")
+            return self.words.pop(0)
+        if offset in self.values:
+            return self.values[offset]
+        if offset == GRSTCTL:
+            return 1 << 31
+        if offset == GINTSTS:
+            return self._status()
+        if offset == CID:
+            return 0x1200
+        if offset == DSTS:
+            return 3 << 1
+        if offset in (GRXSTSR, GRXSTSP):
+            entries = self._entries()
+            if not entries:
+                raise Misuse("OTG_FS: the status of an empty receive FIFO is read")
+            _, endpoint, data, status = entries[0]
+            if offset == GRXSTSP:
+                if self.words:
+                    raise Misuse("OTG_FS: an entry is taken while data of the one before is unread")
+                self.fifo.remove(entries[0])
+                padded = data + bytes(-len(data) % 4)
+                self.words = [int.from_bytes(padded[i : i + 4], "little") for i in range(0, len(padded), 4)]
+                self.call()
+            return status << 17 | len(data) << 4 | endpoint
+        side, number, register = self._endpoint(offset)
+        if register == 0x00:
+            return self.control[side, number]
+        if register == 0x08:
+            return self.complete[number] if side == IN else 0
+        if register == 0x10:
+            return self.size[side, number]
+        if register == 0x18 and side == IN:
+            return 16 - (len(self.sending[number]) + 3) // 4
+        raise Unmodelled(f"OTG_FS has no model of the register at {offset:#05x}")
+
+    def write(self, offset, value):
+        if offset >= FIFO:
+            number = (offset >> 12) - 1
+            need = self.size[IN, number] & 0x7F
+            if not self.control[IN, number] & EPENA or len(self.sending[number]) >= need:
+                raise Misuse(f"OTG_FS: a word for IN endpoint {number} that no transfer asks for")
+            self.sending[number] += value.to_bytes(4, "little")
+            del self.sending[number][need:]
+            return
+        if offset == GINTSTS:
+            self.flags &= ~value
+        elif offset == GRSTCTL:
+            if value & 1:
+                self.reset()
+            if value & 1 << 4:
+                self.fifo.clear()
+                self.words.clear()
+            if value & 1 << 5:
+                number = value >> 6 & 31
+                for n in range(ENDPOINTS) if number == 16 else (number,):
+                    self.sending[n].clear()
+        elif offset in self.values:
+            self.values[offset] = value
+            words = [self.values[GRXFSIZ] & 0xFFFF] + [self.values[r] >> 16 for r in (DIEPTXF0, *DIEPTXF)]
+            if sum(words) > FIFO_WORDS:
+                raise Misuse(f"OTG_FS: FIFOs of {words} words do not fit into {FIFO_WORDS}")
+            if offset == DCTL and self.host:
+                self.host.look()
+        else:
+            self._write_endpoint(*self._endpoint(offset), value)
+        self.call()
+
+    def _write_endpoint(self, side, number, register, value):
+        if register == 0x00:
+            before = self.control[side, number]
+            after = value & ~(CNAK | SNAK | EPDIS | NAKSTS | EPENA) | before & (NAKSTS | EPENA)
+            if value & CNAK:
+                after &= ~NAKSTS
+            if value & SNAK:
+                after |= NAKSTS
+            if value & EPENA:
+                after |= EPENA
+            if value & EPDIS:
+                after &= ~EPENA
+            self.control[side, number] = after
+        elif register == 0x08:
+            if side == IN:
+                self.complete[number] &= ~value
+        elif register == 0x10:
+            self.size[side, number] = value
+        else:
+            raise Unmodelled(f"OTG_FS: register {register:#x} of an endpoint")
+
+    # The bus, for the host.
+
+    @property
+    def connected(self):
+        return self.values[GCCFG] >> 16 & 1 and not self.values[DCTL] & 2
+
+    def flag(self, flag):
+        self.flags |= flag
+        self.call()
+
+    def setup(self, data):
+        """A SETUP packet: always taken. Both sides of the control endpoint answer NAK from here on."""
+        now = self.board.now
+        self.fifo += [(now, 0, bytes(data), SETUP_DATA), (now + self.board.cycles(END_S), 0, b"", SETUP_DONE)]
+        self.control[IN, 0] &= ~STALL
+        self.control[OUT, 0] = self.control[OUT, 0] & ~(EPENA | STALL) | NAKSTS
+        self.call()
+
+    def out(self, number, data):
+        """An OUT packet: True for ACK, False for NAK, None for STALL."""
+        control = self.control[OUT, number]
+        if control & STALL:
+            return None
+        if control & NAKSTS or not control & EPENA or number and not control & USBAEP:
+            return False
+        now = self.board.now
+        self.fifo += [(now, number, bytes(data), OUT_DATA), (now + self.board.cycles(END_S), number, b"", OUT_DONE)]
+        self.control[OUT, number] = control & ~EPENA | NAKSTS
+        self.call()
+        return True
+
+    def in_(self, number):
+        """An IN token: the packet, False for NAK, None for STALL."""
+        control = self.control[IN, number]
+        if control & STALL:
+            return None
+        need = self.size[IN, number] & 0x7F
+        if control & NAKSTS or not control & EPENA or len(self.sending[number]) < need:
+            return False
+        data = bytes(self.sending[number])
+        self.sending[number].clear()
+        self.control[IN, number] = control & ~EPENA | NAKSTS
+        self.size[IN, number] = 0
+        self.complete[number] |= 1
+        self.call()
+        return data
+
+    def advance(self, now):
+        self.call()
+        self.plan(self.host.step(now) if self.host else NEVER)

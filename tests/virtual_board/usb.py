@@ -1,0 +1,149 @@
+"""A host at the USB port: enumerates the device as a CDC-ACM serial port does it, and moves bytes.
+
+Transactions follow each other like on a real bus with nothing else on it: 60 us for one of 64 bytes or a NAK of one, 10 us for a short one. The
+host polls the IN endpoint all the time while the port is open. Packets of the control endpoint are taken to have up to 64 bytes, as the device says.
+"""
+
+from collections import deque
+
+from .board import Failure
+from .host import Host
+from .models.otg import ENUMDNE, NEVER, USBRST, USBSUSP, WKUPINT
+
+SHORT_S, LONG_S = 10e-6, 60e-6
+WAITING = 8
+"""NAKs in a row, half a millisecond: the device is not busy with the packet before, but has no room."""
+
+
+class UsbHost(Host):
+    """Like the sender at the UART, with the cable plugged in from the beginning."""
+
+    def __init__(self, board):
+        self.otg = board.otg
+        usart = board.usart.wire
+        super().__init__(board)
+        board.usart.wire = usart
+        self.otg.host = self
+        self.due = NEVER
+        self.descriptors = {}
+        self.packets = deque()
+        self.open = self.is_set_up = False
+        self.waits = self._naks = 0
+        """How often the device has put off a packet for longer than it takes to fetch one; NAKs in a row."""
+        self._work = None
+        self._orders = deque()
+
+    # The bus.
+
+    def look(self):
+        """The device may have connected."""
+        if self.otg.connected and self._work is None:
+            self._work = self._life()
+            self.due = self.board.now + self.board.cycles(1e-3)
+            self.otg.plan(self.due)
+
+    def step(self, now):
+        if self._work is None or self.due > now:
+            return self.due
+        self.due = now + self.board.cycles(next(self._work))
+        return self.due
+
+    def send(self, data, at=None):
+        for begin in range(0, len(data), 64):
+            self.packets.append(bytes(data[begin : begin + 64] if isinstance(data, bytes) else data[begin : begin + 64].encode()))
+        self.bytes_sent += len(data)
+        return self.board.now
+
+    def order(self, what):
+        """`open`, `close`, `unplug`, `plug`: done when what runs now is done."""
+        self._orders.append(what)
+
+    def _until(self, transaction, *arguments, tries=3000):
+        for _ in range(tries):
+            answer = transaction(*arguments)
+            if answer is not False:
+                return answer
+            yield SHORT_S
+        raise Failure(f"the device answers {transaction.__name__}{arguments} with NAK for ever")
+
+    def _control(self, request, length=0, data=None):
+        """One control transfer; gives the answer, or None for STALL."""
+        self.otg.setup(bytes(request))
+        yield SHORT_S
+        answer = b""
+        if data is not None:
+            if (yield from self._until(self.otg.out, 0, data)) is None:
+                return None
+            yield SHORT_S
+        elif length:
+            while len(answer) < length:
+                packet = yield from self._until(self.otg.in_, 0)
+                if packet is None:
+                    return None
+                answer += packet
+                yield SHORT_S
+                if len(packet) < 64:
+                    break
+            yield from self._until(self.otg.out, 0, b"")
+            yield SHORT_S
+            return answer
+        status = yield from self._until(self.otg.in_, 0)
+        yield SHORT_S
+        return status
+
+    def _descriptor(self, kind, index, length):
+        answer = yield from self._control([0x80, 6, index, kind, 0x09 if kind == 3 else 0, 0x04 if kind == 3 else 0, length, 0], length)
+        self.descriptors[kind, index] = answer
+
+    def _enumerate(self):
+        self.otg.flag(USBRST)
+        yield 10e-3
+        self.otg.flag(ENUMDNE)
+        yield 1e-3
+        yield from self._descriptor(1, 0, 18)
+        yield from self._control([0, 5, 7, 0, 0, 0, 0, 0])
+        yield from self._descriptor(1, 0, 18)
+        yield from self._descriptor(2, 0, 255)
+        for index in (1, 2, 3):
+            yield from self._descriptor(3, index, 255)
+        yield from self._control([0, 9, 1, 0, 0, 0, 0, 0])
+        self.is_set_up = True
+
+    def _dtr(self, up):
+        if up:
+            yield from self._control([0x21, 0x20, 0, 0, 0, 0, 7, 0], data=(115_200).to_bytes(4, "little") + bytes([0, 0, 8]))
+        yield from self._control([0x21, 0x22, 3 if up else 0, 0, 0, 0, 0, 0])
+        self.open = up
+
+    def _life(self):
+        yield from self._enumerate()
+        while True:
+            if self._orders:
+                order = self._orders.popleft()
+                if order in ("open", "close"):
+                    yield from self._dtr(order == "open")
+                elif order == "unplug":
+                    self.otg.flag(USBSUSP)
+                    self.open = self.is_set_up = False
+                    while not self._orders:
+                        yield 1e-3
+                elif order == "plug":
+                    self.otg.flag(WKUPINT)
+                    yield from self._enumerate()
+            wait = SHORT_S
+            if self.open:
+                data = self.otg.in_(2)
+                if data:
+                    for byte in data:
+                        self.sent(byte, self.board.now)
+                    yield LONG_S
+            if self.packets and self.is_set_up:
+                if self.otg.out(1, self.packets[0]):
+                    self.packets.popleft()
+                    self._naks = 0
+                else:
+                    self._naks += 1
+                    self.waits += self._naks == WAITING
+                wait = LONG_S
+            # Nothing to do: a look now and then is enough, and costs the emulation less.
+            yield wait if self.packets or self.open else 1e-3

@@ -1,0 +1,92 @@
+//! What each board's image is known to need of flash and RAM, in `boards/sizes.txt`: growth is to be noticed when it
+//! happens and not when the flash is full.
+
+use crate::{Failure, root};
+use std::fs;
+
+/// How much more than expected is let pass, in percent.
+const TOLERANCE: u64 = 2;
+/// Environment variable: `check` refuses images that have grown, `accept` writes the sizes down.
+const MODE: &str = "OXMILL_SIZES";
+
+/// Compares the bytes of flash and RAM that a board's image needs with what is expected; gives a remark for people.
+pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
+    let path = root().join("boards/sizes.txt");
+    let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    match std::env::var(MODE).as_deref() {
+        Ok("accept") => {
+            fs::write(&path, accepted(&text, board, flash, ram)).map_err(|e| format!("{}: {e}", path.display()))?;
+            Ok(Some("accepted as the expected size".into()))
+        }
+        mode => match compare(&text, board, flash, ram) {
+            Some(why) if mode == Ok("check") => Err(why),
+            remark => Ok(remark),
+        },
+    }
+}
+
+/// The expected flash and RAM of a board.
+fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
+    let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(board))?.split_whitespace().skip(1);
+    Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))
+}
+
+/// What has grown too much.
+fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
+    let accept = format!("if that is right: {MODE}=accept cargo fw {board}");
+    let Some((flash_before, ram_before)) = expected(text, board) else {
+        return Some(format!("boards/sizes.txt has no {board}; {accept}"));
+    };
+    let grown = |what: &str, before: u32, now: u32| {
+        let most = u64::from(before) * (100 + TOLERANCE) / 100;
+        (u64::from(now) > most).then(|| format!("{what} has grown from {before} to {now} bytes"))
+    };
+    let grown: Vec<String> =
+        [grown("flash", flash_before, flash), grown("RAM", ram_before, ram)].into_iter().flatten().collect();
+    (!grown.is_empty()).then(|| format!("{board}: {}, by more than {TOLERANCE} %; {accept}", grown.join(", ")))
+}
+
+/// The file with a board's sizes in it.
+fn accepted(text: &str, board: &str, flash: u32, ram: u32) -> String {
+    let row = format!("{board:<16} {flash:>7} {ram:>6}");
+    let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();
+    match rows.iter_mut().find(|line| line.split_whitespace().next() == Some(board)) {
+        Some(old) => *old = row,
+        None => rows.push(row),
+    }
+    rows.join("\n") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "# board flash RAM\nsmall 1000 500\nlarge 200000 40000\n";
+
+    #[test]
+    fn growth_beyond_the_tolerance_is_told_with_the_way_to_accept_it() {
+        assert_eq!(compare(TEXT, "small", 1020, 510), None);
+        assert_eq!(compare(TEXT, "small", 10, 10), None);
+        let why = compare(TEXT, "small", 1021, 510).unwrap();
+        assert!(why.contains("flash") && !why.contains("RAM") && why.contains("OXMILL_SIZES=accept cargo fw small"));
+        assert!(compare(TEXT, "large", 200_000, 41_000).unwrap().contains("RAM"));
+        assert!(compare(TEXT, "new", 1, 1).is_some());
+    }
+
+    #[test]
+    fn an_accepted_size_is_the_expected_one() {
+        let text = accepted(&accepted(TEXT, "small", 7, 8), "new", 9, 10);
+        assert_eq!(expected(&text, "small"), Some((7, 8)));
+        assert_eq!(expected(&text, "large"), Some((200_000, 40_000)));
+        assert_eq!(expected(&text, "new"), Some((9, 10)));
+        assert!(text.starts_with("# board flash RAM\n"));
+    }
+
+    #[test]
+    fn every_board_has_a_row() {
+        let text = fs::read_to_string(root().join("boards/sizes.txt")).unwrap();
+        for board in crate::boards::BOARDS {
+            assert!(expected(&text, board).is_some(), "{board}");
+        }
+    }
+}
