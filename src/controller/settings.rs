@@ -107,6 +107,7 @@ pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
     entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
     entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
+    entry(220, "Jerk (0 = not limited)", "mm/s3", Kind::Real, 0.0, false),
 ];
 
 /// Names the rows of [`SCALARS`].
@@ -177,11 +178,12 @@ pub enum AxisKey {
     Acceleration,
     Travel,
     Backlash,
+    Jerk,
 }
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 6;
+    pub const COUNT: usize = 7;
 }
 
 /// Where a setting stands.
