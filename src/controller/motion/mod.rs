@@ -61,6 +61,8 @@ const GREATEST_ACCELERATION: f32 = 1.0e7;
 /// Jerk within what the settings allow, and what stands for none.
 const LEAST_JERK: f32 = 1.0e-2;
 const GREATEST_JERK: f32 = 1.0e10;
+/// Time in which the greatest acceleration is built up at least, s: two segments, for within one it is even.
+const LEAST_EASE: f32 = 0.002;
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
 const GREATEST_OVERRIDE: f32 = 100.0;
@@ -550,7 +552,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
         let (mut acceleration, mut limit) = self.limits(&way, length);
-        block.jerk = self.jerk_along(&way, length);
+        block.jerk = self.jerk_along(&way, length, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
@@ -560,7 +562,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let speed = lesser(programmed, limit);
             if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
-                block.jerk = self.jerk_along(&motors, length);
+                block.jerk = self.jerk_along(&motors, length, acceleration);
             }
         }
         block.directions = directions;
@@ -624,8 +626,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Greatest jerk along a way of this length at which no axis goes beyond its own.
     #[inline]
-    fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32) -> f32 {
-        let mut jerk = GREATEST_JERK;
+    fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+        let mut jerk = acceleration / LEAST_EASE;
         if self.planner.jerk_limited {
             for (part, most) in way.iter().zip(self.jerk) {
                 let share = part.abs() / length;
@@ -709,7 +711,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.line_number = self.running.line_number;
         block.length = length;
         (block.acceleration, block.limit) = self.limits(&way, length);
-        block.jerk = self.jerk_along(&way, length);
+        block.jerk = self.jerk_along(&way, length, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE;
         // The tool stands: a beam would burn a hole.

@@ -1,38 +1,188 @@
-//! Ramps with bounded jerk.
+//! Ramps with bounded jerk, followed segment by segment without the step task.
 
-use super::super::Speed;
-use super::rig::{Rig, settings, to};
+use super::super::{Motion, MotionSettings, Move, Speed};
+use super::rig::{settings, to};
 use crate::axes::PerAxis;
+use crate::messages::{Observed, Segment, ToStep};
+use proptest::prelude::*;
 
-fn machine<const B: usize>(jerk: f32) -> Rig<3, B> {
+/// The state at the end of a segment.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    time: f64,
+    seconds: f64,
+    speed: f64,
+    acceleration: f64,
+    /// Of the block: bounds, nominal speed, mm of a step, and what its entry allows.
+    bound: f64,
+    jerk: f64,
+    nominal: f64,
+    pitch: f64,
+    corner: f64,
+    block: usize,
+    last: bool,
+}
+
+struct Course<const B: usize> {
+    motion: Motion<3, B>,
+    moves: std::vec::IntoIter<Move<3>>,
+    next: Option<Move<3>>,
+    observed: Observed,
+    points: Vec<Point>,
+    time: f64,
+    blocks: usize,
+    pub entries: Vec<f64>,
+}
+
+impl<const B: usize> Course<B> {
+    fn new(settings: MotionSettings<3>, moves: Vec<Move<3>>) -> Self {
+        let mut motion = Motion::new(settings);
+        motion.start();
+        let mut moves = moves.into_iter();
+        let next = moves.next();
+        Self { motion, moves, next, observed: Observed::default(), points: Vec::new(), time: 0.0, blocks: 0, entries: Vec::new() }
+    }
+
+    /// Fills the queue, at most `most` moves.
+    fn fill(&mut self, most: usize) {
+        for _ in 0..most {
+            let Some(m) = &self.next else { break };
+            if !self.motion.line(m) {
+                break;
+            }
+            self.next = self.moves.next();
+        }
+        self.motion.start();
+    }
+
+    /// One message; `false` if there is none.
+    fn step(&mut self) -> bool {
+        let Some(message) = self.motion.next(&self.observed) else { return false };
+        let ToStep::Segment(segment) = message else {
+            if let ToStep::Block { .. } = message {
+                self.blocks += 1;
+                self.entries.push(f64::from(self.motion.pace.speed / self.motion.running.scale));
+            }
+            return true;
+        };
+        self.observed.segments_begun += 1;
+        let ticks = f64::from(segment.ticks);
+        let clocks = f64::from(segment.interval) * ticks + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
+        let seconds = clocks / 4096.0 / f64::from(self.motion.step_clock_hz);
+        self.time += seconds;
+        let run = &self.motion.running;
+        let scale = f64::from(run.scale);
+        let speed = f64::from(self.motion.pace.speed) / if run.active { scale } else { 1.0 };
+        let old = self.points.last().filter(|p| p.block == self.blocks).copied();
+        let (jerk, corner) = match (old, self.motion.planner.first()) {
+            (Some(old), _) => (old.jerk, old.corner),
+            (None, Some(block)) => (f64::from(block.jerk), f64::from(block.max_entry2).sqrt()),
+            _ => (1.0e10, 0.0),
+        };
+        if segment.flags & Segment::FLAG_WAIT != 0 {
+            if let Some(p) = self.points.last_mut() {
+                p.time = self.time;
+                p.seconds += seconds;
+            }
+            return true;
+        }
+        self.points.push(Point {
+            time: self.time,
+            seconds,
+            speed,
+            acceleration: f64::from(self.motion.pull),
+            bound: f64::from(run.acceleration) / scale,
+            jerk,
+            nominal: f64::from(run.nominal2).sqrt() / scale,
+            pitch: 16.0 / scale,
+            corner,
+            block: self.blocks,
+            last: segment.flags & Segment::FLAG_LAST != 0,
+        });
+        true
+    }
+
+    fn run(&mut self) {
+        loop {
+            self.fill(usize::MAX);
+            if !self.step() {
+                assert!(self.next.is_none() && self.motion.queued_blocks() == 0);
+                return;
+            }
+        }
+    }
+
+    fn faults(&self, overridden: bool) -> Vec<String> {
+        let mut faults = Vec::new();
+        for pair in self.points.windows(2) {
+            let [a, b] = pair else { continue };
+            if a.last || b.last { continue }
+            if b.acceleration.abs() > b.bound * 1.01 { faults.push(format!("acceleration {a:?}\n  {b:?}")); }
+            if !overridden && b.speed > b.nominal * 1.001 && a.block == b.block { faults.push(format!("nominal {a:?}\n  {b:?}")); }
+            let seen = (b.acceleration - a.acceleration).abs();
+            let jerk = a.jerk.max(b.jerk);
+            // Within a step ramps need not be smooth.
+            let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
+            if b.speed > crawl && seen > jerk * b.seconds * 1.05 + 0.01 * b.bound { faults.push(format!("jerk {} {a:?}\n  {b:?}", seen / b.seconds)); }
+        }
+        faults
+    }
+}
+
+fn machine(jerk: f32) -> MotionSettings<3> {
     let mut config = settings(80.0, 500.0, 500.0);
     config.jerk = PerAxis::all(jerk);
-    Rig::new(config)
+    config
+}
+
+fn line(length: f64, blocks: u32, feed: f32) -> Vec<Move<3>> {
+    (1..=blocks).map(|k| to([length * f64::from(k) / f64::from(blocks), 0.0, 0.0], Speed::Feed(feed))).collect()
 }
 
 #[test]
-fn dump() {
-    let blocks: u32 = std::env::var("BLOCKS").ok().and_then(|b| b.parse().ok()).unwrap_or(1);
-    let length: f64 = std::env::var("LENGTH").ok().and_then(|b| b.parse().ok()).unwrap_or(50.0);
-    let jerk: f32 = std::env::var("JERK").ok().and_then(|b| b.parse().ok()).unwrap_or(10_000.0);
-    let mut rig = machine::<512>(jerk);
-    for k in 1..=blocks {
-        rig.moves.push_back(to([length * f64::from(k) / f64::from(blocks), 0.0, 0.0], Speed::Feed(100.0)));
-    }
-    rig.motion.overrides.feed = 1.0;
-    rig.pump();
-    rig.motion.start();
-    let mut last = 0;
-    for _ in 0..100_000_000 {
-        rig.pump();
-        let more = rig.tick();
-        if rig.segments != last && std::env::var("DUMP").is_ok() {
-            last = rig.segments;
-            println!("{:.6} v {:.4} a {:.3}", rig.seconds(), rig.motion.pace.speed / rig.motion.running.scale, rig.motion.pull);
-        }
-        if !more && rig.queue.is_empty() {
-            break;
+fn blocks_do_not_show_in_a_ramp() {
+    for (length, feed, ideal) in [(50.0, 100.0, 0.75), (1.0, 100.0, (32.0 / 1.0e4_f64).cbrt()), (10.0, 200.0, 0.0)] {
+        for blocks in [1, 7, 80, 500] {
+            if f64::from(blocks) > length * 80.0 { continue }
+            let mut course = Course::<512>::new(machine(1.0e4), line(length, blocks, feed));
+            course.run();
+            println!("{length} {blocks}: {} of {ideal}, {} segments", course.time, course.points.len());
+            for fault in course.faults(false).iter().take(4) { println!("{fault}"); }
         }
     }
-    println!("{blocks} blocks {} s {} segments, at {:?}", rig.seconds(), rig.segments, rig.position);
+}
+
+fn job() -> impl Strategy<Value = Vec<Move<3>>> {
+    let piece = prop_oneof![
+        (0_u32..360, 1_u32..4000, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (f64::from(turn), f64::from(length) * 0.01, count, feed, 0.0)),
+        (0_u32..40, 1_u32..400, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (f64::from(turn) * 0.1, f64::from(length) * 0.01, count, feed, 0.0)),
+        (0_u32..40, 1_u32..100, 10_u32..200, 20.0_f32..200.0).prop_map(|(turn, length, count, feed)| (0.0, f64::from(length) * 0.01, count, feed, f64::from(turn) * 0.1 - 2.0)),
+    ];
+    prop::collection::vec(piece, 1..10).prop_map(|pieces| {
+        let (mut at, mut angle, mut moves) = ([0.0, 0.0, 0.0], 0.0_f64, Vec::new());
+        for (turn, length, count, feed, bend) in pieces {
+            angle += turn;
+            for _ in 0..count {
+                angle += bend;
+                at[0] += length * angle.to_radians().cos();
+                at[1] += length * angle.to_radians().sin();
+                moves.push(to(at, Speed::Feed(feed)));
+            }
+        }
+        moves
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, max_shrink_iters: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn courses(moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0) {
+        let mut config = machine(jerk);
+        config.acceleration.0[1] *= unequal;
+        config.jerk.0[1] *= 1.3 - unequal;
+        let mut course = Course::<64>::new(config, moves);
+        course.run();
+        let faults = course.faults(false);
+        prop_assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.iter().take(3).cloned().collect::<Vec<_>>().join("\n"));
+    }
 }
