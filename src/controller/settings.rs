@@ -401,7 +401,7 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// no steps/mm, rate or acceleration; a step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step
+    /// no steps/mm, rate or acceleration, a jerk next to none; a step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step
     /// pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves no place for.
     pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
         // A pulse and the shortest pause after it must fit between two steps.
@@ -427,6 +427,8 @@ impl<const N: usize> Settings<N> {
                 Some(120 + offset)
             } else if self.axes(AxisKey::Backlash).get(axis)? * r > MOST_BACKLASH {
                 Some(160 + offset)
+            } else if self.axes(AxisKey::Jerk).get(axis).is_some_and(|jerk| jerk != 0.0 && !JERKS.contains(&jerk)) {
+                Some(220 + offset)
             } else {
                 None
             }
@@ -466,6 +468,8 @@ impl<const N: usize> Settings<N> {
 /// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
 const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
 const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
+/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: who sets less has mistaken the unit.
+const JERKS: core::ops::RangeInclusive<f32> = 1.0..=1.0e10;
 /// Most steps of slack that motion takes up.
 const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
@@ -558,6 +562,12 @@ mod tests {
         set(&mut s, 112, 500_000).unwrap();
         set(&mut s, 120, 0).unwrap();
         assert_eq!(s.unrunnable(100_000, true), Some(120));
+        set(&mut s, 120, 10_000).unwrap();
+        set(&mut s, 222, 500).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), Some(222));
+        assert_eq!(set(&mut s, 222, -1), Err(Error::NegativeValue));
+        set(&mut s, 222, 0).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), None);
     }
 
     #[test]

@@ -59,10 +59,10 @@ const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
 const GREATEST_ACCELERATION: f32 = 1.0e7;
 /// Jerk within what the settings allow, and what stands for none.
-const LEAST_JERK: f32 = 1.0e-2;
+const LEAST_JERK: f32 = 1.0;
 const GREATEST_JERK: f32 = 1.0e10;
-/// Time in which the greatest acceleration is built up at least, s: two segments, for within one it is even.
-const LEAST_EASE: f32 = 0.002;
+/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
+const LEAST_EASE: f32 = 0.004;
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
 const GREATEST_OVERRIDE: f32 = 100.0;
@@ -1029,6 +1029,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             self.stood = self.start;
         }
         self.pace = self.pace.scaled(scale);
+        // Round a corner other axes feel it.
+        self.pull = greater(lesser(self.pull, block.acceleration), -block.acceleration);
         true
     }
 

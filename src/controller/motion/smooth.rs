@@ -93,9 +93,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         };
 
         let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, self.ahead), ..bounds };
-        if speed > nominal * (1.0 + SNAP) {
-            // As far as the braking would take to be eased off, no block may mind it.
-            let ease = speed * (acceleration.abs() + change) / bounds.jerk;
+        let too_fast = speed > nominal * (1.0 + SNAP);
+        if too_fast {
+            // As far as the braking takes to be eased off, no block may mind it.
+            let (_, ease) = state.valley(bounds.jerk);
             allowed = self.planner.bounds_within(ease, left);
         }
         let best = within(state.towards(nominal, guess, allowed));
@@ -131,7 +132,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if aim <= 0.0 && distance <= way {
             return Gone { seconds: 3.0 * way / speed, end: State { speed: 0.0, acceleration: 0.0 } };
         }
-        let mut wanted = -target.bounds.acceleration;
+        let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
+        let mut wanted = -lesser(target.bounds.acceleration, steepest);
         if acceleration <= 0.0 {
             let next = speed + acceleration * guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
