@@ -401,8 +401,9 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// no steps/mm, rate or acceleration, a jerk next to none; a step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step
-    /// pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves no place for.
+    /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond `safe_step_hz` or
+    /// beyond what the step pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves
+    /// no place for.
     pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
         // A pulse and the shortest pause after it must fit between two steps.
         let pulses_hz = 1.0e6 / (self.value(Key::StepPulse) + LEAST_PAUSE_US);

@@ -175,7 +175,7 @@ fn job() -> impl Strategy<Value = Vec<Move<3>>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, max_shrink_iters: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 40, max_shrink_iters: 500, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
     fn disturbed(
         moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0,
