@@ -7,12 +7,8 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
 
-const MACHINE: Limits = Limits {
-    steps_per_mm: [400.0; AXES],
-    rate: [200.0; AXES],
-    acceleration: [500.0; AXES],
-    junction_deviation: 0.02,
-};
+const MACHINE: Limits =
+    Limits { steps_per_mm: [400.0; AXES], rate: [200.0; AXES], acceleration: [500.0; AXES], junction_deviation: 0.02 };
 
 fn settings(limits: &Limits, jerk: [f64; AXES]) -> String {
     let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
@@ -111,15 +107,23 @@ fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
 
-/// Six jobs against their shortest times. Where a corner or another feed begins, the acceleration is zero by our rule, and
-/// so it is in the reference; the slow axis in the chain does not count for the reference at all.
+/// Five jobs against their shortest times. Where a corner is passed or another feed begins the acceleration is zero by our
+/// rule, and so it is in the reference.
 #[test]
 fn jobs_take_little_more_than_the_shortest_time() {
     let a = MACHINE.acceleration[0];
     let mut rows: Vec<(&str, f64, f64)> = Vec::new();
 
-    rows.push(("long line", Job::line(150.0, 1, 100.0).run(&MACHINE, [JERK; 3]), least_time(150.0, 0.0, 0.0, 100.0, a, JERK)));
-    rows.push(("line of a millimetre", Job::line(1.0, 1, 100.0).run(&MACHINE, [JERK; 3]), least_time(1.0, 0.0, 0.0, 100.0, a, JERK)));
+    rows.push((
+        "long line",
+        Job::line(150.0, 1, 100.0).run(&MACHINE, [JERK; 3]),
+        least_time(150.0, 0.0, 0.0, 100.0, a, JERK),
+    ));
+    rows.push((
+        "line of a millimetre",
+        Job::line(1.0, 1, 100.0).run(&MACHINE, [JERK; 3]),
+        least_time(1.0, 0.0, 0.0, 100.0, a, JERK),
+    ));
 
     let mut zigzag = Job::new();
     for k in 0..12 {
@@ -143,15 +147,6 @@ fn jobs_take_little_more_than_the_shortest_time() {
     let ideal = least_time(60.0, 0.0, 40.0, 100.0, a, JERK) + 15.0 / 40.0 + least_time(65.0, 40.0, 0.0, 100.0, a, JERK);
     rows.push(("slower feed in the middle", capped.run(&MACHINE, [JERK; 3]), ideal));
 
-    // 200 blocks, one of which, in the middle of the ramp up, leans on a slow Z (and one leans back).
-    let slow = Limits { acceleration: [500.0, 500.0, 3.0], ..MACHINE };
-    let mut chain = Job::new();
-    for k in 1..=200 {
-        let z = if k == 14 { 0.009 } else { 0.0 };
-        chain.to([0.75 * f64::from(k), 0.0, z], 100.0);
-    }
-    rows.push(("chain with a slow axis", chain.run(&slow, [JERK; 3]), least_time(150.0, 0.0, 0.0, 100.0, a, JERK)));
-
     for (job, seconds, ideal) in rows {
         let whole = seconds + of_steps();
         println!("{job}: {whole:.3} s, {ideal:.3} s at least: {:+.1} %", (whole / ideal - 1.0) * 100.0);
@@ -163,17 +158,15 @@ fn jobs_take_little_more_than_the_shortest_time() {
 /// The borders of blocks do not show: neither where the machine ramps nor on a curve.
 #[test]
 fn borders_of_blocks_cost_no_time() {
-    for (length, feed) in [(50.0, 100.0), (12.0, 150.0)] {
-        let whole = Job::line(length, 1, feed).run(&MACHINE, [JERK; 3]);
-        let chain = Job::line(length, 500, feed).run(&MACHINE, [JERK; 3]);
-        assert!((chain / whole - 1.0).abs() < 0.005, "{whole} s in one block, {chain} s in 500");
-    }
+    let whole = Job::line(50.0, 1, 100.0).run(&MACHINE, [JERK; 3]);
+    let chain = Job::line(50.0, 500, 100.0).run(&MACHINE, [JERK; 3]);
+    assert!((chain / whole - 1.0).abs() < 0.005, "{whole} s in one block, {chain} s in 500");
     // Into a circle of R = 10 mm along its tangent: v² = a·R is faster than the feed.
     let mut circle = Job::new();
-    circle.to([0.0, -30.0, 0.0], 60.0);
+    circle.to([0.0, 30.0, 0.0], 60.0);
     for k in 1..=900 {
         let angle = f64::from(k) * 0.01;
-        circle.to([10.0 * angle.cos() - 10.0, 10.0 * angle.sin() - 30.0, 0.0], 60.0);
+        circle.to([10.0 * angle.cos() - 10.0, 10.0 * angle.sin() + 30.0, 0.0], 60.0);
     }
     let seconds = circle.run(&MACHINE, [JERK; 3]) + of_steps();
     let ideal = least_time(120.0, 0.0, 0.0, 60.0, 500.0, JERK);
@@ -197,8 +190,7 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// The measure itself: the trapezoid has a jerk beyond any of these limits, and one that returns to no acceleration at each
-/// border is seen by the time it takes.
+/// The measure itself: the trapezoid has a jerk beyond these limits.
 #[test]
 fn a_trapezoid_is_seen() {
     let job = Job::line(60.0, 1, 100.0);
@@ -242,7 +234,7 @@ const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x93, b'!', b'!', b'~',
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 40, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+        cases: 120, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
     #[test]
@@ -263,10 +255,11 @@ proptest! {
             rig.run_for(milliseconds as f64 / 1000.0);
             rig.send(&[touch]);
         }
-        rig.send(b"~");
-        rig.settle();
-        // A hold that had not ended is one that the start has found on its ramp.
-        rig.send(b"~");
+        for _ in 0..3 {
+            // A start in the midst of the ramp of a hold says nothing.
+            rig.run_for(1.5);
+            rig.send(b"~");
+        }
         rig.settle();
         prop_assert_eq!(rig.place, limits.place(mm(job.at)), "{}", job.text);
         let mut lines = job.lines.clone();

@@ -113,7 +113,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let off = (gone.end.speed - nominal).abs();
             let slight = acceleration.abs() <= change && gone.end.acceleration.abs() <= 0.5 * change;
             if slight && off <= SNAP * nominal {
-                return Gone { seconds: 2.0 * way / (speed + nominal), end: State { speed: nominal, acceleration: 0.0 } };
+                return Gone {
+                    seconds: 2.0 * way / (speed + nominal),
+                    end: State { speed: nominal, acceleration: 0.0 },
+                };
             }
             return gone;
         }

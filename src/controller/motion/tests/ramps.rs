@@ -40,7 +40,16 @@ impl<const B: usize> Course<B> {
         motion.start();
         let mut moves = moves.into_iter();
         let next = moves.next();
-        Self { motion, moves, next, observed: Observed::default(), points: Vec::new(), time: 0.0, blocks: 0, entries: Vec::new() }
+        Self {
+            motion,
+            moves,
+            next,
+            observed: Observed::default(),
+            points: Vec::new(),
+            time: 0.0,
+            blocks: 0,
+            entries: Vec::new(),
+        }
     }
 
     /// Fills the queue, at most `most` moves.
@@ -116,15 +125,33 @@ impl<const B: usize> Course<B> {
         let mut faults = Vec::new();
         for pair in self.points.windows(2) {
             let [a, b] = pair else { continue };
-            if a.last || b.last { continue }
-            if !overridden && a.block != b.block && a.speed.powi(2) > (b.corner * 1.01).powi(2) + 0.5 * a.bound * a.pitch { faults.push(format!("corner {a:?}\n  {b:?}")); }
-            if b.acceleration.abs() > b.bound * 1.01 { faults.push(format!("acceleration {a:?}\n  {b:?}")); }
-            if !overridden && b.speed > b.nominal * 1.005 && a.block == b.block { faults.push(format!("nominal {a:?}\n  {b:?}")); }
+            if a.last || b.last {
+                continue;
+            }
+            if !overridden
+                && a.block != b.block
+                && a.speed.powi(2) > (b.corner * 1.01).powi(2) + 0.5 * a.bound * a.pitch
+            {
+                faults.push(format!("corner {a:?}\n  {b:?}"));
+            }
+            if b.acceleration.abs() > b.bound * 1.01 {
+                faults.push(format!("acceleration {a:?}\n  {b:?}"));
+            }
+            if !overridden && b.speed > b.nominal * 1.005 && a.block == b.block {
+                faults.push(format!("nominal {a:?}\n  {b:?}"));
+            }
             let seen = (b.acceleration - a.acceleration).abs();
             let jerk = a.jerk.max(b.jerk);
             // Within a step ramps need not be smooth.
             let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
-            if b.speed > crawl && seen > jerk * b.seconds * 1.05 + 0.01 * b.bound + if a.block == b.block { 0.0 } else { (a.bound - b.bound).abs() } { faults.push(format!("jerk {} {a:?}\n  {b:?}", seen / b.seconds)); }
+            if b.speed > crawl
+                && seen
+                    > jerk * b.seconds * 1.05
+                        + 0.01 * b.bound
+                        + if a.block == b.block { 0.0 } else { (a.bound - b.bound).abs() }
+            {
+                faults.push(format!("jerk {} {a:?}\n  {b:?}", seen / b.seconds));
+            }
         }
         faults
     }
@@ -142,22 +169,63 @@ fn line(length: f64, blocks: u32, feed: f32) -> Vec<Move<3>> {
 
 #[test]
 fn blocks_do_not_show_in_a_ramp() {
-    for (length, feed, ideal) in [(50.0, 100.0, 0.75), (1.0, 100.0, (32.0 / 1.0e4_f64).cbrt()), (10.0, 200.0, 0.0)] {
+    // The last is too short for the greatest acceleration: four ramps of even jerk.
+    for (length, feed, ideal) in [(50.0, 100.0, 0.75), (10.0, 200.0, 0.337_08), (1.0, 100.0, (32.0e-4_f64).cbrt())] {
         for blocks in [1, 7, 80, 500] {
-            if f64::from(blocks) > length * 80.0 { continue }
+            if blocks > 80 && length < 10.0 {
+                continue;
+            }
             let mut course = Course::<512>::new(machine(1.0e4), line(length, blocks, feed));
             course.run();
-            println!("{length} {blocks}: {} of {ideal}, {} segments", course.time, course.points.len());
-            for fault in course.faults(false).iter().take(4) { println!("{fault}"); }
+            assert!(
+                (course.time / ideal - 1.0).abs() < 0.005 + 0.015 / length,
+                "{blocks}: {} of {ideal} s",
+                course.time
+            );
+            assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
         }
     }
 }
 
+/// Two blocks of a chain lean on an axis that takes but half of the acceleration, in the midst of the ramps up and down.
+#[test]
+fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
+    let mut config = machine(5.0e3);
+    config.acceleration.0[2] = 0.25;
+    let moves = (1..=200).map(|k| {
+        let z = if (14..=190).contains(&k) { 0.0004 } else { 0.0 };
+        to([0.75 * f64::from(k), 0.0, z], Speed::Feed(100.0))
+    });
+    let mut course = Course::<512>::new(config, moves.collect());
+    course.run();
+    assert!(course.points.iter().any(|p| p.bound < 490.0), "no block is slow");
+    assert!(course.time < 1.8 * 1.05, "{} s of 1.8", course.time);
+    assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
+}
+
 fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     let piece = prop_oneof![
-        (0_u32..360, 1_u32..4000, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (f64::from(turn), f64::from(length) * 0.01, count, feed, 0.0)),
-        (0_u32..40, 1_u32..400, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (f64::from(turn) * 0.1, f64::from(length) * 0.01, count, feed, 0.0)),
-        (0_u32..40, 1_u32..100, 10_u32..200, 20.0_f32..200.0).prop_map(|(turn, length, count, feed)| (0.0, f64::from(length) * 0.01, count, feed, f64::from(turn) * 0.1 - 2.0)),
+        (0_u32..360, 1_u32..4000, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            f64::from(turn),
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            0.0
+        )),
+        (0_u32..40, 1_u32..400, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            f64::from(turn) * 0.1,
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            0.0
+        )),
+        (0_u32..40, 1_u32..100, 10_u32..200, 20.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            0.0,
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            f64::from(turn) * 0.1 - 2.0
+        )),
     ];
     prop::collection::vec(piece, 1..10).prop_map(|pieces| {
         let (mut at, mut angle, mut moves) = ([0.0, 0.0, 0.0], 0.0_f64, Vec::new());
