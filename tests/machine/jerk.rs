@@ -12,11 +12,11 @@ const MACHINE: Limits =
 
 fn settings(limits: &Limits, jerk: [f64; AXES]) -> String {
     let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
-    for axis in 0..AXES {
+    for (axis, jerk) in jerk.iter().enumerate() {
         writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
         writeln!(text, "$11{axis}={}", limits.rate[axis] * 60.0).unwrap();
         writeln!(text, "$12{axis}={}", limits.acceleration[axis]).unwrap();
-        writeln!(text, "$22{axis}={}", jerk[axis]).unwrap();
+        writeln!(text, "$22{axis}={jerk}").unwrap();
     }
     text
 }

@@ -258,7 +258,7 @@ proptest! {
             course.motion.start();
             for _ in 0..messages {
                 course.step();
-                if moves > 0 && course.blocks % 3 == 0 { course.fill(1); }
+                if moves > 0 && course.blocks.is_multiple_of(3) { course.fill(1); }
             }
             match what {
                 0 | 1 => course.motion.hold(),
