@@ -131,6 +131,7 @@ pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
     entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
     entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
     entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
+    entry(220, "Jerk (0 = not limited)", "mm/s3", Kind::Real, 0.0, false),
 ];
 
 /// Names the rows of [`SCALARS`].
@@ -211,11 +212,12 @@ pub enum AxisKey {
     Acceleration,
     Travel,
     Backlash,
+    Jerk,
 }
 
 impl AxisKey {
     /// How many there are.
-    pub const COUNT: usize = 6;
+    pub const COUNT: usize = 7;
 }
 
 /// Where a setting stands.
@@ -437,8 +439,9 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// no steps/mm, rate or acceleration; a step rate (rate × resolution) beyond `safe_step_hz` or beyond what the step
-    /// pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves no place for.
+    /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond `safe_step_hz` or
+    /// beyond what the step pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves
+    /// no place for.
     pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
         // A pulse and the shortest pause after it must fit between two steps.
         let pulses_hz = 1.0e6 / (self.value(Key::StepPulse) + LEAST_PAUSE_US);
@@ -463,6 +466,8 @@ impl<const N: usize> Settings<N> {
                 Some(120 + offset)
             } else if self.axes(AxisKey::Backlash).get(axis)? * r > MOST_BACKLASH {
                 Some(160 + offset)
+            } else if self.axes(AxisKey::Jerk).get(axis).is_some_and(|jerk| jerk != 0.0 && !JERKS.contains(&jerk)) {
+                Some(220 + offset)
             } else {
                 None
             }
@@ -502,6 +507,8 @@ impl<const N: usize> Settings<N> {
 /// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
 const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
 const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
+/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: who sets less has mistaken the unit.
+const JERKS: core::ops::RangeInclusive<f32> = 1.0..=1.0e10;
 /// Most steps of slack that motion takes up.
 const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
@@ -605,6 +612,12 @@ mod tests {
         set(&mut s, 112, 500_000).unwrap();
         set(&mut s, 120, 0).unwrap();
         assert_eq!(s.unrunnable(100_000, true), Some(120));
+        set(&mut s, 120, 10_000).unwrap();
+        set(&mut s, 222, 500).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), Some(222));
+        assert_eq!(set(&mut s, 222, -1), Err(Error::NegativeValue));
+        set(&mut s, 222, 0).unwrap();
+        assert_eq!(s.unrunnable(100_000, true), None);
     }
 
     #[test]

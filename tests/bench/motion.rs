@@ -188,6 +188,26 @@ fn table() {
     }
 }
 
+/// Jerk of all axes in the second table, mm/s³: the acceleration of 500 mm/s² is there after 50 ms.
+const JERK: &str = "10000";
+
+/// What bounded jerk costs.
+fn table_of_jerk() {
+    println!("\n| job | trapezoid | jerk of {JERK} mm/s³ | |\n|---|---|---|---|");
+    for row in ROWS {
+        let mut text = Vec::new();
+        let written = programs::bench::generate(row.job, &mut text);
+        assert!(matches!(written, Ok(true)), "{}: {written:?}", row.job);
+        let program = String::from_utf8(text).expect("programs are ASCII");
+        let settings = [MACHINE, row.settings].concat();
+        let even = simulate::<BOARD>(&settings, &program);
+        let smooth = simulate::<BOARD>(&format!("{settings}$220={JERK}\n$221={JERK}\n$222={JERK}\n"), &program);
+        assert_eq!((smooth.lines_refused, smooth.net), (0, even.net), "{}", row.job);
+        let more = (smooth.seconds / even.seconds - 1.0) * 100.0;
+        println!("| {} | {:.3} s | {:.3} s | {more:+.1} % |", row.what, even.seconds, smooth.seconds);
+    }
+}
+
 fn own(file: &str) -> Result<(), String> {
     let bytes = std::fs::read(file).map_err(|error| format!("{file}: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
@@ -204,6 +224,7 @@ fn main() -> ExitCode {
     let work = move || -> Result<(), String> {
         if files.is_empty() {
             table();
+            table_of_jerk();
         }
         files.iter().try_for_each(|file| own(file))
     };

@@ -119,7 +119,7 @@ impl Limits {
     }
 
     /// Greatest path speed at the corner between two directions.
-    fn junction(&self, before: [f64; AXES], after: [f64; AXES]) -> f64 {
+    pub fn junction(&self, before: [f64; AXES], after: [f64; AXES]) -> f64 {
         let turn: [f64; AXES] = std::array::from_fn(|a| after[a] - before[a]);
         let size = norm(turn);
         if size < 1e-4 {
@@ -137,12 +137,8 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Compares a trace that begins and ends at rest, of nothing but straight moves, with the moves and the limits: the path
-/// step for step, speeds and accelerations as the head of this file says.
-///
-/// # Errors
-/// The first thing that is wrong.
-pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Result<(), String> {
+/// The moves that have steps, with the times of these.
+fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, String> {
     let mut rest = trace;
     let mut moves = Vec::new();
     // Moves of no steps pass their length on to the next one.
@@ -174,6 +170,16 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     if let Some(pulse) = rest.first() {
         return Err(format!("{} pulses after the end of the last move, the first at {}", rest.len(), pulse.at));
     }
+    Ok(moves)
+}
+
+/// Compares a trace that begins and ends at rest, of nothing but straight moves, with the moves and the limits: the path
+/// step for step, speeds and accelerations as the head of this file says.
+///
+/// # Errors
+/// The first thing that is wrong.
+pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Result<(), String> {
+    let moves = moves(trace, lines, limits)?;
     for (index, m) in moves.iter().enumerate() {
         check_move(m, hz).map_err(|e| format!("move {index}: {e}"))?;
     }
@@ -328,6 +334,73 @@ fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result
         if reading.speed > most + reading.rounding {
             return Err(format!("{} mm/s on a bend for {}", reading.speed, allowed2.sqrt()));
         }
+    }
+    Ok(())
+}
+
+/// Turn of a corner beyond which it is exempt from the jerk limit, rad; and by how many steps a place on the path is
+/// uncertain between two of them.
+const CORNER: f64 = 0.05;
+const UNCERTAIN: f64 = 0.5;
+
+/// Compares the jerk along the path with the limits of the axes (mm/s³, infinite for none), at any time but where a corner
+/// of more than [`CORNER`] is passed.
+///
+/// The place on the path is taken at four times, `h` apart. Its third difference is the mean jerk, weighted, times h³. A
+/// place between two steps is half a step uncertain, so the third difference by (1 + 3 + 3 + 1) / 2 = 4 steps; h is so long
+/// that this is a quarter of what the limit makes of it. Where directions change, the greatest limit of the moves passed
+/// counts.
+///
+/// # Errors
+/// The first excess.
+pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jerk: [f64; AXES]) -> Result<(), String> {
+    let moves = moves(trace, lines, limits)?;
+    // Time, place, move; the machine stands before and after.
+    let mut places: Vec<(f64, f64, usize)> = Vec::new();
+    let mut corners = Vec::new();
+    let mut way = 0.0;
+    for (index, m) in moves.iter().enumerate() {
+        for (k, at) in m.times.iter().enumerate() {
+            places.push((*at as f64 / hz, way + (k as f64 + 0.5) * m.pitch, index));
+        }
+        way += m.pitch * m.times.len() as f64;
+        if let (Some(next), Some(last)) = (moves.get(index + 1), m.times.last()) {
+            let turn: [f64; AXES] = std::array::from_fn(|a| next.unit[a] - m.unit[a]);
+            if norm(turn) > CORNER {
+                corners.push((*last as f64 / hz, next.times[0] as f64 / hz));
+            }
+        }
+    }
+    let (Some(first), Some(last)) = (places.first().copied(), places.last().copied()) else { return Ok(()) };
+    let pitch = moves.iter().map(|m| m.pitch).fold(0.0, f64::max);
+    let along: Vec<f64> = moves.iter().map(|m| limits.along(jerk, m.unit)).collect();
+    let greatest = along.iter().copied().filter(|jerk| jerk.is_finite()).fold(0.0, f64::max);
+    if greatest <= 0.0 {
+        return Ok(());
+    }
+    let h = (16.0 * pitch / greatest).cbrt();
+    let at = |time: f64| -> (f64, usize) {
+        let next = places.partition_point(|p| p.0 <= time);
+        match (next.checked_sub(1).and_then(|k| places.get(k)), places.get(next)) {
+            (Some(a), Some(b)) => (a.1 + (b.1 - a.1) * (time - a.0) / (b.0 - a.0), a.2),
+            (Some(a), None) => (a.1 + 0.5 * pitch, a.2),
+            (None, _) => (first.1 - 0.5 * pitch, 0),
+        }
+    };
+    let mut time = first.0 - 2.0 * h;
+    while time < last.0 {
+        let points = [0.0, 1.0, 2.0, 3.0].map(|k| at(time + k * h));
+        let cornered = corners.iter().any(|c| c.1 > time && c.0 < time + 3.0 * h);
+        if !cornered {
+            let third = points[3].0 - 3.0 * points[2].0 + 3.0 * points[1].0 - points[0].0;
+            let most = along[points[0].1..=points[3].1].iter().copied().fold(0.0, f64::max);
+            let allowed = most * h.powi(3) * (1.0 + 3.0 * TOLERANCE) + 8.0 * UNCERTAIN * pitch;
+            if third.abs() > allowed {
+                let seen = third / h.powi(3);
+                return Err(format!("{seen} mm/s³ at {time} s over {} s, {most} are allowed", 3.0 * h));
+            }
+        }
+        time += h / 3.0;
     }
     Ok(())
 }

@@ -5,6 +5,7 @@ mod conversations;
 mod estimator;
 mod examples;
 mod host;
+mod jerk;
 mod kinematics;
 mod known_jobs;
 mod motion_properties;

@@ -134,6 +134,30 @@ const MUTANTS: &[Mutant] = &[
             replace: "        self.running.nominal2 = nominal2;\n        self.pace = Pace { speed: nominal, speed2: nominal2 };\n",
         }],
     },
+    Mutant {
+        name: "no-jerk-rule",
+        edits: &[Edit {
+            file: MOTION,
+            find: "self.planner.jerk_limited = settings.jerk.iter().any(|jerk| *jerk > 0.0);",
+            replace: "self.planner.jerk_limited = false;",
+        }],
+    },
+    Mutant {
+        name: "ramp-per-block",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "            if lesser(cap2, way.ceiling2) < reach2 {",
+            replace: "            if reach2 > 0.0 {\n                way = Way::to(lesser(square_root(cap2), ramp_speed(way.speed, way.distance, way.bounds)));\n            } else if lesser(cap2, way.ceiling2) < reach2 {",
+        }],
+    },
+    Mutant {
+        name: "jerk-of-one-axis-ignored",
+        edits: &[Edit {
+            file: MOTION,
+            find: "for (part, most) in way.iter().zip(self.jerk) {",
+            replace: "for (part, most) in way.iter().zip(self.jerk).skip(1) {",
+        }],
+    },
 ];
 
 /// What is copied: everything that the tests of motion are built from.
@@ -202,8 +226,19 @@ fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
 
 /// The tests of motion in the copy; the step traces of whole jobs first.
 fn tests_pass(tree: &Path) -> Result<bool, Failure> {
-    Ok(tests(tree, &["--test", "machine", "--", "motion_properties"])?
-        && tests(tree, &["--package", "oxmill-controller", "--lib", "--", "motion::tests::stops", "motion::segment"])?)
+    Ok(tests(tree, &["--test", "machine", "--", "motion_properties", "jerk"])?
+        && tests(
+            tree,
+            &[
+                "--package",
+                "oxmill-controller",
+                "--lib",
+                "--",
+                "motion::tests::stops",
+                "motion::tests::ramps",
+                "motion::segment",
+            ],
+        )?)
 }
 
 fn tests(tree: &Path, arguments: &[&str]) -> Result<bool, Failure> {

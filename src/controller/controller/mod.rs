@@ -940,6 +940,7 @@ fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) ->
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
         acceleration: settings.axes(AxisKey::Acceleration),
+        jerk: settings.axes(AxisKey::Jerk),
         backlash: settings.axes(AxisKey::Backlash),
         junction_deviation: settings.value(Key::JunctionDeviation),
         arc_tolerance: settings.value(Key::ArcTolerance),

@@ -14,10 +14,12 @@ mod block;
 mod curvature;
 mod extent;
 mod flight;
+mod jerk;
 mod kinematics;
 mod planner;
 mod profile;
 mod segment;
+mod smooth;
 pub mod stepper;
 
 pub use arc::{Arc, ArcGeometry};
@@ -56,6 +58,11 @@ const LEAST_SPEED: f32 = 5.0e-7;
 const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
 const GREATEST_ACCELERATION: f32 = 1.0e7;
+/// Jerk within what the settings allow, and what stands for none.
+const LEAST_JERK: f32 = 1.0;
+const GREATEST_JERK: f32 = 1.0e10;
+/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
+const LEAST_EASE: f32 = 0.004;
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
 const GREATEST_OVERRIDE: f32 = 100.0;
@@ -73,6 +80,8 @@ pub struct MotionSettings<const N: usize> {
     pub max_rate: PerAxis<f32, N>,
     /// Greatest acceleration of each axis, mm/s².
     pub acceleration: PerAxis<f32, N>,
+    /// Greatest jerk of each axis, mm/s³; 0 = as great as may be. All 0: ramps of even acceleration.
+    pub jerk: PerAxis<f32, N>,
     /// How far a corner may be cut in thought to find its speed, mm.
     pub junction_deviation: f32,
     /// Slack of each motor's drive, mm; 0 = none.
@@ -194,6 +203,7 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     backlash: Backlash<N>,
     max_rate: [f32; N],
     acceleration: [f32; N],
+    jerk: [f32; N],
     junction_deviation: f32,
     step_clock_hz: u32,
     pacer: Pacer,
@@ -224,6 +234,10 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     stood: Motors<N>,
     /// Speed at the end of what has been handed over: in units/s of the running block, mm/s between blocks.
     pace: Pace,
+    /// Acceleration along the path there, mm/s², and the least bound on it as far as it takes to ease it off; with a jerk
+    /// limit only.
+    pull: f32,
+    ahead: f32,
     far: Option<Far>,
     /// What has been handed over ends at rest.
     rest: bool,
@@ -286,6 +300,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 backlash: PerAxis::all(0.0),
                 max_rate: PerAxis::all(1.0),
                 acceleration: PerAxis::all(1.0),
+                jerk: PerAxis::all(0.0),
                 junction_deviation: 0.0,
                 arc_tolerance: 0.0,
                 step_clock_hz,
@@ -294,6 +309,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             backlash: Backlash::NONE,
             max_rate: [1.0; N],
             acceleration: [1.0; N],
+            jerk: [GREATEST_JERK; N],
             junction_deviation: 0.0,
             step_clock_hz,
             pacer: Pacer::new(step_clock_hz),
@@ -330,6 +346,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             start: Motors { steps: zero, lead: [0; N] },
             stood: Motors { steps: zero, lead: [0; N] },
             pace: Pace::REST,
+            pull: 0.0,
+            ahead: 0.0,
             far: None,
             rest: true,
             started: false,
@@ -346,6 +364,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
         self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
+        let jerk = |jerk| if jerk > 0.0 { bounded(jerk, LEAST_JERK, GREATEST_JERK) } else { GREATEST_JERK };
+        self.jerk = settings.jerk.0.map(jerk);
+        self.planner.jerk_limited = settings.jerk.iter().any(|jerk| *jerk > 0.0);
         self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
@@ -374,6 +395,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.running.active = false;
         self.far = None;
         self.pace = Pace::REST;
+        self.pull = 0.0;
         self.carried = 0.0;
         self.rest = true;
         self.start = motors;
@@ -530,6 +552,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
         let (mut acceleration, mut limit) = self.limits(&way, length);
+        block.jerk = self.jerk_along(&way, length, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
@@ -539,6 +562,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let speed = lesser(programmed, limit);
             if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
+                block.jerk = self.jerk_along(&motors, length, acceleration);
             }
         }
         block.directions = directions;
@@ -598,6 +622,21 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             }
         }
         (acceleration, limit)
+    }
+
+    /// Greatest jerk along a way of this length at which no axis goes beyond its own.
+    #[inline]
+    fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+        let mut jerk = acceleration / LEAST_EASE;
+        if self.planner.jerk_limited {
+            for (part, most) in way.iter().zip(self.jerk) {
+                let share = part.abs() / length;
+                if share * jerk > most {
+                    jerk = most / share;
+                }
+            }
+        }
+        jerk
     }
 
     /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
@@ -672,6 +711,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.line_number = self.running.line_number;
         block.length = length;
         (block.acceleration, block.limit) = self.limits(&way, length);
+        block.jerk = self.jerk_along(&way, length, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE;
         // The tool stands: a beam would burn a hole.
@@ -778,7 +818,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return;
         }
         self.running.nominal2 = nominal2;
-        if let Some(far) = &mut self.far {
+        // A tick on a ramp with bounded jerk is not hurried.
+        if let Some(far) = &mut self.far
+            && far.cut.acceleration == 0.0
+        {
             // The tick that is waited for comes sooner or later in proportion, as if the speed had changed at once: it is
             // a sixteenth of a step.
             let speed = far.cut.units as f32 / far.cut.seconds;
@@ -986,6 +1029,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             self.stood = self.start;
         }
         self.pace = self.pace.scaled(scale);
+        // Round a corner other axes feel it.
+        self.pull = greater(lesser(self.pull, block.acceleration), -block.acceleration);
         true
     }
 
@@ -993,11 +1038,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let clocks_per_ms = self.step_clock_hz / 1000;
         let far_fixed = u64::from(self.pacer.whole(FAR_MS * clocks_per_ms));
         if self.far.is_none() {
-            let (curve, left) = match self.curve() {
-                Some(curve) => curve,
-                None => return self.rest_here(),
+            let cut = if self.planner.jerk_limited {
+                self.smooth_cut()
+            } else {
+                self.curve().map(|(curve, left)| segment::cut(&curve, self.running.done, left, self.pace))
             };
-            let cut = segment::cut(&curve, self.running.done, left, self.pace);
+            let Some(cut) = cut else { return self.rest_here() };
             let time = self.pacer.fixed(cut.seconds);
             if cut.ticks > 1 || time <= far_fixed {
                 let time = u32::try_from(time).unwrap_or(u32::MAX);
@@ -1061,10 +1107,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn rest_here(&mut self) -> Segment {
         self.far = None;
         self.pace = Pace::REST;
+        self.pull = 0.0;
         self.rest = true;
         self.hold = Hold::Held;
         let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
-        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0 };
+        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0, acceleration: 0.0 };
         let interval = self.pacer.whole(clocks);
         self.hand_over(&still, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
@@ -1074,6 +1121,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
         self.running.done += cut.units;
         self.pace = cut.end;
+        self.pull = cut.acceleration;
         let ends = self.running.done >= self.running.total;
         let mut flags = 0;
         if ends && self.planner.len() < 2 {
@@ -1082,6 +1130,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.rest = self.pace.speed2 <= 0.0;
         if self.rest {
             flags = Segment::FLAG_LAST;
+            self.pull = 0.0;
             if self.hold == Hold::Ramp {
                 self.hold = Hold::Held;
             }

@@ -11,9 +11,27 @@
 //! the speed it really has, so a speed that cannot be reached is just not reached, and holds, overrides and late blocks
 //! need no repair of the queue. A new block changes the entries behind it only as far as they were limited by the old end
 //! of the queue; the walk stops at the first that stays.
+//!
+//! With a jerk limit a ramp, not a block, is the unit: its acceleration is zero at its two ends only, and it may span
+//! hundreds of blocks. The reverse pass then looks for anchors, the entries where a ramp ends:
+//!
+//! ```text
+//!        cap of the entries: corner and nominal speeds             speed
+//!   ─────o─┐                                        o────────────  o  anchor: planned speed, no acceleration
+//!          └─┐                              ┌───────┘              .  entry on the way to an anchor: how far it is,
+//!            │ .  .                         │ .                       and the tightest bounds on the way
+//!            │       .                     _o
+//!            │         '  .           _ '                          The ramp before an anchor rises, seen backwards, by its
+//!            └────────────── o ────o                               own length formula until it meets the next cap.
+//! ```
+//! An entry whose cap is above all that any ramp to the anchor can have there (v² + 2·a·distance, no jerk limit) is passed
+//! by all of them. Any other one puts a ceiling on the ramp; where the way suffices to fall from the ceiling, that entry
+//! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
+//! ramp begins in the middle of a block or from another state.
 
-use super::block::{Block, Overrides};
+use super::block::{Block, Overrides, Ramp};
 use super::curvature::{Bend, bend_speed2};
+use super::jerk::{Bounds, State, ramp_distance, ramp_speed};
 use super::profile::{lesser, square_root};
 
 /// Corners with less change of direction than this are straight: |difference of the unit vectors|² of 2 × 10⁻⁶ is the
@@ -61,6 +79,43 @@ pub(super) fn corner_speed2<const N: usize>(
     lesser(corner2, bend_speed2(previous, current, turn2, lengths, acceleration))
 }
 
+/// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
+/// anchor at each of them would cost more than the tighter bounds.
+const ALIKE: f32 = 0.8;
+
+/// The way back from an anchor, while the reverse pass goes along it.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    speed: f32,
+    distance: f32,
+    ceiling2: f32,
+    bounds: Bounds,
+}
+
+impl Way {
+    fn to(speed: f32) -> Self {
+        Self { speed, distance: 0.0, ceiling2: f32::INFINITY, bounds: Bounds::NONE }
+    }
+
+    /// Whether a block with these bounds is of another kind than those on the way.
+    #[inline]
+    fn differs(&self, own: Bounds) -> bool {
+        let apart = |a: f32, b: f32| a < ALIKE * b || b < ALIKE * a;
+        apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
+    }
+
+    /// The speed of an anchor right here, if a ramp from `cap2` gets shorter by ending here and not with this way: a block
+    /// with tight bounds would else spoil all of a long ramp.
+    #[inline(never)]
+    fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
+        let ceiling = square_root(self.ceiling2);
+        let top = lesser(square_root(cap2), ceiling);
+        let here = lesser(ramp_speed(self.speed, self.distance, self.bounds), ceiling);
+        let joined = ramp_distance(top, self.speed, self.bounds.and(own)) - self.distance;
+        (ramp_distance(top, here, own) < joined).then_some(here)
+    }
+}
+
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Clone, Debug)]
 pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
@@ -69,12 +124,14 @@ pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
     len: usize,
     /// Limits have changed from this place on.
     changed: usize,
+    /// Whether ramps have bounded jerk.
+    pub jerk_limited: bool,
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     #[inline(always)]
     pub(super) const fn new() -> Self {
-        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0 }
+        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0, jerk_limited: false }
     }
 
     #[inline]
@@ -100,7 +157,13 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// Entry speed² of the second block, the exit of the first; 0 without one.
     #[inline]
     pub(super) fn exit2(&self) -> f32 {
-        if self.len < 2 { 0.0 } else { self.blocks.get(self.slot(1)).map_or(0.0, |block| block.entry2) }
+        let Some(next) = self.block(1) else { return 0.0 };
+        if next.ramp.distance > 0.0 {
+            // On the way to an anchor, in a crawl that knows no jerk.
+            let reach2 = next.entry2 + 2.0 * next.ramp.bounds().acceleration * next.ramp.distance;
+            return lesser(reach2, next.ramp.ceiling2);
+        }
+        next.entry2
     }
 
     pub(super) fn clear(&mut self) {
@@ -151,7 +214,11 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// Brings the entries into line with what has been appended and limited.
     pub(super) fn plan(&mut self) {
-        self.reverse_pass();
+        if self.jerk_limited {
+            self.reverse_pass_to_anchors();
+        } else {
+            self.reverse_pass();
+        }
     }
 
     /// Applies new overrides to all blocks.
@@ -167,7 +234,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             }
         }
         self.changed = 0;
-        self.reverse_pass();
+        self.plan();
     }
 
     /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
@@ -186,5 +253,143 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             block.entry2 = entry2;
             exit2 = entry2;
         }
+    }
+
+    /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
+    /// as anchors change.
+    #[inline(never)]
+    fn reverse_pass_to_anchors(&mut self) {
+        let mut way = Way::to(0.0);
+        let mut place = self.len;
+        while place > 1 {
+            place -= 1;
+            let slot = self.slot(place);
+            let Some(block) = self.blocks.get(slot) else { return };
+            let own = block.bounds().rounded_down();
+            let (length, cap2) = (block.length, block.max_entry2);
+            if way.distance > 0.0
+                && way.differs(own)
+                && let Some(speed) = way.better_anchor(own, cap2)
+            {
+                way = Way::to(speed);
+                let slot = self.slot(place + 1);
+                if let Some(next) = self.blocks.get_mut(slot) {
+                    (next.entry2, next.ramp) = (speed * speed, Ramp::ANCHOR);
+                }
+            }
+            way.distance += length;
+            way.bounds = way.bounds.and(own);
+            let reach2 = way.speed * way.speed + 2.0 * way.bounds.acceleration * way.distance;
+            if lesser(cap2, way.ceiling2) < reach2 {
+                way.ceiling2 = lesser(cap2, way.ceiling2);
+                let ceiling = square_root(way.ceiling2);
+                if ramp_distance(ceiling, way.speed, way.bounds) <= way.distance {
+                    way = Way::to(ceiling);
+                }
+            }
+            let Some(block) = self.blocks.get_mut(slot) else { return };
+            let entry2 = way.speed * way.speed;
+            if way.distance > 0.0 {
+                block.ramp = Ramp::new(way.distance, way.ceiling2, way.bounds);
+            } else if place < self.changed && block.entry2 == entry2 && block.ramp == Ramp::ANCHOR {
+                return;
+            } else {
+                block.ramp = Ramp::ANCHOR;
+            }
+            block.entry2 = entry2;
+        }
+    }
+
+    #[inline]
+    fn block(&self, place: usize) -> Option<&Block<N>> {
+        if place < self.len { self.blocks.get(self.slot(place)) } else { None }
+    }
+
+    /// Whether a machine `left` mm before the end of the first block may be in this state: whether it can ease off its
+    /// acceleration, or go on braking, and meet all that is planned behind. If so, the least acceleration bound on the way
+    /// on which it would ease off.
+    pub(super) fn allows(&self, state: State, left: f32, nominal: f32) -> Option<f32> {
+        let first = self.first()?;
+        if state.acceleration < 0.0 {
+            let target = self.target(0, left, first.bounds());
+            let (valley, _) = state.valley(first.jerk);
+            return (valley <= nominal && target.is_met(state)).then_some(first.acceleration);
+        }
+        let Bounds { mut acceleration, mut jerk } = first.bounds();
+        let mut own = first.bounds();
+        let (mut summit, mut ahead) = state.summit(jerk);
+        if summit > nominal {
+            return None;
+        }
+        let mut place = 0;
+        let mut end = left;
+        while ahead > end {
+            place += 1;
+            let block = self.block(place)?;
+            if block.ramp.distance == 0.0 && summit * summit > block.entry2 {
+                return None;
+            }
+            own = block.bounds();
+            acceleration = lesser(acceleration, own.acceleration);
+            if own.jerk < jerk {
+                jerk = own.jerk;
+                (summit, ahead) = state.summit(jerk);
+            }
+            end += block.length;
+        }
+        let stands = State { speed: summit, acceleration: 0.0 };
+        self.target(place, end - ahead, own).is_met(stands).then_some(acceleration)
+    }
+
+    /// What a ramp has to reach that begins `left` mm before the end of the block at a place.
+    #[inline]
+    pub(super) fn target(&self, place: usize, left: f32, own: Bounds) -> Target {
+        let Some(next) = self.block(place + 1) else {
+            return Target { speed: 0.0, distance: left, ceiling: f32::INFINITY, bounds: own };
+        };
+        Target {
+            speed: square_root(next.entry2),
+            distance: left + next.ramp.distance,
+            ceiling: square_root(next.ramp.ceiling2),
+            bounds: next.ramp.bounds().and(own),
+        }
+    }
+
+    /// The tightest bounds within a distance, `left` mm of which are in the first block.
+    pub(super) fn bounds_within(&self, distance: f32, left: f32) -> Bounds {
+        let mut bounds = self.first().map_or(Bounds::NONE, Block::bounds);
+        let (mut place, mut end) = (0, left);
+        while distance > end {
+            place += 1;
+            let Some(block) = self.block(place) else { break };
+            bounds = bounds.and(block.bounds());
+            end += block.length;
+        }
+        bounds
+    }
+}
+
+/// The next anchor, seen from a place before it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Target {
+    pub speed: f32,
+    pub distance: f32,
+    ceiling: f32,
+    pub bounds: Bounds,
+}
+
+impl Target {
+    /// Where the ramp has to come to first: down to the ceiling, in the same block as yet.
+    pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
+        if speed <= self.ceiling {
+            return (self.speed, self.distance);
+        }
+        (self.ceiling, self.distance - ramp_distance(self.ceiling, self.speed, self.bounds))
+    }
+
+    /// Whether a machine in this state, not accelerating, can come down in time.
+    fn is_met(&self, state: State) -> bool {
+        let (speed, distance) = self.nearest(state.speed);
+        state.lands(speed, distance, self.bounds)
     }
 }

@@ -7,7 +7,7 @@
 //!  now²     /                      \  exit²
 //! ```
 //! Distances in units (1/16 step of the dominant axis), speeds in units/s. A speed above the curve (after an override)
-//! falls by 2·a per unit until it meets it, over the end of the block if it must. A jerk limit would shape these edges.
+//! falls by 2·a per unit until it meets it, over the end of the block if it must.
 
 /// The one square root of the controller: IEEE, so the same on every machine.
 pub(super) use oxmill_root::square_root;

@@ -29,6 +29,8 @@ pub(super) struct Cut {
     pub end: Pace,
     /// Change of the interval from tick to tick, in seconds.
     pub ramp: f32,
+    /// Acceleration at its end, mm/s²; only with a jerk limit.
+    pub acceleration: f32,
 }
 
 /// Speed in units/s above which `level` is not needed.
@@ -43,6 +45,69 @@ fn level_for(speed: f32) -> u8 {
         level += 1;
     }
     level
+}
+
+/// Units of a tick of this level `done` units after the start of a block, or as many as the place and the `left` units
+/// allow; and how many units such ticks may go.
+#[inline(always)]
+fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
+    // A coarser tick begins at its own multiples only: until there, ticks as fine as the place allows.
+    let mut grain = UNITS_PER_STEP >> level;
+    let mut limit = left;
+    let astray = done & (grain - 1);
+    if astray != 0 {
+        limit = limit.min(grain - astray);
+        grain = 1 << done.trailing_zeros();
+    }
+    while grain > limit {
+        grain >>= 1;
+    }
+    (grain, limit)
+}
+
+/// A piece of about a millisecond: units of a tick, and how many ticks.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece {
+    pub grain: u32,
+    pub ticks: u32,
+}
+
+impl Piece {
+    /// The piece that a machine of this pace and acceleration (units, seconds) goes next.
+    #[inline]
+    pub(super) fn next(pace: Pace, acceleration: f32, done: u32, left: u32) -> Self {
+        let level = level_for(pace.speed);
+        let mut reach = (pace.speed + 0.5 * acceleration * SEGMENT_TIME) * SEGMENT_TIME;
+        let steepness = acceleration.abs();
+        if steepness * SEGMENT_TIME > 1.0e-6 * pace.speed {
+            reach = lesser(reach, EVEN * pace.speed2 / steepness);
+            let edge = match acceleration > 0.0 {
+                true if level > 0 => level_speed(level - 1),
+                false if level < MAX_LEVEL => level_speed(level),
+                _ => f32::INFINITY,
+            };
+            reach = lesser(reach, (edge * edge - pace.speed2).abs() / (2.0 * steepness));
+        }
+        let (grain, limit) = grain(level, done, left);
+        let mut units = if reach > 0.0 { reach as u32 } else { 0 };
+        if units >= UNITS_PER_STEP && units < limit {
+            units = ((done + units) & !(UNITS_PER_STEP - 1)) - done;
+        }
+        let most = (limit / grain).min(u32::from(u16::MAX));
+        Self { grain, ticks: (units / grain).clamp(1, most) }
+    }
+
+    /// The piece as it is gone from one speed to another (units/s) in so many seconds.
+    #[inline]
+    pub(super) fn cut(self, speed: f32, end: Pace, seconds: f32) -> Cut {
+        let Self { grain, ticks } = self;
+        let mut ramp = 0.0;
+        if ticks > 1 && speed > 0.0 && end.speed > 0.0 {
+            ramp = grain as f32 * (speed - end.speed) / (speed * end.speed) / ticks as f32;
+        }
+        let level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
+        Cut { units: ticks * grain, level, ticks, seconds, end, ramp, acceleration: 0.0 }
+    }
 }
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
@@ -68,17 +133,7 @@ pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
         }
     }
 
-    // A coarser tick begins at its own multiples only: until there, ticks as fine as the place allows.
-    let mut grain = UNITS_PER_STEP >> level;
-    let mut limit = left;
-    let astray = done & (grain - 1);
-    if astray != 0 {
-        limit = limit.min(grain - astray);
-        grain = 1 << done.trailing_zeros();
-    }
-    while grain > limit {
-        grain >>= 1;
-    }
+    let (grain, limit) = grain(level, done, left);
     level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
 
     let units = if phase.length <= reach {
@@ -101,7 +156,7 @@ pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
         // The interval is grain / speed at either end of the segment.
         ramp = grain as f32 * (speed - end.speed) / (speed * end.speed) / ticks as f32;
     }
-    Cut { units, level, ticks, seconds, end, ramp }
+    Cut { units, level, ticks, seconds, end, ramp, acceleration: 0.0 }
 }
 
 /// Intervals of one segment.

@@ -66,6 +66,7 @@ pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
         steps_per_mm: PerAxis::all(StepsPerMm::new(spm).unwrap()),
         max_rate: PerAxis::all(rate),
         acceleration: PerAxis::all(acceleration),
+        jerk: PerAxis::all(0.0),
         backlash: PerAxis::all(0.0),
         junction_deviation: 0.01,
         arc_tolerance: 0.002,

@@ -1,0 +1,251 @@
+//! Changes of speed with bounded jerk: how far they reach, and how a machine in motion goes on.
+//!
+//! ```text
+//!  speed  from ____                       acceleration   0 ___                 ___
+//!                  \__  a = -j·t                              \             /
+//!                     \                                        \           /   slope ±j
+//!                      \   a = -A                            -A \_________/
+//!                       \__
+//!                          \____ to       distance = mean speed · time; the curve is the same seen from either end,
+//!                                         so its mean speed is that of its ends
+//! ```
+//! Millimetres and seconds. Only + - * / and the root, so that every machine computes the same.
+
+use super::profile::{greater, lesser, square_root};
+
+/// The state of motion along the path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct State {
+    pub speed: f32,
+    pub acceleration: f32,
+}
+
+/// What bounds a change of speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bounds {
+    pub acceleration: f32,
+    pub jerk: f32,
+}
+
+impl Bounds {
+    pub(super) const NONE: Self = Self { acceleration: f32::INFINITY, jerk: f32::INFINITY };
+
+    /// Not more than these, in numbers of which the upper half says all.
+    #[inline]
+    pub(super) fn rounded_down(self) -> Self {
+        let upper = |value: f32| f32::from_bits(value.to_bits() & 0xFFFF_0000);
+        Self { acceleration: upper(self.acceleration), jerk: upper(self.jerk) }
+    }
+
+    /// The tighter of both.
+    #[inline]
+    pub(super) fn and(self, other: Self) -> Self {
+        Self { acceleration: lesser(self.acceleration, other.acceleration), jerk: lesser(self.jerk, other.jerk) }
+    }
+}
+
+/// The distance that falling from one speed to a lower one takes, without acceleration at both ends; the same upwards.
+#[inline]
+pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
+    let change = from - to;
+    if change <= 0.0 {
+        return 0.0;
+    }
+    let Bounds { acceleration, jerk } = bounds;
+    let time = if change * jerk >= acceleration * acceleration {
+        change / acceleration + acceleration / jerk
+    } else {
+        // Too small to come to the greatest acceleration: half of the time it grows, half it falls.
+        2.0 * square_root(change / jerk)
+    };
+    0.5 * (from + to) * time
+}
+
+/// The greatest speed from which `distance` suffices to fall to `to`: the inverse of [`ramp_distance`].
+pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
+    let Bounds { acceleration, jerk } = bounds;
+    // (to + x / 2)·(x / a + a / j) = distance
+    let least = to * acceleration / jerk;
+    if distance > least {
+        let half = to / acceleration + 0.5 * acceleration / jerk;
+        let change = acceleration * (square_root(half * half + 2.0 * (distance - least) / acceleration) - half);
+        if change * jerk >= acceleration * acceleration {
+            return to + change;
+        }
+    }
+    // With y² = x / j... y = √x: y³ + 2·to·y = distance·√j, convex, and both terms alone give a y that is too great.
+    let wanted = distance * square_root(jerk);
+    let mut root = cube_root(wanted);
+    if 2.0 * to * root > wanted {
+        root = wanted / (2.0 * to);
+    }
+    for _ in 0..NEWTON {
+        let square = root * root;
+        root = (2.0 * square * root + wanted) / (3.0 * square + 2.0 * to);
+    }
+    to + root * root
+}
+
+/// Steps of Newton's method from the greater of two bounds that are apart by a factor of 1.4 at most: 24 bits.
+const NEWTON: u32 = 4;
+
+/// The third root, for what is not negative.
+#[inline]
+pub(super) fn cube_root(value: f32) -> f32 {
+    if value <= f32::MIN_POSITIVE {
+        return 0.0;
+    }
+    // A third of the exponent: within 6 %.
+    let mut root = f32::from_bits(value.to_bits() / 3 + 0x2A51_4067);
+    for _ in 0..3 {
+        root = (2.0 * root + value / (root * root)) * (1.0 / 3.0);
+    }
+    root
+}
+
+impl State {
+    /// The speed without acceleration that belongs to this state: after easing off an acceleration, or before a braking
+    /// set in; and how far ahead it lies (behind, if negative).
+    #[inline]
+    pub(super) fn summit(self, jerk: f32) -> (f32, f32) {
+        let time = self.acceleration / jerk;
+        let gain = self.acceleration * time;
+        (self.speed + 0.5 * gain, time * (self.speed + gain * (1.0 / 3.0)))
+    }
+
+    /// The speed at which a braking can be eased off, and the distance until there.
+    #[inline]
+    pub(super) fn valley(self, jerk: f32) -> (f32, f32) {
+        let time = -self.acceleration / jerk;
+        let loss = -self.acceleration * time;
+        (self.speed - 0.5 * loss, time * (self.speed - loss * (1.0 / 3.0)))
+    }
+
+    /// Whether a braking machine can come down to `target` within `distance`, and be without acceleration there.
+    pub(super) fn lands(self, target: f32, distance: f32, bounds: Bounds) -> bool {
+        let (valley, way) = self.valley(bounds.jerk);
+        if valley <= target {
+            return self.speed <= target || way <= distance;
+        }
+        self.falls(target, distance, bounds)
+    }
+
+    /// Whether from the summit that belongs to this state the ramp to `target` ends within `distance` from here.
+    #[inline]
+    pub(super) fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
+        let (summit, ahead) = self.summit(bounds.jerk);
+        summit <= target || ramp_distance(summit, target, bounds) + ahead <= distance
+    }
+
+    /// The acceleration after `time` with which the machine comes to `nominal` soonest and without acceleration.
+    #[inline]
+    pub(super) fn towards(self, nominal: f32, time: f32, bounds: Bounds) -> f32 {
+        let Bounds { acceleration, jerk } = bounds;
+        let half = 0.5 * jerk * time;
+        let excess = self.speed + 0.5 * self.acceleration * time - nominal;
+        // Zero is reached after a / j at the speed v ± a² / 2j; that speed shall be the nominal one.
+        let wanted = if excess < 0.0 {
+            square_root(half * half - 2.0 * jerk * excess) - half
+        } else {
+            half - square_root(half * half + 2.0 * jerk * excess)
+        };
+        greater(lesser(wanted, acceleration), -acceleration)
+    }
+}
+
+/// The acceleration at a speed with which an even jerk ends at `target` without acceleration, just after `distance`:
+/// followed from place to place it is a curve of even jerk, whatever small errors come in between.
+#[inline]
+pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
+    -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOUNDS: Bounds = Bounds { acceleration: 500.0, jerk: 10_000.0 };
+
+    /// Brakes in small steps of time, from one speed to another.
+    fn brake(from: f64, to: f64, bounds: Bounds) -> f64 {
+        let (a, j) = (f64::from(bounds.acceleration), f64::from(bounds.jerk));
+        let change = from - to;
+        let (ramp, level) = if change * j >= a * a { (a / j, change / a - a / j) } else { ((change / j).sqrt(), 0.0) };
+        let steps = 100_000;
+        let whole = 2.0 * ramp + level;
+        let dt = whole / f64::from(steps);
+        let (mut v, mut way) = (from, 0.0);
+        for k in 0..steps {
+            let t = (f64::from(k) + 0.5) * dt;
+            let pull = j * t.min(whole - t).min(ramp);
+            way += (v - 0.5 * pull * dt) * dt;
+            v -= pull * dt;
+        }
+        assert!((v - to).abs() < 1e-6);
+        way
+    }
+
+    #[test]
+    fn a_ramp_is_as_long_as_its_integral() {
+        for (from, to) in [(100.0, 0.0), (100.0, 90.0), (30.0, 10.0), (5.0, 0.0), (0.1, 0.0), (200.0, 199.9)] {
+            let way = ramp_distance(from as f32, to as f32, BOUNDS);
+            let exact = brake(from, to, BOUNDS);
+            assert!((f64::from(way) / exact - 1.0).abs() < 1e-4, "{from} {to}: {way} {exact}");
+        }
+    }
+
+    #[test]
+    fn the_speed_of_a_ramp_is_the_inverse_of_its_length() {
+        for jerk in [100.0, 1.0e4, 1.0e6, 1.0e9] {
+            for to in [0.0, 0.01, 1.0, 30.0, 500.0] {
+                for change in [1.0e-3, 0.1, 1.0, 24.0, 26.0, 100.0, 1000.0] {
+                    let bounds = Bounds { jerk, ..BOUNDS };
+                    let from = to + change;
+                    let found = ramp_speed(to, ramp_distance(from, to, bounds), bounds);
+                    assert!((found - from).abs() < 2e-5 * from + 1e-3 * change, "{jerk} {to} {from}: {found}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn third_roots() {
+        for k in 0..2000 {
+            let value = 1.0e-20 * 1.06_f32.powi(k % 1200) * (1.0 + k as f32 * 1e-3);
+            let root = f64::from(cube_root(value));
+            assert!((root.powi(3) / f64::from(value) - 1.0).abs() < 1e-6, "{value}");
+        }
+        assert_eq!(cube_root(0.0), 0.0);
+    }
+
+    /// A state in the midst of a ramp belongs to that ramp's summit, and can land where the ramp ends and no sooner.
+    #[test]
+    fn states_within_a_ramp_belong_to_it() {
+        let (from, to) = (80.0_f32, 20.0);
+        let whole = ramp_distance(from, to, BOUNDS);
+        let mut state = State { speed: from, acceleration: 0.0 };
+        let mut way = 0.0;
+        for _ in 0..45 {
+            let time = 0.001;
+            let gone = time * (state.speed + time * (0.5 * state.acceleration - time * BOUNDS.jerk / 6.0));
+            state.speed += time * (state.acceleration - 0.5 * BOUNDS.jerk * time);
+            state.acceleration -= BOUNDS.jerk * time;
+            way += gone;
+            let (summit, ahead) = state.summit(BOUNDS.jerk);
+            assert!((summit - from).abs() < 1e-3 && (ahead + way).abs() < 1e-3, "{summit} {ahead} {way}");
+            assert!(state.lands(to, whole - way + 0.01, BOUNDS));
+            assert!(!state.lands(to, whole - way - 0.01, BOUNDS));
+        }
+    }
+
+    #[test]
+    fn a_landing_has_an_even_jerk() {
+        let (target, jerk) = (7.0_f32, 3000.0_f32);
+        for time in [0.001_f32, 0.01, 0.1] {
+            let speed = target + 0.5 * jerk * time * time;
+            let distance = target * time + jerk * time * time * time / 6.0;
+            let wanted = -jerk * time;
+            assert!((landing(speed, target, distance) / wanted - 1.0).abs() < 1e-2, "{time}");
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! Ramps with bounded jerk, followed segment by segment without the step task.
+
+use super::super::{Motion, MotionSettings, Move, Speed};
+use super::rig::{settings, to};
+use crate::axes::PerAxis;
+use crate::messages::{Observed, Segment, ToStep};
+use proptest::prelude::*;
+
+/// The state at the end of a segment.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    time: f64,
+    seconds: f64,
+    speed: f64,
+    acceleration: f64,
+    /// Of the block: bounds, nominal speed, mm of a step, and what its entry allows.
+    bound: f64,
+    jerk: f64,
+    nominal: f64,
+    pitch: f64,
+    corner: f64,
+    block: usize,
+    last: bool,
+}
+
+struct Course<const B: usize> {
+    motion: Motion<3, B>,
+    moves: std::vec::IntoIter<Move<3>>,
+    next: Option<Move<3>>,
+    observed: Observed,
+    points: Vec<Point>,
+    time: f64,
+    blocks: usize,
+    pub entries: Vec<f64>,
+}
+
+impl<const B: usize> Course<B> {
+    fn new(settings: MotionSettings<3>, moves: Vec<Move<3>>) -> Self {
+        let mut motion = Motion::new(settings);
+        motion.start();
+        let mut moves = moves.into_iter();
+        let next = moves.next();
+        Self {
+            motion,
+            moves,
+            next,
+            observed: Observed::default(),
+            points: Vec::new(),
+            time: 0.0,
+            blocks: 0,
+            entries: Vec::new(),
+        }
+    }
+
+    /// Fills the queue, at most `most` moves.
+    fn fill(&mut self, most: usize) {
+        for _ in 0..most {
+            let Some(m) = &self.next else { break };
+            if !self.motion.line(m) {
+                break;
+            }
+            self.next = self.moves.next();
+        }
+        self.motion.start();
+    }
+
+    /// One message; `false` if there is none.
+    fn step(&mut self) -> bool {
+        let Some(message) = self.motion.next(&self.observed) else { return false };
+        let ToStep::Segment(segment) = message else {
+            if let ToStep::Block { .. } = message {
+                self.blocks += 1;
+                self.entries.push(f64::from(self.motion.pace.speed / self.motion.running.scale));
+            }
+            return true;
+        };
+        self.observed.segments_begun += 1;
+        let ticks = f64::from(segment.ticks);
+        let clocks = f64::from(segment.interval) * ticks + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
+        let seconds = clocks / 4096.0 / f64::from(self.motion.step_clock_hz);
+        self.time += seconds;
+        let run = &self.motion.running;
+        let scale = f64::from(run.scale);
+        let speed = f64::from(self.motion.pace.speed) / if run.active { scale } else { 1.0 };
+        let old = self.points.last().filter(|p| p.block == self.blocks).copied();
+        let (jerk, corner) = match (old, self.motion.planner.first()) {
+            (Some(old), _) => (old.jerk, old.corner),
+            (None, Some(block)) => (f64::from(block.jerk), f64::from(block.max_entry2).sqrt()),
+            _ => (1.0e10, 0.0),
+        };
+        if segment.flags & Segment::FLAG_WAIT != 0 {
+            if let Some(p) = self.points.last_mut() {
+                p.time = self.time;
+                p.seconds += seconds;
+            }
+            return true;
+        }
+        self.points.push(Point {
+            time: self.time,
+            seconds,
+            speed,
+            acceleration: f64::from(self.motion.pull),
+            bound: f64::from(run.acceleration) / scale,
+            jerk,
+            nominal: f64::from(run.nominal2).sqrt() / scale,
+            pitch: 16.0 / scale,
+            corner,
+            block: self.blocks,
+            last: segment.flags & Segment::FLAG_LAST != 0,
+        });
+        true
+    }
+
+    fn run(&mut self) {
+        loop {
+            self.fill(usize::MAX);
+            if !self.step() {
+                assert!(self.next.is_none() && self.motion.queued_blocks() == 0);
+                return;
+            }
+        }
+    }
+
+    fn faults(&self, overridden: bool) -> Vec<String> {
+        let mut faults = Vec::new();
+        for pair in self.points.windows(2) {
+            let [a, b] = pair else { continue };
+            if a.last || b.last {
+                continue;
+            }
+            if !overridden
+                && a.block != b.block
+                && a.speed.powi(2) > (b.corner * 1.01).powi(2) + 0.5 * a.bound * a.pitch
+            {
+                faults.push(format!("corner {a:?}\n  {b:?}"));
+            }
+            if b.acceleration.abs() > b.bound * 1.01 {
+                faults.push(format!("acceleration {a:?}\n  {b:?}"));
+            }
+            if !overridden && b.speed > b.nominal * 1.005 && a.block == b.block {
+                faults.push(format!("nominal {a:?}\n  {b:?}"));
+            }
+            let seen = (b.acceleration - a.acceleration).abs();
+            let jerk = a.jerk.max(b.jerk);
+            // Within a step ramps need not be smooth.
+            let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
+            if b.speed > crawl
+                && seen
+                    > jerk * b.seconds * 1.05
+                        + 0.01 * b.bound
+                        + if a.block == b.block { 0.0 } else { (a.bound - b.bound).abs() }
+            {
+                faults.push(format!("jerk {} {a:?}\n  {b:?}", seen / b.seconds));
+            }
+        }
+        faults
+    }
+}
+
+fn machine(jerk: f32) -> MotionSettings<3> {
+    let mut config = settings(80.0, 500.0, 500.0);
+    config.jerk = PerAxis::all(jerk);
+    config
+}
+
+fn line(length: f64, blocks: u32, feed: f32) -> Vec<Move<3>> {
+    (1..=blocks).map(|k| to([length * f64::from(k) / f64::from(blocks), 0.0, 0.0], Speed::Feed(feed))).collect()
+}
+
+#[test]
+fn blocks_do_not_show_in_a_ramp() {
+    // The last is too short for the greatest acceleration: four ramps of even jerk.
+    for (length, feed, ideal) in [(50.0, 100.0, 0.75), (10.0, 200.0, 0.337_08), (1.0, 100.0, (32.0e-4_f64).cbrt())] {
+        for blocks in [1, 7, 80, 500] {
+            if blocks > 80 && length < 10.0 {
+                continue;
+            }
+            let mut course = Course::<512>::new(machine(1.0e4), line(length, blocks, feed));
+            course.run();
+            assert!(
+                (course.time / ideal - 1.0).abs() < 0.005 + 0.015 / length,
+                "{blocks}: {} of {ideal} s",
+                course.time
+            );
+            assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
+        }
+    }
+}
+
+/// Two blocks of a chain lean on an axis that takes but half of the acceleration, in the midst of the ramps up and down.
+#[test]
+fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
+    let mut config = machine(5.0e3);
+    config.acceleration.0[2] = 0.25;
+    let moves = (1..=200).map(|k| {
+        let z = if (14..=190).contains(&k) { 0.0004 } else { 0.0 };
+        to([0.75 * f64::from(k), 0.0, z], Speed::Feed(100.0))
+    });
+    let mut course = Course::<512>::new(config, moves.collect());
+    course.run();
+    assert!(course.points.iter().any(|p| p.bound < 490.0), "no block is slow");
+    assert!(course.time < 1.8 * 1.05, "{} s of 1.8", course.time);
+    assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
+}
+
+fn job() -> impl Strategy<Value = Vec<Move<3>>> {
+    let piece = prop_oneof![
+        (0_u32..360, 1_u32..4000, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            f64::from(turn),
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            0.0
+        )),
+        (0_u32..40, 1_u32..400, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            f64::from(turn) * 0.1,
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            0.0
+        )),
+        (0_u32..40, 1_u32..100, 10_u32..200, 20.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+            0.0,
+            f64::from(length) * 0.01,
+            count,
+            feed,
+            f64::from(turn) * 0.1 - 2.0
+        )),
+    ];
+    prop::collection::vec(piece, 1..10).prop_map(|pieces| {
+        let (mut at, mut angle, mut moves) = ([0.0, 0.0, 0.0], 0.0_f64, Vec::new());
+        for (turn, length, count, feed, bend) in pieces {
+            angle += turn;
+            for _ in 0..count {
+                angle += bend;
+                at[0] += length * angle.to_radians().cos();
+                at[1] += length * angle.to_radians().sin();
+                moves.push(to(at, Speed::Feed(feed)));
+            }
+        }
+        moves
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, max_shrink_iters: 500, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn disturbed(
+        moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0,
+        events in prop::collection::vec((1_usize..600, 0_u8..8, 0_usize..6), 1..30),
+    ) {
+        let mut config = machine(jerk);
+        config.acceleration.0[1] *= unequal;
+        config.jerk.0[1] *= 1.3 - unequal;
+        let mut course = Course::<600>::new(config, moves);
+        course.fill(3);
+        for (messages, what, moves) in events {
+            course.motion.start();
+            for _ in 0..messages {
+                course.step();
+                if moves > 0 && course.blocks.is_multiple_of(3) { course.fill(1); }
+            }
+            match what {
+                0 | 1 => course.motion.hold(),
+                2 | 3 => course.motion.resume(),
+                4 => course.motion.set_overrides(0.1, 1.0),
+                5 => course.motion.set_overrides(2.0, 1.0),
+                6 => course.motion.set_overrides(0.7, 1.0),
+                _ => course.fill(moves),
+            }
+        }
+        course.motion.resume();
+        course.run();
+        let faults = course.faults(true);
+        prop_assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.iter().take(3).cloned().collect::<Vec<_>>().join("\n"));
+    }
+
+    #[test]
+    fn courses(moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0) {
+        let mut config = machine(jerk);
+        config.acceleration.0[1] *= unequal;
+        config.jerk.0[1] *= 1.3 - unequal;
+        let mut course = Course::<600>::new(config, moves);
+        course.run();
+        let faults = course.faults(false);
+        prop_assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.iter().take(3).cloned().collect::<Vec<_>>().join("\n"));
+    }
+}

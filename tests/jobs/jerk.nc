@@ -1,0 +1,22 @@
+(ramps with bounded jerk: a line, a corner, a chain of short moves, an arc)
+$120=400
+$121=400
+$122=200
+$110=4000
+$111=4000
+$220=8000
+$221=5000
+$222=0
+G21 G90 G17
+G1 X10 Y2 F3000
+Y10
+X9.9 Y10.1
+X9.8 Y10.2
+X9.7 Y10.3
+X9.6 Y10.4
+X9.5 Y10.5
+X6 Y14
+G2 X2 Y10 I-4 J0
+G1 X0 Y0 Z1 F2000
+Z0
+G0 X3 Y1

@@ -1,0 +1,276 @@
+//! Jerk-limited motion: bounded at any time, not slower at the borders of blocks, near the shortest possible time.
+
+use super::estimator::{Limits, Line, check, check_jerk};
+use super::oracle::AXES;
+use super::rig::{HZ, Rig};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use std::fmt::Write;
+
+const MACHINE: Limits =
+    Limits { steps_per_mm: [400.0; AXES], rate: [200.0; AXES], acceleration: [500.0; AXES], junction_deviation: 0.02 };
+
+fn settings(limits: &Limits, jerk: [f64; AXES]) -> String {
+    let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
+    for (axis, jerk) in jerk.iter().enumerate() {
+        writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
+        writeln!(text, "$11{axis}={}", limits.rate[axis] * 60.0).unwrap();
+        writeln!(text, "$12{axis}={}", limits.acceleration[axis]).unwrap();
+        writeln!(text, "$22{axis}={jerk}").unwrap();
+    }
+    text
+}
+
+/// A program in the plane and what it should do.
+#[derive(Clone, Debug)]
+struct Job {
+    text: String,
+    at: [i64; AXES],
+    lines: Vec<Line>,
+}
+
+fn mm(place: [i64; AXES]) -> [f64; AXES] {
+    place.map(|v| v as f64 / 1000.0)
+}
+
+impl Job {
+    fn new() -> Job {
+        Job { text: "G21 G90 G94 G17\n".into(), at: [0; AXES], lines: Vec::new() }
+    }
+
+    /// To a place in mm, rounded to micrometres, at a feed in mm/s.
+    fn to(&mut self, place: [f64; AXES], feed: f64) {
+        let place = place.map(|v| (v * 1000.0).round() as i64);
+        if place == self.at {
+            return;
+        }
+        let [x, y, z] = mm(place);
+        writeln!(self.text, "G1 X{x:.3} Y{y:.3} Z{z:.3} F{:.3}", feed * 60.0).unwrap();
+        self.lines.push(Line { from: mm(self.at), to: mm(place), feed: Some(feed) });
+        self.at = place;
+    }
+
+    fn line(length: f64, blocks: u32, feed: f64) -> Job {
+        let mut job = Job::new();
+        for k in 1..=blocks {
+            job.to([length * f64::from(k) / f64::from(blocks), 0.0, 0.0], feed);
+        }
+        job
+    }
+
+    /// Runs it on a machine, checks the path and all limits, and gives the seconds from the first to the last step.
+    fn run(&self, limits: &Limits, jerk: [f64; AXES]) -> f64 {
+        let mut rig = Rig::with(&settings(limits, jerk));
+        rig.run_clean(&self.text);
+        assert_eq!(rig.place, limits.place(mm(self.at)));
+        check(&rig.trace, HZ as f64, &self.lines, limits).unwrap();
+        let most = jerk.map(|j| if j > 0.0 { j } else { f64::INFINITY });
+        if jerk != [0.0; AXES] {
+            check_jerk(&rig.trace, HZ as f64, &self.lines, limits, most).unwrap();
+        }
+        (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64
+    }
+}
+
+/// The least time of a change of speed, and its length.
+fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
+    let change = (to - from).abs();
+    let time = if change * jerk >= acceleration * acceleration {
+        change / acceleration + acceleration / jerk
+    } else {
+        2.0 * (change / jerk).sqrt()
+    };
+    (time, 0.5 * (from + to) * time)
+}
+
+/// The least time of a way that begins and ends at given speeds without acceleration and is not faster than `most`: up to
+/// the greatest speed that leaves room to come down again. Found by halving.
+fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jerk: f64) -> f64 {
+    let needs = |top: f64| ramp(from, top, acceleration, jerk).1 + ramp(top, to, acceleration, jerk).1;
+    let (mut low, mut high) = (from.max(to), most);
+    if needs(high) > length {
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if needs(middle) > length { high = middle } else { low = middle }
+        }
+    }
+    let top = high;
+    let (up, up_way) = ramp(from, top, acceleration, jerk);
+    let (down, down_way) = ramp(top, to, acceleration, jerk);
+    up + down + (length - up_way - down_way) / top
+}
+
+const JERK: f64 = 5000.0;
+
+/// The first and last step lie some milliseconds within the move: the motor stands before half of the first step is due.
+fn of_steps() -> f64 {
+    2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
+}
+
+/// Five jobs against their shortest times. Where a corner is passed or another feed begins the acceleration is zero by our
+/// rule, and so it is in the reference.
+#[test]
+fn jobs_take_little_more_than_the_shortest_time() {
+    let a = MACHINE.acceleration[0];
+    let mut rows: Vec<(&str, f64, f64)> = Vec::new();
+
+    rows.push((
+        "long line",
+        Job::line(150.0, 1, 100.0).run(&MACHINE, [JERK; 3]),
+        least_time(150.0, 0.0, 0.0, 100.0, a, JERK),
+    ));
+    rows.push((
+        "line of a millimetre",
+        Job::line(1.0, 1, 100.0).run(&MACHINE, [JERK; 3]),
+        least_time(1.0, 0.0, 0.0, 100.0, a, JERK),
+    ));
+
+    let mut zigzag = Job::new();
+    for k in 0..12 {
+        zigzag.to([if k % 2 == 0 { 25.0 } else { 0.0 }, 0.0, 0.0], 100.0);
+    }
+    rows.push(("zigzag", zigzag.run(&MACHINE, [JERK; 3]), 12.0 * least_time(25.0, 0.0, 0.0, 100.0, a, JERK)));
+
+    let mut square = Job::new();
+    for place in [[20.0, 0.0], [20.0, 20.0], [0.0, 20.0], [0.0, 0.0]] {
+        square.to([place[0], place[1], 0.0], 80.0);
+    }
+    let corner = MACHINE.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+    let sides = [[0.0, corner], [corner, corner], [corner, corner], [corner, 0.0]];
+    let ideal = sides.iter().map(|[v0, v1]| least_time(20.0, *v0, *v1, 80.0, a, JERK)).sum();
+    rows.push(("square", square.run(&MACHINE, [JERK; 3]), ideal));
+
+    let mut capped = Job::new();
+    for (x, feed) in [(60.0, 100.0), (75.0, 40.0), (140.0, 100.0)] {
+        capped.to([x, 0.0, 0.0], feed);
+    }
+    let ideal = least_time(60.0, 0.0, 40.0, 100.0, a, JERK) + 15.0 / 40.0 + least_time(65.0, 40.0, 0.0, 100.0, a, JERK);
+    rows.push(("slower feed in the middle", capped.run(&MACHINE, [JERK; 3]), ideal));
+
+    for (job, seconds, ideal) in rows {
+        let whole = seconds + of_steps();
+        println!("{job}: {whole:.3} s, {ideal:.3} s at least: {:+.1} %", (whole / ideal - 1.0) * 100.0);
+        assert!(whole < ideal * 1.05, "{job}");
+        assert!(whole > ideal * 0.98, "{job}: faster than possible");
+    }
+}
+
+/// The borders of blocks do not show: neither where the machine ramps nor on a curve.
+#[test]
+fn borders_of_blocks_cost_no_time() {
+    let whole = Job::line(50.0, 1, 100.0).run(&MACHINE, [JERK; 3]);
+    let chain = Job::line(50.0, 500, 100.0).run(&MACHINE, [JERK; 3]);
+    assert!((chain / whole - 1.0).abs() < 0.005, "{whole} s in one block, {chain} s in 500");
+    // Into a circle of R = 10 mm along its tangent: v² = a·R is faster than the feed.
+    let mut circle = Job::new();
+    circle.to([0.0, 30.0, 0.0], 60.0);
+    for k in 1..=900 {
+        let angle = f64::from(k) * 0.01;
+        circle.to([10.0 * angle.cos() - 10.0, 10.0 * angle.sin() + 30.0, 0.0], 60.0);
+    }
+    let seconds = circle.run(&MACHINE, [JERK; 3]) + of_steps();
+    let ideal = least_time(120.0, 0.0, 0.0, 60.0, 500.0, JERK);
+    assert!((seconds / ideal - 1.0).abs() < 0.01, "{seconds} of {ideal} s");
+}
+
+/// Corners are not passed faster than by the rule that also holds without jerk; nothing is faster than with the trapezoid.
+#[test]
+fn corners_are_passed_no_faster() {
+    for turn in [10.0_f64, 35.0, 90.0, 150.0] {
+        let mut job = Job::new();
+        let (mut angle, mut at) = (0.0_f64, [0.0; 3]);
+        for k in 0..16 {
+            at[0] += 6.0 * angle.cos();
+            at[1] += 6.0 * angle.sin();
+            job.to(at, 120.0);
+            angle += if k % 4 < 2 { turn.to_radians() } else { -turn.to_radians() };
+        }
+        let (smooth, even) = (job.run(&MACHINE, [JERK; 3]), job.run(&MACHINE, [0.0; 3]));
+        assert!(smooth > even, "{turn}: {smooth} s, {even} s without a limit");
+    }
+}
+
+/// The measure itself: the trapezoid has a jerk beyond these limits.
+#[test]
+fn a_trapezoid_is_seen() {
+    let job = Job::line(60.0, 1, 100.0);
+    let mut rig = Rig::with(&settings(&MACHINE, [0.0; 3]));
+    rig.run_clean(&job.text);
+    assert!(check_jerk(&rig.trace, HZ as f64, &job.lines, &MACHINE, [JERK; 3]).unwrap_err().contains("mm/s³"));
+}
+
+/// Straight runs in one or many blocks at various feeds, gentle bends, circles of short chords, and corners.
+fn jobs() -> impl Strategy<Value = Job> {
+    let piece = prop_oneof![
+        3 => (0_i32..=0, 1_u32..40, 1_u32..30, 2_u32..120, Just(0.0)),
+        1 => (-170_i32..170, 1_u32..40, 1_u32..3, 2_u32..120, Just(0.0)),
+        2 => (0_i32..=0, 1_u32..10, 10_u32..150, 10_u32..120, -1.5_f64..1.5),
+    ];
+    prop::collection::vec(piece, 1..7).prop_map(|pieces| {
+        let mut job = Job::new();
+        let (mut angle, mut at) = (0.0_f64, [0.0; 3]);
+        for (turn, length, count, feed, bend) in pieces {
+            angle += f64::from(turn).to_radians();
+            for _ in 0..count {
+                angle += bend.to_radians();
+                at[0] += 0.1 * f64::from(length) * angle.cos();
+                at[1] += 0.1 * f64::from(length) * angle.sin();
+                job.to(at, f64::from(feed));
+            }
+        }
+        job
+    })
+}
+
+fn unequal() -> impl Strategy<Value = (Limits, [f64; AXES])> {
+    let jerk = || prop::sample::select(vec![1500.0, 5000.0, 8000.0]);
+    (400.0_f64..800.0, prop::collection::vec(jerk(), 3), any::<bool>()).prop_map(|(y, jerk, free)| {
+        let limits = Limits { acceleration: [500.0, y, 300.0], ..MACHINE };
+        (limits, [jerk[0], if free { 0.0 } else { jerk[1] }, jerk[2]])
+    })
+}
+
+const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x93, b'!', b'!', b'~', b'~'];
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 120, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn jerk_is_bounded((limits, jerk) in unequal(), job in jobs()) {
+        job.run(&limits, jerk);
+    }
+
+    /// Under overrides and holds at any moment, so also in the midst of ramps up and down.
+    #[test]
+    fn jerk_is_bounded_under_overrides_and_holds(
+        (limits, jerk) in unequal(),
+        job in jobs(),
+        touches in prop::collection::vec((1_u64..400, prop::sample::select(&TOUCHES[..])), 1..12),
+    ) {
+        let mut rig = Rig::with(&settings(&limits, jerk));
+        rig.send(job.text.as_bytes());
+        for (milliseconds, touch) in touches {
+            rig.run_for(milliseconds as f64 / 1000.0);
+            rig.send(&[touch]);
+        }
+        for _ in 0..3 {
+            // A start in the midst of the ramp of a hold says nothing.
+            rig.run_for(1.5);
+            rig.send(b"~");
+        }
+        rig.settle();
+        prop_assert_eq!(rig.place, limits.place(mm(job.at)), "{}", job.text);
+        let mut lines = job.lines.clone();
+        for line in &mut lines {
+            line.feed = line.feed.map(|feed| feed * 2.0);
+        }
+        let most = jerk.map(|j| if j > 0.0 { j } else { f64::INFINITY });
+        let checked = check(&rig.trace, HZ as f64, &lines, &limits)
+            .and_then(|()| check_jerk(&rig.trace, HZ as f64, &lines, &limits, most));
+        if let Err(fault) = checked {
+            return Err(TestCaseError::fail(format!("{fault}\n{}", job.text)));
+        }
+    }
+}
