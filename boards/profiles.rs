@@ -35,11 +35,11 @@ pub const DESK: Board = Board {
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
-/// `cargo xtask count` gives 411 cycles for the worst tick and 350 for the fetching of a message after it, `cargo xtask
+/// `cargo xtask count` gives 420 cycles for the worst tick and 350 for the fetching of a message after it, `cargo xtask
 /// virtual` 306 for the longest masked time, which is the USB driver's; with 24 for each entry and 1.3 for flash wait states
-/// they take 1450 cycles, and half of the CPU at the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
+/// they take 1461 cycles, and half of the CPU at the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 66_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 65_000, ..DESK };
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, so the worst tick takes
 /// 505 cycles, the fetching 431 and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): 1806 in all.
@@ -48,13 +48,13 @@ pub const BLACKPILL_F401: Board =
     Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 46_000, blocks: 256, ..DESK };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
-/// more for a second port and 25 for the longest masked time, as there is no USB: 1091 cycles.
+/// more for a second port and 27 for the longest masked time, as there is no USB: 1105 cycles.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 164_000, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 162_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 91_000, ..DESK };
+    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 90_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F401RE: Board =
