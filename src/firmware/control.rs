@@ -103,7 +103,10 @@ impl Control {
         let heard = HEARD.load(Ordering::Relaxed);
         while self.pass() {}
         self.note_place();
-        self.erase_ahead();
+        if self.erase_ahead() {
+            // Lines that had to wait for it.
+            while self.pass() {}
+        }
         let observed = self.observed();
         let nothing_waits = usize::from(observed.rx_free) == LINES_DEPTH && self.ends.realtime.is_empty();
         let answered = self.controller.is_idle() && self.ends.replies.is_empty();
@@ -153,7 +156,9 @@ impl Control {
             self.controller.event(now, Event::Signals(sensed));
         }
         let mut took = false;
+        // A host that sends one setting after the other is made to wait before there is no room for them.
         while self.controller.wants_line()
+            && !(self.settings.wants_erase_soon() && self.controller.is_nearly_quiet())
             && let Some(byte) = self.next_byte()
         {
             took = true;
@@ -231,13 +236,16 @@ impl Control {
 
     /// Erases flash when nothing moves, turns or waits: the processor stands for a quarter of a second. What the host
     /// sends in that time is kept (see the board).
-    fn erase_ahead(&mut self) {
+    fn erase_ahead(&mut self) -> bool {
         let observed = self.observed();
-        let nothing_waits = usize::from(observed.rx_free) == LINES_DEPTH && self.ends.realtime.is_empty();
-        if self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet() {
+        let nothing_waits = (usize::from(observed.rx_free) == LINES_DEPTH || self.settings.wants_erase_soon())
+            && self.ends.realtime.is_empty();
+        let erases = self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet();
+        if erases {
             self.settings.erase();
             pend_serial();
         }
+        erases
     }
 
     /// Hands the wiring facts to the tasks that own the pins; both queues are emptied within a millisecond at rest.

@@ -50,6 +50,11 @@ impl Settings {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase)
     }
 
+    /// Whether there will soon be no room without it.
+    pub fn wants_erase_soon(&self) -> bool {
+        !self.worn && self.log.as_ref().is_some_and(Log::needs_erase_soon)
+    }
+
     /// Erases the sector that holds nothing that counts.
     pub fn erase(&mut self) {
         if let Some(log) = &mut self.log

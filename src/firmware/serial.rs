@@ -57,6 +57,10 @@ impl Queues for ToControl {
         }
         queued
     }
+
+    fn waits(&self) -> bool {
+        !self.may_owe
+    }
 }
 
 /// What a link needs of the rest of the task to receive.

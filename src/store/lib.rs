@@ -77,6 +77,8 @@ impl<E> From<E> for StoreError<E> {
     }
 }
 
+/// Room that is kept for what is stored while an erase has to wait: some forty settings.
+const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
 /// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
 const HEADER: u32 = 12;
@@ -301,6 +303,11 @@ impl<F: Flash> Log<F> {
     /// Whether the spare sector should be erased when there is time.
     pub fn needs_erase(&self) -> bool {
         !self.spare_erased
+    }
+
+    /// Whether only a few more records fit before the spare sector has to be erased.
+    pub fn needs_erase_soon(&self) -> bool {
+        !self.spare_erased && self.end + RESERVE > self.flash.sector_size()
     }
 
     /// Erases the spare sector, which holds nothing that counts. Takes hundreds of milliseconds on real flash.

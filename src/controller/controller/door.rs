@@ -59,6 +59,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Normal | Mode::Hold => {
                 self.spinning_up = None;
                 self.motion.hold();
+                self.task.forget_jog();
                 self.task.suspend(self.now);
                 self.mode = Mode::Door(Door::Braking);
             }

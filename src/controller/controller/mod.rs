@@ -332,7 +332,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn host_left(&mut self) {
         let at_work = self.running || !self.motion.is_idle() || !self.task.is_none();
         match self.mode {
-            Mode::Jog { .. } => self.cancel_jog(),
+            Mode::Jog { .. } => {
+                self.cancel_jog();
+                self.forget_received_jogs();
+            }
             Mode::Normal if at_work && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
             _ => {}
         }
@@ -388,7 +391,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
     pub fn is_quiet(&self) -> bool {
-        self.is_idle() && self.pins_sent.is_some_and(|pins| pins.spindle == SpindleDirection::Off && pins.power == 0)
+        self.is_idle() && self.is_off()
+    }
+
+    /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
+    pub fn is_nearly_quiet(&self) -> bool {
+        self.task.is_none() && self.motion.is_idle() && self.detour.is_idle() && self.is_off()
+    }
+
+    fn is_off(&self) -> bool {
+        self.pins_sent.is_some_and(|pins| pins.spindle == SpindleDirection::Off && pins.power == 0)
     }
 
     /// No more bytes will come: what is queued is started.
@@ -637,8 +649,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.keep_epochs_near();
                 if self.mode == (Mode::Jog { cancelling: false }) {
                     self.cancel_jog();
-                    self.keeps_later_jogs = true;
                 }
+                // One that has been read and not queued yet has no mode of its own.
+                self.task.forget_jog();
+                self.keeps_later_jogs = true;
                 self.release_held();
             }
             Realtime::SpindleStop => {
@@ -674,6 +688,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reset_epoch = self.epoch;
         self.drop_bytes = 0;
         self.drop_rest = false;
+        self.jog_bytes = 0;
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
@@ -741,6 +756,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.mode {
             Mode::Normal => {
                 self.motion.hold();
+                // A jog that has been read and not queued yet ends here like one that moves.
+                self.task.forget_jog();
                 self.task.suspend(self.now);
                 self.mode = Mode::Hold;
                 self.darken_laser();

@@ -84,7 +84,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Goes on after a stop, once every stop that was asked for has happened.
     pub(super) fn finish_stop(&mut self) {
         let Some(reason) = self.stop.awaited else { return };
-        if (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
+        // An order that is not out yet cannot have been obeyed, whatever else has stopped meanwhile.
+        if self.stop.order || (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
             return;
         }
         let (moving, line) = (self.stop.moving, self.stop.line);

@@ -64,6 +64,9 @@ pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
 /// The greatest speed from which `distance` suffices to fall to `to`: the inverse of [`ramp_distance`].
 pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     let Bounds { acceleration, jerk } = bounds;
+    if distance <= 0.0 {
+        return to;
+    }
     // (to + x / 2)·(x / a + a / j) = distance
     let least = to * acceleration / jerk;
     if distance > least {

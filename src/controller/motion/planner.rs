@@ -388,7 +388,7 @@ impl Target {
     }
 
     /// Whether a machine in this state, not accelerating, can come down in time.
-    fn is_met(&self, state: State) -> bool {
+    pub(super) fn is_met(&self, state: State) -> bool {
         let (speed, distance) = self.nearest(state.speed);
         state.lands(speed, distance, self.bounds)
     }

@@ -46,7 +46,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let last = piece.grain * piece.ticks == units;
 
         let from_rest = start(way, bounds);
-        let gone = if state.speed <= 0.25 * from_rest.end.speed {
+        let at_rest = state.speed <= 0.0 || piece.ticks == 1 && state.speed <= 0.25 * from_rest.end.speed;
+        let gone = if at_rest {
             self.leave_rest(from_rest, way, left, nominal, bounds)
         } else {
             self.go_on(state, way, if last { way } else { left }, nominal, bounds)
@@ -136,7 +137,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return Gone { seconds: 3.0 * way / speed, end: State { speed: 0.0, acceleration: 0.0 } };
         }
         let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
-        let mut wanted = -lesser(target.bounds.acceleration, steepest);
+        // The bounds of a block that lies ahead plan a ramp; where the way is too short for it, the running block's own count.
+        let mut wanted = if target.is_met(state) { -lesser(target.bounds.acceleration, steepest) } else { -steepest };
         if acceleration <= 0.0 {
             let next = speed + acceleration * guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };

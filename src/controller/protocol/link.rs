@@ -19,6 +19,8 @@ pub trait Queues {
     fn realtime(&mut self, command: Realtime) -> bool;
     /// Queues a byte of a line.
     fn line(&mut self, byte: LineByte) -> bool;
+    /// Whether the link that is being read can wait. One that cannot loses a command that is refused, so each is tried.
+    fn waits(&self) -> bool;
 }
 
 /// Received bytes of one link that have no room in the queue yet; at most `HELD`.
@@ -60,9 +62,10 @@ impl<const HELD: usize> Intake<HELD> {
         match received {
             Received::Nothing => false,
             Received::Realtime(command) => {
-                let queued = self.stuck.is_none() && queues.realtime(command);
+                let waits = queues.waits();
+                let queued = (self.stuck.is_none() || !waits) && queues.realtime(command);
                 if !queued {
-                    self.lost |= self.stuck.replace(command).is_some();
+                    self.lost |= !waits || self.stuck.replace(command).is_some();
                 }
                 queued
             }
@@ -180,11 +183,12 @@ mod tests {
         lines: Vec<LineByte>,
         most_commands: usize,
         most_lines: usize,
+        owes_resets: bool,
     }
 
     impl Queues for Depths {
         fn realtime(&mut self, command: Realtime) -> bool {
-            let room = self.commands.len() < self.most_commands;
+            let room = self.commands.len() < self.most_commands || self.owes_resets && command == Realtime::Reset;
             if room {
                 self.commands.push(command);
             }
@@ -198,6 +202,10 @@ mod tests {
             }
             room
         }
+
+        fn waits(&self) -> bool {
+            !self.owes_resets
+        }
     }
 
     fn depths(most_commands: usize, most_lines: usize) -> Depths {
@@ -210,6 +218,18 @@ mod tests {
 
     const PACKET: usize = 64;
     const HELD: usize = 192;
+
+    #[test]
+    fn a_link_that_cannot_wait_has_each_command_tried() {
+        let (mut intake, mut splitter, mut queues) = (Intake::<1>::new(), Splitter::new(), depths(0, 8));
+        queues.owes_resets = true;
+        for byte in *b"?\x18?" {
+            intake.take(splitter.push(byte), &mut queues);
+        }
+        assert_eq!(queues.commands, [Realtime::Reset]);
+        intake.take(splitter.push(b'G'), &mut queues);
+        assert!(queues.lines[0].damaged && !intake.is_waiting(), "the others are lost, and that is said");
+    }
 
     #[test]
     fn realtime_bytes_pass_lines_that_wait() {
