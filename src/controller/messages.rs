@@ -67,7 +67,7 @@ pub struct LineByte {
     /// The byte.
     pub byte: u8,
     /// The splitter's epoch when it came.
-    pub epoch: u8,
+    pub epoch: u16,
     /// Bytes before this one were lost: the line it belongs to is refused.
     pub damaged: bool,
 }

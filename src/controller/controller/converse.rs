@@ -89,12 +89,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn line_byte(&mut self, byte: LineByte) {
-        if (byte.epoch.wrapping_sub(self.epoch) as i8) > 0 {
+        if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
             // The command that opened this epoch is still on its way through the other queue.
             self.held = Some(byte);
             return;
         }
-        if (byte.epoch.wrapping_sub(self.reset_epoch) as i8) < 0 {
+        if (byte.epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
             return;
         }
         if self.drop_bytes > 0 || self.drop_rest {
@@ -144,7 +144,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the current line was sent before the end of a jog was ordered.
     fn is_jog_stale(&self) -> bool {
-        self.line_before_cancel || (self.line_epoch.wrapping_sub(self.jog_epoch) as i8) < 0
+        self.line_before_cancel || (self.line_epoch.wrapping_sub(self.jog_epoch) as i16) < 0
     }
 
     /// The jog that has waited for the end of the one before it.

@@ -52,6 +52,9 @@ const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 const WELL_FILLED_US: u32 = 12_000;
 const LOW_WATER_US: u32 = 6_000;
 
+/// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
+const EPOCHS: u16 = 1 << 14;
+
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -86,16 +89,16 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// A byte that came before the realtime command which opened its epoch.
     held: Option<LineByte>,
     /// Resets, stops and jog cancels taken.
-    epoch: u8,
+    epoch: u16,
     /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
-    reset_epoch: u8,
+    reset_epoch: u16,
     /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
-    jog_epoch: u8,
+    jog_epoch: u16,
     /// Received bytes to be dropped because of a reset button, and whether they end in the midst of a line.
     drop_bytes: u16,
     drop_rest: bool,
     /// Epoch of the first byte of the current line.
-    line_epoch: u8,
+    line_epoch: u16,
     /// Received bytes that stood before the end of a jog by a hold or a door: jogs among them are dropped.
     jog_bytes: u16,
     /// The current line began among them.
@@ -673,11 +676,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Epochs are compared by their difference as a signed byte, so the older ones must not fall behind.
+    /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.
     fn keep_epochs_near(&mut self) {
         for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
-            if self.epoch.wrapping_sub(*older) > 64 {
-                *older = self.epoch.wrapping_sub(64);
+            if self.epoch.wrapping_sub(*older) > EPOCHS {
+                *older = self.epoch.wrapping_sub(EPOCHS);
             }
         }
     }

@@ -111,7 +111,7 @@ impl<const HELD: usize> Intake<HELD> {
 
     /// The host has gone. What has no place in the queue goes with it, and if a line or part of one is lost by that, the
     /// end of a damaged line says so; the next host begins at the start of a line.
-    pub fn cut_off(&mut self, epoch: u8) {
+    pub fn cut_off(&mut self, epoch: u16) {
         let lost = self.lost || self.mid_line || !self.held.is_empty();
         *self = Self { stuck: self.stuck, ..Self::new() };
         if lost {

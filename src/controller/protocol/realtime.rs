@@ -16,7 +16,7 @@ pub enum Received {
 /// Splits a byte stream. Keeps the epoch of line bytes: see [`LineByte`].
 #[derive(Debug, Default)]
 pub struct Splitter {
-    epoch: u8,
+    epoch: u16,
 }
 
 impl Splitter {
@@ -26,7 +26,7 @@ impl Splitter {
     }
 
     /// The epoch of the next line byte.
-    pub fn epoch(&self) -> u8 {
+    pub fn epoch(&self) -> u16 {
         self.epoch
     }
 
