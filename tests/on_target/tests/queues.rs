@@ -23,13 +23,13 @@ mod suite {
         let (mut send, mut receive) = channel.split();
         for round in 0..3_u8 {
             for byte in 0..LINES_DEPTH as u8 {
-                defmt::assert!(send.try_send(LineByte { byte, epoch: round, damaged: false }).is_ok());
+                defmt::assert!(send.try_send(LineByte { byte, epoch: round.into(), damaged: false }).is_ok());
             }
             defmt::assert!(send.is_full());
             defmt::assert!(send.try_send(LineByte { byte: 0, epoch: 99, damaged: false }).is_err());
             for byte in 0..LINES_DEPTH as u8 {
                 let got = receive.try_recv().ok();
-                defmt::assert!(got == Some(LineByte { byte, epoch: round, damaged: false }));
+                defmt::assert!(got == Some(LineByte { byte, epoch: round.into(), damaged: false }));
             }
             defmt::assert!(receive.try_recv().is_err());
         }
