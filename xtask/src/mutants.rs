@@ -14,13 +14,26 @@ struct Edit {
     replace: &'static str,
 }
 
+impl Edit {
+    /// The file with the fault in it.
+    fn applied(&self, path: &Path) -> Result<String, Failure> {
+        let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        if text.matches(self.find).count() != 1 {
+            return Err(format!("`{}` stands not exactly once in {}", self.find, self.file));
+        }
+        Ok(text.replace(self.find, self.replace))
+    }
+}
+
 struct Mutant {
     name: &'static str,
     /// All of these are made.
     edits: &'static [Edit],
 }
 
+const INTAKE: &str = "src/controller/motion/intake.rs";
 const MOTION: &str = "src/controller/motion/mod.rs";
+const HANDOVER: &str = "src/controller/motion/handover.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";
 
@@ -36,7 +49,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "one-axis-ignored",
         edits: &[Edit {
-            file: MOTION,
+            file: INTAKE,
             find: "in way.iter().zip(self.acceleration).zip(self.max_rate) {",
             replace: "in way.iter().zip(self.acceleration).zip(self.max_rate).skip(1) {",
         }],
@@ -57,13 +70,13 @@ const MUTANTS: &[Mutant] = &[
                 find: "lesser(corner2, bend_speed2(",
                 replace: "lesser(corner2, 1.0e9 * bend_speed2(",
             },
-            Edit { file: MOTION, find: "if bend.speed2 < self.chain_speed2 {", replace: "if bend.speed2 < 0.0 {" },
+            Edit { file: INTAKE, find: "if bend.speed2 < self.chain_speed2 {", replace: "if bend.speed2 < 0.0 {" },
         ],
     },
     Mutant {
         name: "no-curvature-of-spans",
         edits: &[Edit {
-            file: MOTION,
+            file: INTAKE,
             find: "if bend.speed2 < self.chain_speed2 {",
             replace: "if bend.speed2 < 0.0 {",
         }],
@@ -95,7 +108,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "hold-twice-as-hard",
         edits: &[Edit {
-            file: MOTION,
+            file: HANDOVER,
             find: "let way = self.pace.speed2 / (2.0 * run.acceleration);",
             replace: "let way = self.pace.speed2 / (4.0 * run.acceleration);",
         }],
@@ -145,7 +158,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "jerk-of-one-axis-ignored",
         edits: &[Edit {
-            file: MOTION,
+            file: INTAKE,
             find: "for (part, most) in way.iter().zip(self.jerk) {",
             replace: "for (part, most) in way.iter().zip(self.jerk).skip(1) {",
         }],
@@ -174,11 +187,8 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
         copy_all(&tree)?;
         for edit in mutant.edits {
             let path = tree.join(edit.file);
-            let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-            if text.matches(edit.find).count() != 1 {
-                return Err(format!("{}: `{}` stands not exactly once in {}", mutant.name, edit.find, edit.file));
-            }
-            fs::write(&path, text.replace(edit.find, edit.replace)).map_err(|error| error.to_string())?;
+            let text = edit.applied(&path).map_err(|why| format!("{}: {why}", mutant.name))?;
+            fs::write(&path, text).map_err(|error| error.to_string())?;
         }
         // A fault that does not compile is no fault.
         if !tests(&tree, &["--no-run"])? {
@@ -240,4 +250,20 @@ fn tests(tree: &Path, arguments: &[&str]) -> Result<bool, Failure> {
     cargo.args(if arguments == ["--no-run"] { all } else { &[] }).args(arguments);
     let status = cargo.stdout(Stdio::null()).stderr(Stdio::null()).status().map_err(|error| error.to_string())?;
     Ok(status.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_fault_finds_its_place() {
+        for mutant in MUTANTS {
+            for edit in mutant.edits {
+                if let Err(why) = edit.applied(&root().join(edit.file)) {
+                    panic!("{}: {why}", mutant.name);
+                }
+            }
+        }
+    }
 }

@@ -1,7 +1,8 @@
 //! Homing and probing are carried out: moves that an input ends.
 
 use super::execute::{Answer, Task};
-use super::{Controller, StopReason, Stopped};
+use super::inputs::Stopped;
+use super::{Controller, StopReason};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::{Alarm, Error};
 use crate::machine::homing::{Homing, HomingSettings, Order};

@@ -16,17 +16,19 @@ mod converse;
 mod cycles;
 mod door;
 mod execute;
+mod inputs;
 mod outputs;
+mod realtime;
 mod stops;
 
 use crate::axes::{AxisMask, PerAxis};
-use crate::error::{Alarm, Error};
+use crate::error::Alarm;
 use crate::gcode::{Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Realtime, Restart,
-    Room, SECOND_SWITCH, Sensed, Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Restart, Room,
+    Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Arc, Motion, MotionSettings};
 use crate::protocol::line::Line;
@@ -330,20 +332,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Nobody is there to stop what moves or to see where it goes: it is held if `$914` says so. A jog ends either way, as
-    /// the key that would end it has no wire any more.
-    fn host_left(&mut self) {
-        let at_work = self.running || !self.motion.is_idle() || !self.task.is_none();
-        match self.mode {
-            Mode::Jog { .. } => {
-                self.cancel_jog();
-                self.forget_received_jogs();
-            }
-            Mode::Normal if at_work && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
-            _ => {}
-        }
-    }
-
     /// Whether a line byte may be given.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
@@ -586,15 +574,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    fn end_jog(&mut self) {
-        self.motion.discard();
-        self.task.forget_jog();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.mode = Mode::Normal;
-        self.running = false;
-        self.start_idle_delay();
-    }
-
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
         // A move queued while the last piece of the one before was already on its way to the motors belongs to the same
@@ -615,341 +594,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.motion.start();
         }
     }
-
-    // Realtime commands
-
-    fn realtime(&mut self, command: Realtime) {
-        match command {
-            Realtime::Reset => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.drop_older_bytes();
-                self.jog_epoch = self.epoch;
-                self.begin_stop(StopReason::Reset);
-                self.release_held();
-            }
-            // Grbl knows no such byte and drops it.
-            Realtime::Stop if self.dialect() == Dialect::Grbl => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.keep_epochs_near();
-                self.release_held();
-            }
-            Realtime::Stop => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.drop_older_bytes();
-                self.jog_epoch = self.epoch;
-                self.line.clear();
-                self.stop_softly(false);
-                self.release_held();
-            }
-            Realtime::Status => self.status_due = true,
-            Realtime::CycleStart => self.cycle_start(),
-            Realtime::FeedHold => self.feed_hold(),
-            Realtime::SafetyDoor => self.open_door(),
-            Realtime::JogCancel => {
-                self.epoch = self.epoch.wrapping_add(1);
-                // A jog that was sent before is dropped, also one that has not been read yet.
-                self.jog_epoch = self.epoch;
-                self.keep_epochs_near();
-                if self.mode == (Mode::Jog { cancelling: false }) {
-                    self.cancel_jog();
-                }
-                // One that has been read and not queued yet has no mode of its own.
-                self.task.forget_jog();
-                self.keeps_later_jogs = true;
-                self.release_held();
-            }
-            Realtime::SpindleStop => {
-                if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off && self.motion.is_at_rest() {
-                    self.spinning_up = None;
-                    if self.spindle_stopped {
-                        self.restore_spindle();
-                    } else {
-                        self.spindle_stopped = true;
-                        self.rare_fields.overrides_changed();
-                    }
-                }
-            }
-            Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
-            Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
-            Realtime::MistToggle => {}
-            _ => self.set_overrides(self.overrides.after(command)),
-        }
-    }
-
-    /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.
-    fn keep_epochs_near(&mut self) {
-        for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
-            if self.epoch.wrapping_sub(*older) > EPOCHS {
-                *older = self.epoch.wrapping_sub(EPOCHS);
-            }
-        }
-    }
-
-    /// Bytes received before this reset or stop are dropped by their epoch; those of a reset button among them are not to
-    /// be counted again.
-    fn drop_older_bytes(&mut self) {
-        self.reset_epoch = self.epoch;
-        self.drop_bytes = 0;
-        self.drop_rest = false;
-        self.jog_bytes = 0;
-    }
-
-    fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
-        if matches!(self.mode, Mode::Normal | Mode::Hold) {
-            change(&mut self.coolant);
-            self.interpreter.set_accessories(self.spindle, self.coolant);
-            self.rare_fields.overrides_changed();
-        }
-    }
-
-    fn set_overrides(&mut self, overrides: Overrides) {
-        if overrides != self.overrides {
-            self.overrides = overrides;
-            self.motion.set_overrides(f32::from(overrides.feed) / 100.0, f32::from(overrides.rapid) / 100.0);
-            self.rare_fields.overrides_changed();
-        }
-    }
-
-    fn cycle_start(&mut self) {
-        match self.mode {
-            Mode::Normal => self.start_motion(),
-            Mode::Hold if self.spinning_up.is_some() => {}
-            Mode::Hold if self.motion.is_at_rest() => {
-                let delay = self.settings.seconds(Key::SpinUp);
-                let spin_up = self.spindle_stopped && self.spindle != SpindleDirection::Off;
-                self.restore_spindle();
-                if spin_up && !self.settings.is_on(Key::Laser) && delay > Duration::from_ticks(0) {
-                    self.spinning_up = Some(self.now + delay);
-                } else {
-                    self.leave_hold();
-                }
-            }
-            Mode::Door(Door::Parked) => self.close_door(),
-            _ => {}
-        }
-    }
-
-    /// A hold or a door is over: motion, a dwell or the lines that waited go on.
-    fn leave_hold(&mut self) {
-        self.restore_spindle();
-        self.mode = Mode::Normal;
-        self.task.resume(self.now);
-        // After a contact, or on the way to a soft-limit alarm, there is nothing to go on with.
-        let touched = matches!(self.probing, Some(Probing::Braking | Probing::Touched));
-        if !touched && !matches!(self.task, Task::SoftLimit) {
-            self.motion.resume();
-            if !self.motion.is_idle() {
-                self.start_motion();
-            }
-        }
-    }
-
-    /// A spindle that was stopped in a hold turns again.
-    fn restore_spindle(&mut self) {
-        if self.spindle_stopped {
-            self.spindle_stopped = false;
-            self.rare_fields.overrides_changed();
-            if self.mode == Mode::Hold && self.spindle != SpindleDirection::Off {
-                self.say(|out| report::message(out, "Restoring spindle"));
-            }
-        }
-    }
-
-    fn feed_hold(&mut self) {
-        match self.mode {
-            Mode::Normal => {
-                self.motion.hold();
-                // A jog that has been read and not queued yet ends here like one that moves.
-                self.task.forget_jog();
-                self.task.suspend(self.now);
-                self.mode = Mode::Hold;
-                self.darken_laser();
-            }
-            Mode::Jog { .. } => {
-                self.cancel_jog();
-                self.forget_received_jogs();
-            }
-            Mode::Hold => self.spinning_up = None,
-            _ => {}
-        }
-    }
-
-    /// No beam while the machine waits.
-    fn darken_laser(&mut self) {
-        if self.settings.is_on(Key::Laser) && self.spindle != SpindleDirection::Off {
-            self.spindle_stopped = true;
-            self.rare_fields.overrides_changed();
-        }
-    }
-
-    /// Brakes to a stop and forgets the job; the position stays true.
-    pub(super) fn stop_softly(&mut self, locked: bool) {
-        if self.mode == Mode::Home {
-            self.order_stop(StopReason::Alarm(Alarm::HomingReset));
-            return;
-        }
-        if matches!(self.mode, Mode::Door(_)) {
-            // The door goes on as it must; the job is forgotten when it is closed.
-            self.door.forget_job = true;
-            return;
-        }
-        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
-        if going && (!self.motion.is_idle() || !self.task.is_none() || locked || self.mode != Mode::Normal) {
-            self.spinning_up = None;
-            self.motion.hold();
-            self.mode = Mode::Stopping { locked };
-        }
-    }
-
-    pub(super) fn end_soft_stop(&mut self, locked: bool) {
-        self.motion.discard();
-        self.running = false;
-        self.probing = None;
-        self.jog_interrupted = false;
-        self.probe_watch = Some(cycles::WATCH_ENDS);
-        self.interpreter.set_position(self.motion.machine_position());
-        self.start_idle_delay();
-        // A beam does not stand still, and a locked machine does not turn; else the spindle stays as it is.
-        if locked || self.settings.is_on(Key::Laser) || self.spindle_stopped {
-            self.spindle = SpindleDirection::Off;
-        }
-        if locked {
-            self.coolant = Coolant::default();
-        }
-        self.spindle_stopped = false;
-        self.interpreter.set_accessories(self.spindle, self.coolant);
-        self.rare_fields.overrides_changed();
-        if self.task.abandon() {
-            self.say(report::ok);
-        }
-        self.mode = if locked { Mode::Alarm } else { Mode::Normal };
-        if locked {
-            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
-        }
-        if self.signals.door {
-            self.open_door();
-        }
-    }
-
-    fn cancel_jog(&mut self) {
-        self.motion.hold();
-        self.task.forget_jog();
-        self.mode = Mode::Jog { cancelling: true };
-        self.keeps_later_jogs = false;
-    }
-
-    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
-    fn forget_received_jogs(&mut self) {
-        self.jog_bytes = self.received_bytes();
-        self.line_before_cancel = true;
-    }
-
-    /// Line bytes that wait to be read.
-    fn received_bytes(&self) -> u16 {
-        (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free)
-    }
-
-    fn signals_changed(&mut self, sensed: &Sensed) {
-        // Armed inputs have stopped the step task themselves, before this message.
-        let stops = sensed.trips.wrapping_sub(self.trips);
-        self.trips = sensed.trips;
-        self.stop.expected = self.stop.expected.wrapping_add(stops);
-        let mut stopped = Stopped { already: stops != 0, answered: false };
-        self.pins = sensed.signals;
-        let signals = self.fitted(self.pins);
-        let before = core::mem::replace(&mut self.signals, signals);
-        // What tripped may be inactive again.
-        let tripped = self.fitted(Signals::of_word(sensed.tripped));
-        self.emergency(&before, &tripped, &mut stopped);
-        if signals.reset && !before.reset || tripped.reset {
-            // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
-            self.drop_bytes = self.received_bytes();
-            self.stop_for(StopReason::Reset, &mut stopped);
-        }
-        let closed = signals.limits & !before.limits | tripped.limits;
-        if self.mode == Mode::Home {
-            self.home_switch(&mut stopped);
-        } else if closed != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
-            let closed = self.axes_of_switches(closed);
-            let awaited = self.stop.awaited == Some(StopReason::Alarm(Alarm::HardLimit));
-            let limits = if awaited { self.tripped.limits | closed } else { closed };
-            if self.stop.awaited.is_none() || awaited {
-                self.tripped = Signals { limits, ..Signals::NONE };
-            }
-            self.stop_for(StopReason::Alarm(Alarm::HardLimit), &mut stopped);
-        }
-        if stopped.already && !stopped.answered {
-            let homing = self.mode == Mode::Home;
-            self.await_stop(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
-        }
-        if signals.door && !before.door {
-            self.open_door();
-        }
-        if signals.hold && !before.hold {
-            self.feed_hold();
-        }
-        if signals.start && !before.start {
-            self.cycle_start();
-        }
-    }
-
-    /// Stops for an input, unless it has already been done.
-    fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
-        if stopped.already {
-            stopped.answered = true;
-            self.await_stop(reason);
-        } else {
-            self.order_stop(reason);
-        }
-    }
-
-    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task.
-    fn emergency(&mut self, before: &Signals, tripped: &Signals, stopped: &mut Stopped) {
-        let stop = self.signals.emergency_stop && !before.emergency_stop || tripped.emergency_stop;
-        let fault = self.signals.driver_fault && !before.driver_fault || tripped.driver_fault;
-        let alarm = match (stop, fault) {
-            (true, _) => Alarm::EmergencyStop,
-            (_, true) => Alarm::DriverFault,
-            _ => return,
-        };
-        self.spindle = SpindleDirection::Off;
-        self.coolant = Coolant::default();
-        self.interpreter.set_accessories(self.spindle, self.coolant);
-        self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
-        self.stop_for(StopReason::Alarm(alarm), stopped);
-    }
-
-    /// The emergency that is going on.
-    pub(super) fn emergency_now(&self) -> Option<(Alarm, Error)> {
-        if self.signals.emergency_stop {
-            Some((Alarm::EmergencyStop, Error::EmergencyStop))
-        } else if self.signals.driver_fault {
-            Some((Alarm::DriverFault, Error::DriverFault))
-        } else {
-            None
-        }
-    }
-
-    /// The inputs as the settings want them understood: without those that are not fitted, and the reset button as an
-    /// emergency stop (`$912`).
-    fn fitted(&self, pins: Signals) -> Signals {
-        let second = if self.settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 };
-        let reset_stops = self.settings.is_on(Key::ResetIsEmergencyStop);
-        Signals {
-            limits: pins.limits & (!SECOND_SWITCH | second),
-            door: pins.door && self.settings.is_on(Key::DoorFitted),
-            reset: pins.reset && !reset_stops,
-            emergency_stop: pins.emergency_stop || pins.reset && reset_stops,
-            ..pins
-        }
-    }
-}
-
-/// Whether an input has stopped the step task itself, and whether the reason for it has been found.
-#[derive(Clone, Copy, Debug)]
-struct Stopped {
-    already: bool,
-    answered: bool,
 }
 
 /// The settings as motion wants them. A resolution that cannot be used stands as 1: motion is locked until

@@ -1,0 +1,228 @@
+//! Blocks on their way out: cut into segments, announced and handed over to the step task.
+
+use super::block::{RAPID, SCALE_POWER};
+use super::flight::Record;
+use super::profile::{Curve, Pace, greater, lesser};
+use super::segment::{self, Cut};
+use super::{Announce, Far, Hold, Motion, Running};
+use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
+
+/// Step time handed to the step task in advance: enough for a control task that is late, and the latency of a hold.
+pub const QUEUED_TIME_MS: u32 = 16;
+/// Ticks farther away than this are waited for in pieces of [`WAIT_MS`], so that a hold needs not wait for them.
+const FAR_MS: u32 = 4;
+const WAIT_MS: u32 = 1;
+/// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
+const REST_US: u32 = 20;
+/// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
+const CRAWL_S: f32 = 0.001;
+
+impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
+    pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
+        self.observe(observed);
+        if !self.started || self.hold == Hold::Held || self.flight.is_full() {
+            return None;
+        }
+        if self.flight.queued() >= self.step_clock_hz / 1000 * QUEUED_TIME_MS {
+            return None;
+        }
+        self.continue_long_move();
+        if !self.running.active && !self.begin_block() {
+            self.started = false;
+            return None;
+        }
+        match self.running.announce {
+            Announce::Rest => {
+                self.running.announce = Announce::Block;
+                let mut steps = [0; 3];
+                for (out, own) in steps.iter_mut().zip(self.running.steps.iter().skip(3)) {
+                    *out = *own;
+                }
+                Some(ToStep::BlockRest { steps })
+            }
+            Announce::Block => {
+                self.running.announce = if self.running.done > 0 { Announce::Reenter } else { Announce::Nothing };
+                let mut steps = [0; 3];
+                for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
+                    *out = *own;
+                }
+                Some(ToStep::Block { steps, directions: self.running.directions })
+            }
+            Announce::Reenter => {
+                self.running.announce = Announce::Nothing;
+                Some(ToStep::Reenter { units: self.running.done })
+            }
+            Announce::Nothing => Some(ToStep::Segment(self.segment())),
+        }
+    }
+
+    /// Takes the first block of the queue to pieces; `false` without one.
+    pub(super) fn begin_block(&mut self) -> bool {
+        let Some(block) = self.planner.first() else { return false };
+        let dominant = block.dominant();
+        let total = dominant * UNITS_PER_STEP;
+        let scale = total as f32 / block.length;
+        let nominal = block.nominal(self.overrides) * scale;
+        self.running = Running {
+            active: true,
+            announce: if N > 3 { Announce::Rest } else { Announce::Block },
+            fresh: true,
+            steps: block.steps,
+            directions: block.directions,
+            flags: block.flags,
+            power: block.power,
+            line_number: block.line_number,
+            dominant,
+            total,
+            done: 0,
+            scale,
+            acceleration: block.acceleration * scale,
+            nominal2: nominal * nominal,
+            programmed: if block.flags & RAPID != 0 { block.limit } else { block.programmed },
+        };
+        if self.pace.speed2 <= 0.0 {
+            self.stood = self.start;
+        }
+        self.pace = self.pace.scaled(scale);
+        // Round a corner other axes feel it.
+        self.pull = greater(lesser(self.pull, block.acceleration), -block.acceleration);
+        true
+    }
+
+    fn segment(&mut self) -> Segment {
+        let clocks_per_ms = self.step_clock_hz / 1000;
+        let far_fixed = u64::from(self.pacer.whole(FAR_MS * clocks_per_ms));
+        if self.far.is_none() {
+            let cut = if self.planner.jerk_limited {
+                self.smooth_cut()
+            } else {
+                self.curve().map(|(curve, left)| segment::cut(&curve, self.running.done, left, self.pace))
+            };
+            let Some(cut) = cut else { return self.rest_here() };
+            let time = self.pacer.fixed(cut.seconds);
+            if cut.ticks > 1 || time <= far_fixed {
+                let time = u32::try_from(time).unwrap_or(u32::MAX);
+                return self.emit(&cut, time);
+            }
+            self.far = Some(Far { cut, time });
+        }
+        let Some(far) = &mut self.far else { return self.rest_here() };
+        if self.hold == Hold::Ramp {
+            return self.rest_here();
+        }
+        let cut = far.cut;
+        if far.time > far_fixed {
+            let wait = WAIT_MS * clocks_per_ms;
+            let wait_fixed = self.pacer.whole(wait);
+            far.time -= u64::from(wait_fixed);
+            self.rest = false;
+            return self.hand_over(&cut, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait);
+        }
+        let time = far.time as u32;
+        self.far = None;
+        self.emit(&cut, time)
+    }
+
+    /// The speed curve of the running block and how many units are left of it; `None` for a stop at this very place.
+    #[inline]
+    pub(super) fn curve(&self) -> Option<(Curve, u32)> {
+        let run = &self.running;
+        let left = run.total - run.done;
+        if self.hold != Hold::Ramp {
+            let exit2 = self.planner.exit2() * (run.scale * run.scale);
+            let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
+            return Some((curve, left));
+        }
+        if self.pace.speed2 <= 0.0 {
+            return None;
+        }
+        let way = self.pace.speed2 / (2.0 * run.acceleration);
+        if way < 1.0 && self.pace.speed * CRAWL_S < 2.0 {
+            return None;
+        }
+        if way >= left as f32 {
+            // All of this block brakes, and the next one goes on with what speed is left.
+            let exit2 = (self.pace.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
+            let curve = Curve { acceleration: run.acceleration, nominal2: self.pace.speed2, exit2 };
+            return Some((curve, left));
+        }
+        // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
+        let mut stop = way as u32;
+        if (stop as f32) < way {
+            stop += 1;
+        }
+        let stop = stop.clamp(1, left);
+        let curve =
+            Curve { acceleration: self.pace.speed2 / (2.0 * stop as f32), nominal2: self.pace.speed2, exit2: 0.0 };
+        Some((curve, stop))
+    }
+
+    /// A segment that moves nothing and lets the step task rest.
+    #[inline(never)]
+    fn rest_here(&mut self) -> Segment {
+        self.far = None;
+        self.pace = Pace::REST;
+        self.pull = 0.0;
+        self.rest = true;
+        self.hold = Hold::Held;
+        let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
+        let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0, acceleration: 0.0 };
+        let interval = self.pacer.whole(clocks);
+        self.hand_over(&still, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
+    }
+
+    /// Hands over a cut with its time, and goes on to the next block after the last.
+    fn emit(&mut self, cut: &Cut, time: u32) -> Segment {
+        let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
+        self.running.done += cut.units;
+        self.pace = cut.end;
+        self.pull = cut.acceleration;
+        let ends = self.running.done >= self.running.total;
+        let mut flags = 0;
+        if ends && self.planner.len() < 2 {
+            self.pace = Pace::REST;
+        }
+        self.rest = self.pace.speed2 <= 0.0;
+        if self.rest {
+            flags = Segment::FLAG_LAST;
+            self.pull = 0.0;
+            if self.hold == Hold::Ramp {
+                self.hold = Hold::Held;
+            }
+        }
+        let segment =
+            self.hand_over(cut, flags, intervals.interval, intervals.ramp, cut.ticks as u16, intervals.clocks);
+        if ends {
+            self.start = self.prepared();
+            self.running.active = false;
+            self.planner.pop();
+            self.pace = self.pace.scaled(1.0 / self.running.scale);
+            if self.planner.len() == 0 && self.long.is_none() && self.backlash.is_outstanding() {
+                self.finish_taking_up();
+            }
+            if self.planner.len() == 0 && self.long.is_none() {
+                self.started = false;
+            }
+        }
+        segment
+    }
+
+    /// Notes a segment that is on its way, and makes its message.
+    fn hand_over(&mut self, cut: &Cut, flags: u8, interval: u32, ramp: i32, ticks: u16, clocks: u32) -> Segment {
+        let run = &self.running;
+        let speed = cut.units as f32 / (cut.seconds * run.scale);
+        let mut power = run.power;
+        if run.flags & SCALE_POWER != 0 {
+            power = (f32::from(power) * (speed / run.programmed)) as u16;
+        }
+        let motors = self.prepared();
+        let record =
+            Record { position: motors.tool(), lead: motors.lead, speed, clocks, line_number: run.line_number, power };
+        let rapid = if run.flags & RAPID != 0 { Segment::FLAG_RAPID } else { 0 };
+        let fresh = if run.fresh { Segment::FLAG_NEW_BLOCK } else { 0 };
+        self.running.fresh = false;
+        self.flight.push(record);
+        Segment { interval, ramp, ticks, power, level: cut.level, flags: flags | fresh | rapid }
+    }
+}

@@ -1,0 +1,324 @@
+//! Moves on their way in: from a target to a block of the queue.
+
+use super::arc::Arc;
+use super::backlash;
+use super::block::{Block, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
+use super::curvature::{self, MOST_TURN, Piece};
+use super::planner::{self, DIGIT, UNLIMITED2};
+use super::profile::{greater, lesser, square_root};
+use super::{
+    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded, in_mm,
+    signed_steps, unsigned_steps,
+};
+use crate::axes::{Axis, PerAxis};
+use crate::units::Coordinate;
+
+/// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
+const MOST_OVERRIDE: f32 = 2.0;
+/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
+const LEAST_EASE: f32 = 0.004;
+
+impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
+    pub fn line(&mut self, m: &Move<N>) -> bool {
+        self.queue(m, UNLIMITED2)
+    }
+
+    /// Queues a chord of an arc: [`Motion::line`], not faster than the arc's own curve allows.
+    pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
+        let mut acceleration = GREATEST_ACCELERATION;
+        for (axis, most) in Axis::of_machine::<N>().zip(self.acceleration) {
+            if arc.bends(axis) {
+                acceleration = lesser(acceleration, most);
+            }
+        }
+        self.queue(m, acceleration * arc.curve_radius())
+    }
+
+    fn queue(&mut self, m: &Move<N>, bend2: f32) -> bool {
+        if self.free_blocks() == 0 {
+            return false;
+        }
+        let timed;
+        let m = match m.speed {
+            // The time is that of the whole, and a piece of it may be cut off.
+            Speed::Duration(seconds) if self.backlash.is_on() => {
+                timed = Move { speed: Speed::Feed(self.distance(&m.target) / seconds), ..*m };
+                &timed
+            }
+            _ => m,
+        };
+        // A probe brakes within its own block.
+        if self.backlash.is_on() && !m.no_feed_override {
+            self.begin_taking_up(m, bend2);
+        }
+        let steps = self.kinematics.steps(&m.target);
+        let mut most = 0;
+        for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
+            most = most.max(new.abs_diff(*old));
+        }
+        if most < MAX_STEPS {
+            self.append(m, &steps, bend2);
+            return true;
+        }
+        let mut whole = *m;
+        if let Speed::Duration(seconds) = m.speed {
+            whole.speed = Speed::Feed(self.distance(&m.target) / seconds);
+        }
+        // One piece more than the quotient: a piece's own rounding may add a step.
+        let pieces = most / (MAX_STEPS / 2) + 1;
+        self.long = Some(LongMove { start: self.planned, whole, bend2, pieces, next: 1 });
+        self.continue_long_move();
+        true
+    }
+
+    #[inline]
+    pub(super) fn continue_long_move(&mut self) {
+        if self.long.is_some() {
+            self.cut_long_move();
+        }
+    }
+
+    #[inline(never)]
+    fn cut_long_move(&mut self) {
+        while let Some(mut long) = self.long {
+            if self.planner.free() == 0 {
+                return;
+            }
+            let mut piece = long.whole;
+            if long.next < long.pieces {
+                let (part, parts) = (i64::from(long.next), i64::from(long.pieces));
+                piece.target = long.start.zip(&long.whole.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / parts));
+                long.next += 1;
+                self.long = Some(long);
+            } else {
+                self.long = None;
+            }
+            let steps = self.kinematics.steps(&piece.target);
+            self.append(&piece, &steps, long.bend2);
+        }
+    }
+
+    /// mm from the end of the queue.
+    fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
+        let mut square = 0.0;
+        for (to, from) in target.iter().zip(self.planned.iter()) {
+            let way = in_mm(*to - *from);
+            square += way * way;
+        }
+        square_root(square)
+    }
+
+    /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32) {
+        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| in_mm(to - from));
+        let mut square = 0.0;
+        for part in way.iter() {
+            square += part * part;
+        }
+        let straight = square_root(square);
+        let own = if self.planned == self.block_end { straight } else { self.distance(&m.target) };
+        let path = own + self.carried;
+        self.planned = m.target;
+
+        let mut block = Block::<N>::EMPTY;
+        let mut directions = 0;
+        // The way that the steps stand for, less half a step: what the path must be long at least (see `length`).
+        let mut least = 0.0_f32;
+        let mut dominant = 0;
+        let ends = target_steps.iter().zip(self.planned_steps.iter());
+        for (bit, ((to, from), (steps, mm))) in
+            ends.zip(block.steps.iter_mut().zip(self.kinematics.least_mm)).enumerate()
+        {
+            *steps = to.abs_diff(*from);
+            if to < from {
+                directions |= 1 << bit;
+            }
+            if *steps > 0 {
+                least = greater((*steps as f32 - 0.5) * mm, least);
+            }
+            dominant = dominant.max(*steps);
+        }
+        if dominant == 0 {
+            self.carried = path;
+            return;
+        }
+        // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
+        // taken as longer, and the next one as shorter by as much.
+        let length = greater(path, least);
+        self.carried = greater(path - length, -least);
+        let start = core::mem::replace(&mut self.block_end, m.target);
+        self.planned_steps = *target_steps;
+
+        let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
+        let (mut acceleration, mut limit) = self.limits(&way, length);
+        block.jerk = self.jerk_along(&way, length, acceleration);
+        let (programmed, rapid) = match m.speed {
+            Speed::Rapid => (limit, RAPID),
+            Speed::Feed(feed) => (feed, 0),
+            Speed::Duration(seconds) => (own / seconds, 0),
+        };
+        if self.backlash.is_on() {
+            let speed = lesser(programmed, limit);
+            if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
+                (acceleration, limit) = self.limits(&motors, length);
+                block.jerk = self.jerk_along(&motors, length, acceleration);
+            }
+        }
+        block.directions = directions;
+        block.line_number = m.line_number;
+        block.length = length;
+        block.acceleration = acceleration;
+        block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
+        block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
+        let turn2 = curvature::turn2(&self.direction, &unit);
+        let lengths = [self.distance, straight];
+        block.corner2 =
+            planner::corner_speed2(&self.direction, &unit, turn2, lengths, &self.acceleration, self.junction_deviation);
+        if core::mem::take(&mut self.tool_stands) {
+            block.corner2 = 0.0;
+        }
+        block.power = m.power;
+        block.flags =
+            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
+        // A remnant shorter than a digit has no direction to speak of: the corner is that between its neighbours.
+        if straight >= DIGIT || self.planner.len() == 0 {
+            self.direction = unit;
+            self.distance = straight;
+        }
+        self.planner.push(block, self.overrides);
+        if bend2 < UNLIMITED2 {
+            self.chain_broken = true;
+        } else {
+            if self.chain_broken || turn2 > MOST_TURN {
+                self.chain.restart(&start);
+                self.chain_broken = false;
+                self.chain_speed2 = 0.0;
+            }
+            let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+            self.chain_speed2 = greater(self.chain_speed2, fastest * fastest);
+            let piece = Piece { start: &start, end: &m.target, direction: &unit, length: straight };
+            self.chain.extend(&piece, &self.acceleration, |bend| {
+                if bend.speed2 < self.chain_speed2 {
+                    self.planner.limit(&bend);
+                }
+            });
+        }
+        self.planner.plan();
+    }
+
+    /// Greatest acceleration and speed along a way of this length at which no axis goes beyond its own.
+    #[inline]
+    fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
+        let mut acceleration = GREATEST_ACCELERATION;
+        let mut limit = GREATEST_SPEED;
+        for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
+            let share = part.abs() / length;
+            if share * acceleration > most {
+                acceleration = most / share;
+            }
+            if share * limit > rate {
+                limit = rate / share;
+            }
+        }
+        (acceleration, limit)
+    }
+
+    /// Greatest jerk along a way of this length at which no axis goes beyond its own.
+    #[inline]
+    fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+        let mut jerk = acceleration / LEAST_EASE;
+        if self.planner.jerk_limited {
+            for (part, most) in way.iter().zip(self.jerk) {
+                let share = part.abs() / length;
+                if share * jerk > most {
+                    jerk = most / share;
+                }
+            }
+        }
+        jerk
+    }
+
+    /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
+    #[inline(never)]
+    fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32) {
+        let steps = self.kinematics.steps(&m.target);
+        let moved = steps.zip(&self.planned_steps, i32::wrapping_sub);
+        let mut after = self.backlash;
+        after.turn(&moved.0);
+        if !after.is_outstanding() || moved.iter().all(|steps| *steps == 0) {
+            return;
+        }
+        let distance = self.distance(&m.target);
+        let way = m.target.zip(&self.planned, |to, from| in_mm(to - from));
+        let (acceleration, limit) = self.limits(&way, distance);
+        let feed = match m.speed {
+            Speed::Rapid => limit,
+            Speed::Feed(feed) => feed,
+            Speed::Duration(seconds) => distance / seconds,
+        };
+        let share = backlash::share(acceleration, self.junction_deviation, lesser(feed, limit));
+        let mut needed = 0.0;
+        for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
+            needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
+        }
+        if needed * 1.5 < distance {
+            let part = (needed / distance * 65_536.0) as i64 + 1;
+            let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
+            let target = self.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
+            let steps = self.kinematics.steps(&target);
+            self.append(&Move { target, speed, ..*m }, &steps, bend2);
+        }
+    }
+
+    /// Adds to the steps of a block what it takes up of the slack. `None`: nothing; else the way of the motors, in terms
+    /// of the axes.
+    #[inline(never)]
+    fn take_up(
+        &mut self,
+        steps: &mut [u32; N],
+        directions: &mut u8,
+        way: &PerAxis<f32, N>,
+        length: f32,
+        acceleration: f32,
+        speed: f32,
+    ) -> Option<PerAxis<f32, N>> {
+        let mut moved = signed_steps(steps, *directions);
+        self.backlash.turn(&moved);
+        if !self.backlash.is_outstanding() {
+            return None;
+        }
+        let room = backlash::share(acceleration, self.junction_deviation, speed) * length;
+        let most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        let taken = self.backlash.take_up(&most);
+        for (moved, taken) in moved.iter_mut().zip(taken) {
+            *moved += taken;
+        }
+        (*steps, *directions) = unsigned_steps(&moved);
+        let extra = self.kinematics.way_of_axes(&taken);
+        Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
+    }
+
+    /// The queue is empty and slack is left, because the last moves were too short: a block of its own, from rest to rest,
+    /// in which the tool stands still.
+    #[inline(never)]
+    pub(super) fn finish_taking_up(&mut self) {
+        let taken = self.backlash.take_up(&[MOST_BACKLASH; N]);
+        let way = PerAxis(self.kinematics.way_of_axes(&taken));
+        let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        let mut block = Block::<N>::EMPTY;
+        (block.steps, block.directions) = unsigned_steps(&taken);
+        block.line_number = self.running.line_number;
+        block.length = length;
+        (block.acceleration, block.limit) = self.limits(&way, length);
+        block.jerk = self.jerk_along(&way, length, block.acceleration);
+        block.programmed = block.limit;
+        block.flags = NO_OVERRIDE;
+        // The tool stands: a beam would burn a hole.
+        block.power = 0;
+        self.chain_broken = true;
+        self.tool_stands = true;
+        self.planner.push(block, self.overrides);
+        self.planner.plan();
+    }
+}
