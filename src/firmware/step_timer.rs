@@ -11,6 +11,10 @@
 //! It promises: a stop that was asked for is obeyed before anything else in the same handler; ticks that come late do
 //! not shift those after them; a report to `control` is kept until it has been sent. It leaves when and what to step to
 //! the stepper.
+//!
+//! What is not urgent (messages, power, reports) comes after the end of a pulse and while the next tick is far. Where ticks
+//! follow each other so closely that none is ever far, it waits for one tick and comes after the pulse of that one, which
+//! is an ordinary one and leaves the most time. It may make the tick after it late, by [`FAR_US`] at most, once for a message.
 
 use crate::boards::{AXES, Due, PROFILE, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
@@ -27,6 +31,13 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
+/// A tick is far if it leaves time for what is not urgent: 1.3 times the 330 cycles of a message fetched (`cargo xtask
+/// count`) take 4.5 us at 96 MHz.
+const FAR_US: u32 = 5;
+const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
+/// From the end of a pulse to what comes after it: the handler that ends it is through by then.
+const BEHIND_PULSE_TICKS: u32 = TICKS_PER_US;
+
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
 
@@ -42,21 +53,35 @@ pub struct Step {
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Receiver<'static, Wiring, 2>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
-    /// An event that has not been sent yet.
-    unsent: Option<StepEvent<AXES>>,
+    unsent: Unsent,
     wake: Wake,
-    /// The probe has been seen; the report has not been made yet.
-    touched: bool,
+    /// What is not urgent has waited for a tick.
+    waited: bool,
     /// Ticks are coming.
     running: bool,
     /// At rest: the last pulse has not ended yet.
     settling: bool,
     directions_shown: u8,
-    segment_power: u16,
     power_shown: u16,
     /// The probe is active while its pin is high.
     probe_invert: bool,
     stops_done: u8,
+}
+
+/// Events that have not been sent yet, in the order in which they happen. Each kind has a place of its own and cannot
+/// happen twice before it has been sent: after a contact or an underrun nothing moves until `control` has answered, and
+/// it answers what it has received; of several stops the newest count is what it has to answer.
+struct Unsent {
+    /// The probe has been seen.
+    touched: bool,
+    underrun: Option<StepEvent<AXES>>,
+    stopped: Option<StepEvent<AXES>>,
+}
+
+impl Unsent {
+    fn any(&self) -> bool {
+        self.touched || self.underrun.is_some() || self.stopped.is_some()
+    }
 }
 
 impl Step {
@@ -79,13 +104,12 @@ impl Step {
             segments,
             wiring,
             events,
-            unsent: None,
+            unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
-            touched: false,
+            waited: false,
             running: false,
             settling: false,
             directions_shown: 0,
-            segment_power: 0,
             power_shown: 0,
             probe_invert: false,
             stops_done: 0,
@@ -99,10 +123,10 @@ impl Step {
     pub fn run(&mut self) {
         let due = self.timer.take();
         if due == Due::TICK {
-            if self.stepper.ends_segment() || self.stepper.is_watching() {
+            if !self.stepper.is_plain() {
                 self.rare_tick();
             } else {
-                let tick = self.stepper.tick_within();
+                let tick = self.stepper.plain_tick();
                 self.show(&tick, true);
             }
         } else if due == Due::PULSE_END {
@@ -137,31 +161,33 @@ impl Step {
         }
     }
 
-    /// Writes a tick to the pins, and sets the timer for the end of its pulse and for the next tick.
+    /// Writes a tick to the pins, and sets the timer for the end of its pulse and for the next tick; the moment of the
+    /// pulse's end.
     ///
     /// A pulse must have ended, and the pin have been low for a while, before the next one begins: a tick that comes late
     /// puts the next one off, and those after it stay where they were.
     #[inline(always)]
-    fn show(&mut self, tick: &Tick, goes_on: bool) {
+    fn show(&mut self, tick: &Tick, goes_on: bool) -> u32 {
+        let due = self.stepper.moment();
         let mut least = SHORTEST_TICKS;
         if tick.steps != 0 {
             self.pins.raise(tick.steps);
             least = self.gap_ticks;
         }
         let now = self.timer.now();
+        let pulse_end = now.wrapping_add(self.pulse_ticks);
         if tick.steps != 0 {
-            self.timer.pulse_end_at(now.wrapping_add(self.pulse_ticks));
+            self.timer.pulse_end_at(pulse_end);
         }
-        if !goes_on {
-            return;
+        if goes_on {
+            self.pins.pass(tick.interval);
+            if due.wrapping_sub(now) as i32 >= least as i32 {
+                self.timer.next_tick_at(due);
+            } else {
+                self.put_off(now.wrapping_add(least));
+            }
         }
-        self.pins.pass(tick.interval);
-        let due = self.stepper.moment();
-        if due.wrapping_sub(now) as i32 >= least as i32 {
-            self.timer.next_tick_at(due);
-        } else {
-            self.put_off(now.wrapping_add(least));
-        }
+        pulse_end
     }
 
     /// A tick with more to do than to step: a segment ends, motion begins or ends, the probe is looked at.
@@ -171,38 +197,38 @@ impl Step {
             return;
         }
         // Segments of a tick or two may leave no time to fetch ahead.
-        if self.stepper.ends_segment() {
-            // Behind a shut gate the queue is only emptied, which has time.
-            while self.stepper.wants() && !self.stepper.is_shut() && self.fetch() {}
+        if self.stepper.wants() && self.stepper.ends_segment() {
+            self.fetch_at_last();
         }
-        let begun = self.stepper.segments_begun();
         let tick = self.stepper.tick();
-        self.show(&tick, tick.interval != 0);
+        let pulse_end = self.show(&tick, tick.interval != 0);
+        if tick.begins {
+            // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
+            if tick.steps != 0 {
+                self.timer.settled_at(pulse_end);
+            } else {
+                self.settle();
+            }
+        }
         if self.stepper.is_watching() && self.stepper.probe(self.pins.probe_low() != self.probe_invert) {
-            self.touched = true;
+            self.unsent.touched = true;
             StepTimer::call();
         }
         if tick.interval == 0 {
             if tick.underrun {
-                self.report(self.stepper.underrun_event());
+                self.unsent.underrun = Some(self.stepper.underrun_event());
+                // The beam goes off at once.
+                StepTimer::call();
             }
             self.rest(tick.steps != 0);
-            return;
         }
-        if self.stepper.segments_begun() != begun {
-            SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
-            self.segment_power = tick.power;
-            self.show_power();
-            if tick.directions != self.directions_shown {
-                if tick.steps != 0 {
-                    self.timer.settled_at(self.timer.now().wrapping_add(self.pulse_ticks));
-                } else {
-                    self.turn();
-                }
-            }
-            // The next segment is fetched ahead of its time, and not in this tick, which is long enough.
-            StepTimer::call();
-        }
+    }
+
+    /// Fetches what the tick that is due needs.
+    #[cold]
+    fn fetch_at_last(&mut self) {
+        // Behind a shut gate the queue is only emptied, which has time.
+        while self.stepper.wants() && !self.stepper.is_shut() && self.fetch() {}
     }
 
     /// Ends the pulse, and sees to it that the next one comes late enough.
@@ -215,16 +241,14 @@ impl Step {
         }
     }
 
-    /// The pulse before has ended: time for another direction.
+    /// The pulse before has ended: time for another direction, and for everything else.
     #[cold]
     fn settle(&mut self) {
         if self.running && self.stepper.directions() != self.directions_shown {
             self.turn();
         }
-        if self.settling || self.unsent.is_some() {
-            self.settling = false;
-            StepTimer::call();
-        }
+        self.settling = false;
+        StepTimer::call();
     }
 
     /// Writes the directions of the next step.
@@ -272,12 +296,18 @@ impl Step {
 
     /// What is not as urgent as a tick, one message at a time.
     fn attend(&mut self) {
+        if self.running && !self.waited && self.wait_for_tick() {
+            self.waited = true;
+            return;
+        }
+        self.waited = false;
         if self.stepper.wants() && self.fetch() && self.stepper.wants() {
             StepTimer::call();
         }
         if !self.running && !self.settling {
             self.start();
         }
+        SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         self.show_power();
         let at_rest = !self.running && !self.settling;
         if at_rest && !STEP_AT_REST.load(Ordering::Relaxed) {
@@ -285,12 +315,28 @@ impl Step {
         }
         STEP_AT_REST.store(at_rest, Ordering::Relaxed);
         STEP_WANTS.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
-        if self.touched || self.unsent.is_some() {
+        if self.unsent.any() {
             self.send_all();
-            if self.unsent.is_some() && at_rest {
+            if self.unsent.any() && at_rest {
                 self.timer.settled_at(self.timer.now().wrapping_add(RETRY_TICKS));
             }
         }
+    }
+
+    /// If the next tick is near, calls again after the end of its pulse.
+    #[inline]
+    fn wait_for_tick(&mut self) -> bool {
+        let now = self.timer.now();
+        let left = self.timer.next_tick().wrapping_sub(now) as i32;
+        if left >= FAR_TICKS as i32 {
+            return false;
+        }
+        // A turn that is still to come calls at its end.
+        if self.stepper.directions() == self.directions_shown {
+            let pulse_end = now.wrapping_add_signed(left.max(0)).wrapping_add(self.pulse_ticks);
+            self.timer.settled_at(pulse_end.wrapping_add(BEHIND_PULSE_TICKS));
+        }
+        true
     }
 
     /// Nothing moves: time for new wiring, and for a start.
@@ -318,7 +364,7 @@ impl Step {
     fn show_power(&mut self) {
         let power = Power::wanted();
         let level = match (power.from_segments, self.running) {
-            (true, true) => self.segment_power,
+            (true, true) => self.stepper.power(),
             // After a stop or underrun the beam stays off, whatever was wanted before.
             (true, false) if self.stepper.is_shut() => 0,
             _ => power.level,
@@ -332,7 +378,6 @@ impl Step {
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        self.send_all();
         // A pulse that is out has been counted: it gets its full length, and its end comes by itself.
         self.timer.tick_off();
         self.running = false;
@@ -347,41 +392,44 @@ impl Step {
             let mut event = self.stepper.stop();
             // The newest counts; that something was moving at an older one must not be forgotten.
             if let (StepEvent::Stopped { moving, .. }, Some(StepEvent::Stopped { moving: before, .. })) =
-                (&mut event, self.unsent)
+                (&mut event, self.unsent.stopped)
             {
                 *moving |= before;
             }
-            self.unsent = Some(event);
+            self.unsent.stopped = Some(event);
         }
         self.show_power();
-    }
-
-    /// Keeps an event until there is time to send it.
-    #[cold]
-    fn report(&mut self, event: StepEvent<AXES>) {
-        self.send_all();
-        self.unsent = Some(event);
-        StepTimer::call();
     }
 
     /// Sends what there is to report, as far as there is room.
     #[inline(never)]
     fn send_all(&mut self) {
-        self.send();
-        if self.touched && self.unsent.is_none() {
-            self.touched = false;
-            self.unsent = Some(self.stepper.probed_event());
-            self.send();
+        if self.unsent.touched {
+            let event = self.stepper.probed_event();
+            self.unsent.touched = !self.send(event);
+        }
+        // No event overtakes another.
+        if !self.unsent.touched
+            && let Some(event) = self.unsent.underrun
+            && self.send(event)
+        {
+            self.unsent.underrun = None;
+        }
+        if !self.unsent.touched
+            && self.unsent.underrun.is_none()
+            && let Some(event) = self.unsent.stopped
+            && self.send(event)
+        {
+            self.unsent.stopped = None;
         }
     }
 
     #[inline(never)]
-    fn send(&mut self) {
-        if let Some(event) = self.unsent
-            && self.events.try_send(event).is_ok()
-        {
-            self.unsent = None;
+    fn send(&mut self, event: StepEvent<AXES>) -> bool {
+        let sent = self.events.try_send(event).is_ok();
+        if sent {
             self.wake.write(());
         }
+        sent
     }
 }
