@@ -14,7 +14,8 @@
 //!
 //! What is not urgent (messages, power, reports) comes after the end of a pulse and while the next tick is far. Where ticks
 //! follow each other so closely that none is ever far, it waits for one tick and comes after the pulse of that one, which
-//! is an ordinary one and leaves the most time. It may make the tick after it late, by [`FAR_US`] at most, once for a message.
+//! is an ordinary one and leaves the most time. It may make the tick after it late, but no later than [`FAR_US`] after the
+//! end of that pulse. So that this is not long, a message is received in one entry and taken in in another.
 
 use crate::boards::{AXES, Due, PROFILE, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
@@ -31,12 +32,13 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// A tick is far if it leaves time for what is not urgent: 1.3 times the 330 cycles of a message fetched (`cargo xtask
-/// count`) take 4.5 us at 96 MHz.
-const FAR_US: u32 = 5;
+/// A tick is far if it leaves time for what is not urgent: the longest takes LONGEST cycles (`cargo xtask count`), with 24
+/// for entry and exit and 1.3 for flash wait states 4 us at 84 MHz.
+const FAR_US: u32 = 4;
 const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
-/// From the end of a pulse to what comes after it: the handler that ends it is through by then.
-const BEHIND_PULSE_TICKS: u32 = TICKS_PER_US;
+/// From the moment a tick is due to the edge that it makes, and a part of the handler that ends the pulse: what is to come
+/// after this handler waits for it.
+const BEHIND_PULSE_TICKS: u32 = TICKS_PER_US * 3 / 2;
 
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
@@ -55,6 +57,8 @@ pub struct Step {
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
     unsent: Unsent,
     wake: Wake,
+    /// Received and not taken in yet.
+    held: Option<ToStep>,
     /// What is not urgent has waited for a tick.
     waited: bool,
     /// Ticks are coming.
@@ -106,6 +110,7 @@ impl Step {
             events,
             unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
+            held: None,
             waited: false,
             running: false,
             settling: false,
@@ -123,14 +128,27 @@ impl Step {
     pub fn run(&mut self) {
         let due = self.timer.take();
         if due == Due::TICK {
-            if !self.stepper.is_plain() {
-                self.rare_tick();
-            } else {
-                let tick = self.stepper.plain_tick();
-                self.show(&tick, true);
-            }
+            self.tick();
         } else if due == Due::PULSE_END {
             self.end_pulse();
+        } else {
+            self.others(due);
+        }
+    }
+
+    #[inline(always)]
+    fn tick(&mut self) {
+        match self.stepper.plain_tick() {
+            Some(tick) => _ = self.show(&tick, true),
+            None => self.rare_tick(),
+        }
+    }
+
+    /// None of the two usual things.
+    #[inline(never)]
+    fn others(&mut self, due: Due) {
+        if due == Due::CALLED && crossing::stops_asked() == self.stops_done {
+            self.attend();
         } else {
             self.several(due);
         }
@@ -145,18 +163,20 @@ impl Step {
         if due.has(Due::PULSE_END) {
             self.end_pulse();
         }
+        let mut is_called = due.has(Due::CALLED);
         if due.has(Due::SETTLED) {
             self.settle();
+            is_called = true;
         }
         // The end of a pulse or a turn may have put the tick off.
         let still_due = self.timer.next_tick().wrapping_sub(self.timer.now()) as i32 <= 0;
         if due.has(Due::TICK) && still_due {
-            self.rare_tick();
-            if due.has(Due::CALLED) {
+            self.tick();
+            if is_called {
                 // One thing at a time: what else the call was for comes after whatever the timer wants by then.
                 StepTimer::call();
             }
-        } else if due.has(Due::CALLED) {
+        } else if is_called {
             self.attend();
         }
     }
@@ -200,7 +220,7 @@ impl Step {
         if self.stepper.wants() && self.stepper.ends_segment() {
             self.fetch_at_last();
         }
-        let tick = self.stepper.tick();
+        let tick = self.stepper.rare_tick();
         let pulse_end = self.show(&tick, tick.interval != 0);
         if tick.begins {
             // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
@@ -208,6 +228,7 @@ impl Step {
                 self.timer.settled_at(pulse_end);
             } else {
                 self.settle();
+                StepTimer::call();
             }
         }
         if self.stepper.is_watching() && self.stepper.probe(self.pins.probe_low() != self.probe_invert) {
@@ -228,7 +249,13 @@ impl Step {
     #[cold]
     fn fetch_at_last(&mut self) {
         // Behind a shut gate the queue is only emptied, which has time.
-        while self.stepper.wants() && !self.stepper.is_shut() && self.fetch() {}
+        while self.stepper.wants() && !self.stepper.is_shut() {
+            if let Some(message) = self.held.take() {
+                self.stepper.load(message);
+            } else if !self.receive() {
+                return;
+            }
+        }
     }
 
     /// Ends the pulse, and sees to it that the next one comes late enough.
@@ -241,14 +268,13 @@ impl Step {
         }
     }
 
-    /// The pulse before has ended: time for another direction, and for everything else.
+    /// The pulse before has ended: time for another direction.
     #[cold]
     fn settle(&mut self) {
         if self.running && self.stepper.directions() != self.directions_shown {
             self.turn();
         }
         self.settling = false;
-        StepTimer::call();
     }
 
     /// Writes the directions of the next step.
@@ -286,30 +312,39 @@ impl Step {
         }
     }
 
-    /// Fetches a message; `false` if there is none.
+    /// Receives a message, which waits for being taken in; `false` if there is none.
     #[inline(never)]
-    fn fetch(&mut self) -> bool {
-        let Ok(message) = self.segments.try_recv() else { return false };
-        self.stepper.load(message);
-        true
+    fn receive(&mut self) -> bool {
+        self.held = self.segments.try_recv().ok();
+        self.held.is_some()
     }
 
-    /// What is not as urgent as a tick, one message at a time.
+    /// What is not as urgent as a tick, half a message at a time.
+    #[inline(never)]
     fn attend(&mut self) {
         if self.running && !self.waited && self.wait_for_tick() {
             self.waited = true;
             return;
         }
         self.waited = false;
-        if self.stepper.wants() && self.fetch() && self.stepper.wants() {
-            StepTimer::call();
+        if self.stepper.wants() {
+            if let Some(message) = self.held.take() {
+                self.stepper.load(message);
+                if self.stepper.wants() {
+                    StepTimer::call();
+                }
+            } else if self.receive() {
+                // Everything else comes with the second half.
+                StepTimer::call();
+                return;
+            }
         }
         if !self.running && !self.settling {
             self.start();
         }
         SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         self.show_power();
-        let at_rest = !self.running && !self.settling;
+        let at_rest = !self.running && !self.settling && self.held.is_none();
         if at_rest && !STEP_AT_REST.load(Ordering::Relaxed) {
             self.wake.write(());
         }

@@ -216,12 +216,15 @@ impl<const N: usize> Stepper<N> {
     /// calls [`Stepper::tick`]: a new block needs two or three messages, all other segments one.
     #[inline]
     pub fn wants(&self) -> bool {
-        !self.is_next
+        !self.is_next || self.unnoted
     }
 
     /// Takes a message; only while [`Stepper::wants`].
     #[inline]
     pub fn load(&mut self, message: ToStep) {
+        if self.unnoted {
+            self.note_touch();
+        }
         if self.gate_shut {
             if let ToStep::Resume { stops } = message {
                 self.gate_shut = stops != self.stops;
@@ -299,25 +302,23 @@ impl<const N: usize> Stepper<N> {
     /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
     #[inline]
     pub fn tick(&mut self) -> Tick {
-        if self.is_plain() { self.plain_tick() } else { self.rare_tick() }
+        match self.plain_tick() {
+            Some(tick) => tick,
+            None => self.rare_tick(),
+        }
     }
 
-    /// Whether the next tick does nothing but to step, as most do; then [`Stepper::plain_tick`] is enough.
+    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_tick`]
+    /// is to be called.
     #[inline(always)]
-    pub fn is_plain(&self) -> bool {
-        self.piece.plain_ticks != 0
-    }
-
-    /// [`Stepper::tick`] within a segment, while the probe is not waited for.
-    #[inline(always)]
-    pub fn plain_tick(&mut self) -> Tick {
-        self.piece.plain_ticks = self.piece.plain_ticks.wrapping_sub(1);
+    pub fn plain_tick(&mut self) -> Option<Tick> {
+        self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
         let steps = self.step_axes();
-        self.set_out(steps)
+        Some(self.set_out(steps))
     }
 
-    /// [`Stepper::tick`] when a segment may end, motion begin or end, or the probe is waited for.
-    #[inline]
+    /// A tick with which a segment may end or motion begin or end, or at which the probe is waited for.
+    #[inline(always)]
     pub fn rare_tick(&mut self) -> Tick {
         if self.unnoted {
             self.note_touch();
@@ -327,13 +328,16 @@ impl<const N: usize> Stepper<N> {
             self.piece.rare_ticks = self.piece.rare_ticks.wrapping_sub(1);
             return self.set_out(steps);
         }
+        if self.is_next {
+            self.begin_segment();
+            return Tick { begins: true, ..self.set_out(steps) };
+        }
         self.piece.rare_ticks = 0;
-        let begins = self.begin_segment();
-        if begins || (self.brakes && self.brake()) {
-            return Tick { begins, ..self.set_out(steps) };
+        if self.brakes && self.brake() {
+            return self.set_out(steps);
         }
         let underrun = self.run_out();
-        Tick { steps, directions: self.course.directions, interval: 0, begins, underrun }
+        Tick { steps, directions: self.course.directions, interval: 0, begins: false, underrun }
     }
 
     #[inline(always)]
@@ -396,6 +400,7 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// No segment has followed: rest, and whether it is a fault.
+    #[cold]
     fn run_out(&mut self) -> bool {
         let underrun = !self.piece.last;
         if underrun {
@@ -405,12 +410,9 @@ impl<const N: usize> Stepper<N> {
         underrun
     }
 
-    /// Makes the prefetched segment the current one; `false` if there is none.
-    #[inline]
-    fn begin_segment(&mut self) -> bool {
-        if !self.is_next {
-            return false;
-        }
+    /// Makes the prefetched segment the current one.
+    #[inline(always)]
+    fn begin_segment(&mut self) {
         self.is_next = false;
         if self.next_piece.new_block {
             self.begin_block();
@@ -420,7 +422,6 @@ impl<const N: usize> Stepper<N> {
         if self.is_watching {
             self.look_at_all();
         }
-        true
     }
 
     /// The probe is waited for: no tick is plain.
@@ -430,17 +431,24 @@ impl<const N: usize> Stepper<N> {
         self.piece.plain_ticks = 0;
     }
 
-    #[inline]
+    #[inline(always)]
     fn begin_block(&mut self) {
         if self.piece.end_units != self.course.threshold {
-            // The block before was left in its midst, for a detour.
-            self.next_course.base = self.position().0;
+            self.leave_midst();
         }
         self.course = self.next_course;
         self.left = [self.course.threshold / 2; N];
         if self.next_units != 0 {
             self.enter_midst();
         }
+    }
+
+    /// The block before was left in its midst, for a detour.
+    #[cold]
+    fn leave_midst(&mut self) {
+        // With this tick its segment has ended.
+        self.piece.rare_ticks = 0;
+        self.next_course.base = self.position().0;
     }
 
     /// Brings all axes to where they were when the block was left at `next_units`.
@@ -486,26 +494,27 @@ impl<const N: usize> Stepper<N> {
         if touched {
             self.is_watching = false;
             self.unnoted = true;
-            self.gate_shut = true;
-            self.is_next = false;
-            self.next_units = 0;
-            self.piece.last = true;
-            self.brakes = self.piece.rare_ticks != 0;
-            if self.brakes {
-                // The tick that is under way is the last of its segment.
-                self.piece.end_units = self.units().wrapping_add(self.piece.units_per_tick);
-                self.piece.rare_ticks = 1;
-                self.piece.ramp = 0;
-            }
         }
         touched
     }
 
-    /// Keeps the place of the contact. The tick that sees it has no time for that; nothing changes until the next one.
+    /// Keeps the place of the contact, throws away what is queued, and begins to brake. The tick that sees the contact has
+    /// no time for that. Every call that would change something, or would tell of the gate, comes by here first.
     #[cold]
     fn note_touch(&mut self) {
         self.unnoted = false;
         self.touched = self.place();
+        self.gate_shut = true;
+        self.is_next = false;
+        self.next_units = 0;
+        self.piece.last = true;
+        self.brakes = self.piece.rare_ticks != 0;
+        if self.brakes {
+            // The tick that is under way is the last of its segment.
+            self.piece.end_units = self.units().wrapping_add(self.piece.units_per_tick);
+            self.piece.rare_ticks = 1;
+            self.piece.ramp = 0;
+        }
     }
 
     /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
@@ -558,13 +567,13 @@ impl<const N: usize> Stepper<N> {
     /// Whether a stop has not been answered yet.
     #[inline]
     pub fn is_shut(&self) -> bool {
-        self.gate_shut
+        self.gate_shut || self.unnoted
     }
 
     /// Whether there is nothing left to do.
     #[inline]
     pub fn is_idle(&self) -> bool {
-        self.piece.ticks() == 0 && !self.is_next
+        self.piece.ticks() == 0 && (!self.is_next || self.unnoted)
     }
 
     /// Segments begun since power-up (wrapping).
