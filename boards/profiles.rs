@@ -39,20 +39,20 @@ pub const DESK: Board = Board {
 /// longest masked time; with 24 for each entry and 1.3 for flash wait states they take 1085 cycles, and half of the CPU at
 /// the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 88_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 225_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
 /// more for a second port: 1091 cycles.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 164_000, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 256_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 91_000, ..DESK };
+    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 229_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 76_000, ..DESK };
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 192_000, ..DESK };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };

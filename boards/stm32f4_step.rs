@@ -286,6 +286,12 @@ impl<const AT: usize, O> StepTimer<AT, O> {
         write(AT + CCR2, when);
     }
 
+    /// The moment at which the last pulse ends or has ended.
+    #[inline(always)]
+    pub fn pulse_end(&self) -> u32 {
+        read(AT + CCR2)
+    }
+
     /// Calls the step task at a moment that lies ahead, independent of ticks.
     #[inline(always)]
     pub fn settled_at(&mut self, when: u32) {

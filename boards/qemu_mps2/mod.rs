@@ -203,6 +203,11 @@ impl StepTimer {
         self.set(Self::PULSE_END, Some(when));
     }
 
+    /// The moment at which the pulse ends; now, if none is out.
+    pub fn pulse_end(&self) -> u32 {
+        self.moments[Self::PULSE_END].unwrap_or_else(|| self.now())
+    }
+
     /// Calls the step task at a moment, independent of ticks.
     pub fn settled_at(&mut self, when: u32) {
         self.set(Self::SETTLED, Some(when));

@@ -12,10 +12,11 @@
 //! not shift those after them; a report to `control` is kept until it has been sent. It leaves when and what to step to
 //! the stepper.
 //!
-//! What is not urgent (messages, power, reports) comes after the end of a pulse and while the next tick is far. Where ticks
-//! follow each other so closely that none is ever far, it waits for one tick and comes after the pulse of that one, which
-//! is an ordinary one and leaves the most time. It may make the tick after it late, but no later than [`FAR_US`] after the
-//! end of that pulse. So that this is not long, a message is received in one entry and taken in in another.
+//! What is not urgent (messages, power, reports) comes while the next edge is far: during a long pulse, or after a short one.
+//! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes after the pulse of
+//! that one, which is an ordinary one and leaves the most time. It may make the tick after it late, but no later than
+//! [`FAR_US`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
+//! another.
 
 use crate::boards::{AXES, Due, PROFILE, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
@@ -26,19 +27,22 @@ use rtic_sync::channel::{Receiver, Sender};
 
 /// Step-clock ticks in a microsecond.
 const TICKS_PER_US: u32 = PROFILE.step_clock_hz / 1_000_000;
-/// Shortest time between the end of a pulse and the next one: the slowest of the common drivers (DRV8825) asks for
-/// 1.9 us.
+/// Longest time that a driver needs between the end of a pulse and the next one: the slowest of the common drivers (DRV8825)
+/// asks for 1.9 us, and for as much of the pulse itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of
+/// both, TMC2209 0.1 us. So a pause need not be longer than the pulse.
 const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// A tick is far if it leaves time for what is not urgent: the longest takes LONGEST cycles (`cargo xtask count`), with 24
+/// An edge is far if it leaves time for what is not urgent: the longest takes LONGEST cycles (`cargo xtask count`), with 24
 /// for entry and exit and 1.3 for flash wait states 4 us at 84 MHz.
 const FAR_US: u32 = 4;
 const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
-/// From the moment a tick is due to the edge that it makes, and a part of the handler that ends the pulse: what is to come
-/// after this handler waits for it.
-const BEHIND_PULSE_TICKS: u32 = TICKS_PER_US * 3 / 2;
+/// From the moment a tick is due to the edge that it makes, and what is left of its handler.
+const EDGE_TICKS: u32 = TICKS_PER_US * 3 / 2;
+/// A part of the time from the moment a tick is due to its edge that it always takes: 12 cycles of entry and 40 instructions
+/// take 0.29 us at 180 MHz. An output stays low for that much longer.
+const LEAST_EDGE_TICKS: u32 = TICKS_PER_US / 4;
 
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
@@ -49,6 +53,8 @@ pub struct Step {
     timer: StepTimer,
     pins: StepPins,
     pulse_ticks: u32,
+    /// Shortest time between the end of a pulse and the moment that the next one is due.
+    low_ticks: u32,
     /// A pulse and the time after it.
     gap_ticks: u32,
     setup_ticks: u32,
@@ -103,7 +109,8 @@ impl Step {
             timer,
             pins,
             pulse_ticks: 10 * TICKS_PER_US,
-            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS,
+            low_ticks: LOW_TICKS - LEAST_EDGE_TICKS,
+            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS - LEAST_EDGE_TICKS,
             setup_ticks: LOW_TICKS,
             segments,
             wiring,
@@ -224,10 +231,12 @@ impl Step {
         let pulse_end = self.show(&tick, tick.interval != 0);
         if tick.begins {
             // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
-            if tick.steps != 0 {
+            if tick.steps == 0 {
+                self.settle();
+                StepTimer::call();
+            } else if self.pulse_ticks < FAR_TICKS || tick.directions != self.directions_shown {
                 self.timer.settled_at(pulse_end);
             } else {
-                self.settle();
                 StepTimer::call();
             }
         }
@@ -263,8 +272,8 @@ impl Step {
     fn end_pulse(&mut self) {
         self.pins.lower();
         let low = self.timer.next_tick().wrapping_sub(self.timer.now());
-        if (low as i32) < LOW_TICKS as i32 {
-            self.postpone(LOW_TICKS);
+        if (low as i32) < self.low_ticks as i32 {
+            self.postpone(self.low_ticks);
         }
     }
 
@@ -322,8 +331,7 @@ impl Step {
     /// What is not as urgent as a tick, half a message at a time.
     #[inline(never)]
     fn attend(&mut self) {
-        if self.running && !self.waited && self.wait_for_tick() {
-            self.waited = true;
+        if self.running && !self.waited && self.wait() {
             return;
         }
         self.waited = false;
@@ -358,18 +366,27 @@ impl Step {
         }
     }
 
-    /// If the next tick is near, calls again after the end of its pulse.
+    /// If the next edge is near, calls again after it: after the end of this pulse, or after the next tick.
     #[inline]
-    fn wait_for_tick(&mut self) -> bool {
+    fn wait(&mut self) -> bool {
         let now = self.timer.now();
-        let left = self.timer.next_tick().wrapping_sub(now) as i32;
-        if left >= FAR_TICKS as i32 {
+        let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
+        let to_end = self.timer.pulse_end().wrapping_sub(now);
+        let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
+        if to_tick >= FAR_TICKS as i32 && (!in_pulse || to_end >= FAR_TICKS) {
             return false;
         }
+        let until = if in_pulse {
+            to_end
+        } else {
+            self.waited = true;
+            // A long pulse leaves time while it is out.
+            let pulse = if self.pulse_ticks < FAR_TICKS { self.pulse_ticks } else { 0 };
+            to_tick.max(0) as u32 + pulse + EDGE_TICKS
+        };
         // A turn that is still to come calls at its end.
         if self.stepper.directions() == self.directions_shown {
-            let pulse_end = now.wrapping_add_signed(left.max(0)).wrapping_add(self.pulse_ticks);
-            self.timer.settled_at(pulse_end.wrapping_add(BEHIND_PULSE_TICKS));
+            self.timer.settled_at(now.wrapping_add(until));
         }
         true
     }
@@ -383,7 +400,8 @@ impl Step {
             self.pins.direct(self.directions_shown);
             self.probe_invert = wiring.probe_invert;
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
-            self.gap_ticks = self.pulse_ticks + LOW_TICKS;
+            self.low_ticks = self.pulse_ticks.min(LOW_TICKS) - LEAST_EDGE_TICKS;
+            self.gap_ticks = self.pulse_ticks + self.low_ticks;
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
         }
         if !self.stepper.is_idle() {

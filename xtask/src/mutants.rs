@@ -72,8 +72,8 @@ const MUTANTS: &[Mutant] = &[
         name: "fraction-of-a-tick-dropped",
         edits: &[Edit {
             file: STEPPER,
-            find: "self.carry = due & FRACTION_MASK;",
-            replace: "self.carry = due & FRACTION_MASK & 0;",
+            find: "wrapping_add(u64::from(interval) << FRACTION_SHIFT)",
+            replace: "wrapping_add(u64::from(interval) << FRACTION_SHIFT >> 32 << 32)",
         }],
     },
     Mutant {
@@ -104,27 +104,19 @@ const MUTANTS: &[Mutant] = &[
         name: "underrun-steps-on",
         edits: &[Edit {
             file: STEPPER,
-            find: "            let underrun = !self.last;\n",
-            replace: "            if !self.last {\n                self.ticks = 1;\n                self.segment_ticks += 1;\n                \
-                let interval = self.interval >> INTERVAL_FRACTION_BITS;\n                return Tick { steps, directions: \
-                self.directions, interval, power: self.power, underrun: false };\n            }\n            let underrun = \
-                !self.last;\n",
+            find: "        let underrun = self.run_out();\n",
+            replace: "        if !self.piece.last {\n            self.piece.rare_ticks = 2;\n            return \
+                self.set_out(steps);\n        }\n        let underrun = self.run_out();\n",
         }],
     },
     Mutant {
         name: "direction-one-tick-late",
-        edits: &[
-            Edit {
-                file: STEPPER,
-                find: "        let mut steps = 0;\n",
-                replace: "        let late = self.directions;\n        let mut steps = 0;\n",
-            },
-            Edit {
-                file: STEPPER,
-                find: "Tick { steps, directions: self.directions, interval, power: self.power, underrun: false }",
-                replace: "Tick { steps, directions: late, interval, power: self.power, underrun: false }",
-            },
-        ],
+        edits: &[Edit {
+            file: STEPPER,
+            find: "            self.begin_segment();\n            return Tick { begins: true, ..self.set_out(steps) };\n",
+            replace: "            let directions = self.course.directions;\n            self.begin_segment();\n            return \
+                Tick { begins: true, directions, ..self.set_out(steps) };\n",
+        }],
     },
     Mutant {
         name: "override-in-one-jump",

@@ -388,6 +388,9 @@ fn text_and_arcs() {
 
 type Whole = Controller<3, 64>;
 
+/// Segments, of a millisecond here, that the step task still has before it in the midst of a job.
+const QUEUED: u32 = 13;
+
 /// The bytes of a line, and outputs until the step task has been told of another block; how many segments that were.
 #[unsafe(no_mangle)]
 #[inline(never)]
@@ -399,7 +402,8 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
         controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
     }
     loop {
-        let observed = Observed { segments_begun: begun.wrapping_add(segments), step_idle: false, rx_free: 0 };
+        let segments_begun = begun.wrapping_add(segments).saturating_sub(QUEUED);
+        let observed = Observed { segments_begun, step_idle: false, rx_free: 0 };
         controller.observe(observed);
         match controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,
