@@ -35,24 +35,24 @@ pub const DESK: Board = Board {
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
-/// `cargo xtask count` gives 411 cycles for the worst tick, 350 for the fetching of a message after it and 25 for the
-/// longest masked time; with 24 for each entry and 1.3 for flash wait states they take 1085 cycles, and half of the CPU at
-/// the steady tick would allow 218 kHz (docs/how-it-works.md, "What it costs").
+/// `cargo xtask count` gives 97 cycles for a tick, 47 for the end of its pulse and 342 for half a message after it; with 24
+/// for each entry and 1.1 for flash wait states they take 614 cycles. The worst tick would allow 223 kHz
+/// (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 225_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 156_000, ..DESK };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. The step rate as above, with 5 cycles
-/// more for a second port: 1091 cycles.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. As above, with 5 cycles more for a
+/// second port, it would be 290 kHz; the shortest pulse and the time after it, 3.9 us, do not allow that.
 pub const NUCLEO_F446RE: Board =
     Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 256_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 229_000, ..DESK };
+    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 161_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 192_000, ..DESK };
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 135_000, ..DESK };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };

@@ -252,6 +252,12 @@ impl<const AT: usize, O> StepTimer<AT, O> {
         Due(due)
     }
 
+    /// Whether something is due that has not been taken.
+    #[inline(always)]
+    pub fn is_due(&self, what: Due) -> bool {
+        Due(read(AT + SR)).has(what)
+    }
+
     /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
     #[inline(always)]
     pub fn next_tick_at(&mut self, when: u32) {

@@ -177,6 +177,13 @@ impl StepTimer {
         Due(due)
     }
 
+    /// Whether something is due that has not been taken.
+    pub fn is_due(&self, what: Due) -> bool {
+        let now = self.now();
+        let mut all = self.moments.iter().zip([Due::TICK, Due::PULSE_END, Due::SETTLED]);
+        all.any(|(moment, flag)| flag == what && moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0))
+    }
+
     /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
     pub fn next_tick_at(&mut self, when: u32) {
         self.tick_at(when);

@@ -34,12 +34,14 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// An edge is far if it leaves time for what is not urgent: the longest takes LONGEST cycles (`cargo xtask count`), with 24
-/// for entry and exit and 1.3 for flash wait states 4 us at 84 MHz.
+/// An edge is far if it leaves time for what is not urgent: half a message takes 342 cycles (`cargo xtask count`), with 24
+/// for entry and exit 3.8 us at 96 MHz.
 const FAR_US: u32 = 4;
 const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
 /// From the moment a tick is due to the edge that it makes, and what is left of its handler.
 const EDGE_TICKS: u32 = TICKS_PER_US * 3 / 2;
+/// From a moment that may be near to one that surely lies ahead.
+const BEHIND_TICKS: u32 = TICKS_PER_US / 2;
 /// A part of the time from the moment a tick is due to its edge that it always takes: 12 cycles of entry and 40 instructions
 /// take 0.29 us at 180 MHz. An output stays low for that much longer.
 const LEAST_EDGE_TICKS: u32 = TICKS_PER_US / 4;
@@ -331,7 +333,7 @@ impl Step {
     /// What is not as urgent as a tick, half a message at a time.
     #[inline(never)]
     fn attend(&mut self) {
-        if self.running && !self.waited && self.wait() {
+        if self.running && self.wait() {
             return;
         }
         self.waited = false;
@@ -373,16 +375,20 @@ impl Step {
         let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
         let to_end = self.timer.pulse_end().wrapping_sub(now);
         let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
-        if to_tick >= FAR_TICKS as i32 && (!in_pulse || to_end >= FAR_TICKS) {
-            return false;
+        if self.timer.is_due(Due::PULSE_END) {
+            // It has ended since this call was taken.
+            StepTimer::call();
+            return true;
         }
-        let until = if in_pulse {
-            to_end
-        } else {
+        let until = if in_pulse && to_end < FAR_TICKS {
+            to_end + BEHIND_TICKS
+        } else if !self.waited && to_tick < FAR_TICKS as i32 {
             self.waited = true;
             // A long pulse leaves time while it is out.
             let pulse = if self.pulse_ticks < FAR_TICKS { self.pulse_ticks } else { 0 };
             to_tick.max(0) as u32 + pulse + EDGE_TICKS
+        } else {
+            return false;
         };
         // A turn that is still to come calls at its end.
         if self.stepper.directions() == self.directions_shown {

@@ -78,7 +78,7 @@ BLACKPILL_F411 = Wiring(
     "blackpill_f411", STM32F411, 25 * MHZ, False, 96 * MHZ,
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
-    probe="B15", door="B7", hold="B5", start="B6", reset="B4", usart="USART1", safe_step_hz=225_000,
+    probe="B15", door="B7", hold="B5", start="B6", reset="B4", usart="USART1", safe_step_hz=156_000,
 )  # fmt: skip
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,

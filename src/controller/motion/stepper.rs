@@ -247,9 +247,7 @@ impl<const N: usize> Stepper<N> {
                 self.next_course.threshold = (dominant as u32).wrapping_mul(UNITS_PER_STEP);
                 self.next_course.directions = directions;
                 // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
-                for ((next, base), way) in
-                    self.next_course.base.iter_mut().zip(self.course.base).zip(self.course.way)
-                {
+                for ((next, base), way) in self.next_course.base.iter_mut().zip(self.course.base).zip(self.course.way) {
                     *next = base.wrapping_add(way);
                 }
             }
