@@ -252,6 +252,12 @@ impl<const AT: usize, O> StepTimer<AT, O> {
         Due(due)
     }
 
+    /// Whether something is due that has not been taken.
+    #[inline(always)]
+    pub fn is_due(&self, what: Due) -> bool {
+        Due(read(AT + SR)).has(what)
+    }
+
     /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
     #[inline(always)]
     pub fn next_tick_at(&mut self, when: u32) {
@@ -284,6 +290,12 @@ impl<const AT: usize, O> StepTimer<AT, O> {
     #[inline(always)]
     pub fn pulse_end_at(&mut self, when: u32) {
         write(AT + CCR2, when);
+    }
+
+    /// The moment at which the last pulse ends or has ended.
+    #[inline(always)]
+    pub fn pulse_end(&self) -> u32 {
+        read(AT + CCR2)
     }
 
     /// Calls the step task at a moment that lies ahead, independent of ticks.

@@ -187,6 +187,13 @@ impl StepTimer {
         Due(due)
     }
 
+    /// Whether something is due that has not been taken.
+    pub fn is_due(&self, what: Due) -> bool {
+        let now = self.now();
+        let mut all = self.moments.iter().zip([Due::TICK, Due::PULSE_END, Due::SETTLED]);
+        all.any(|(moment, flag)| flag == what && moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0))
+    }
+
     /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
     pub fn next_tick_at(&mut self, when: u32) {
         self.tick_at(when);
@@ -211,6 +218,11 @@ impl StepTimer {
     /// Calls the step task at the end of a pulse.
     pub fn pulse_end_at(&mut self, when: u32) {
         self.set(Self::PULSE_END, Some(when));
+    }
+
+    /// The moment at which the pulse ends; now, if none is out.
+    pub fn pulse_end(&self) -> u32 {
+        self.moments[Self::PULSE_END].unwrap_or_else(|| self.now())
     }
 
     /// Calls the step task at a moment, independent of ticks.

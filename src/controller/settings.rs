@@ -444,7 +444,9 @@ impl<const N: usize> Settings<N> {
     /// no place for.
     pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
         // A pulse and the shortest pause after it must fit between two steps.
-        let pulses_hz = 1.0e6 / (self.value(Key::StepPulse) + LEAST_PAUSE_US);
+        let pulse = self.value(Key::StepPulse);
+        let low = if pulse < LONGEST_LOW_US { pulse } else { LONGEST_LOW_US };
+        let pulses_hz = 1.0e6 / (pulse + low + LATEST_PULSE_END_US);
         let greatest_hz = if pulses_hz < safe_step_hz as f32 { pulses_hz } else { safe_step_hz as f32 };
         let core_xy = self.arrangement() == Arrangement::CoreXy;
         let resolution = self.axes(AxisKey::Resolution);
@@ -514,9 +516,11 @@ const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_TOLERANCE: f32 = 1.0e-4;
-/// Time from the end of a step pulse to the next step, microseconds: 1.9 for the slowest common driver (DRV8825), and as
-/// much again for an end of the pulse that comes late because another interrupt is in the way.
-const LEAST_PAUSE_US: f32 = 3.8;
+/// Time that a step output stays low between two pulses, microseconds: as long as the pulse, but not longer than the slowest
+/// common driver (DRV8825) asks for.
+const LONGEST_LOW_US: f32 = 1.9;
+/// How much later than due a pulse may end, and the next one begin, because another interrupt is in the way, microseconds.
+const LATEST_PULSE_END_US: f32 = 1.9;
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
 /// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches

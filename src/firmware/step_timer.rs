@@ -11,6 +11,12 @@
 //! It promises: a stop that was asked for is obeyed before anything else in the same handler; ticks that come late do
 //! not shift those after them; a report to `control` is kept until it has been sent. It leaves when and what to step to
 //! the stepper.
+//!
+//! What is not urgent (messages, power, reports) comes while the next edge is far: during a long pulse, or after a short one.
+//! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes after the pulse of
+//! that one, which is an ordinary one and leaves the most time. It may make the tick after it late, but no later than
+//! [`FAR_US`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
+//! another.
 
 use crate::boards::{AXES, Due, PROFILE, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
@@ -21,11 +27,24 @@ use rtic_sync::channel::{Receiver, Sender};
 
 /// Step-clock ticks in a microsecond.
 const TICKS_PER_US: u32 = PROFILE.step_clock_hz / 1_000_000;
-/// Shortest time between the end of a pulse and the next one: the slowest of the common drivers (DRV8825) asks for
-/// 1.9 us.
+/// Longest time that a driver needs between the end of a pulse and the next one: the slowest of the common drivers (DRV8825)
+/// asks for 1.9 us, and for as much of the pulse itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of
+/// both, TMC2209 0.1 us. So a pause need not be longer than the pulse.
 const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
+
+/// An edge is far if it leaves time for what is not urgent: half a message takes 342 cycles (`cargo xtask count`), with 24
+/// for entry and exit 3.8 us at 96 MHz.
+const FAR_US: u32 = 4;
+const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
+/// From the moment a tick is due to the edge that it makes, and what is left of its handler.
+const EDGE_TICKS: u32 = TICKS_PER_US * 3 / 2;
+/// From a moment that may be near to one that surely lies ahead.
+const BEHIND_TICKS: u32 = TICKS_PER_US / 2;
+/// A part of the time from the moment a tick is due to its edge that it always takes: 12 cycles of entry and 40 instructions
+/// take 0.29 us at 180 MHz. An output stays low for that much longer.
+const LEAST_EDGE_TICKS: u32 = TICKS_PER_US / 4;
 
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
@@ -36,27 +55,45 @@ pub struct Step {
     timer: StepTimer,
     pins: StepPins,
     pulse_ticks: u32,
+    /// Shortest time between the end of a pulse and the moment that the next one is due.
+    low_ticks: u32,
     /// A pulse and the time after it.
     gap_ticks: u32,
     setup_ticks: u32,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Receiver<'static, Wiring, 2>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
-    /// An event that has not been sent yet.
-    unsent: Option<StepEvent<AXES>>,
+    unsent: Unsent,
     wake: Wake,
-    /// The probe has been seen; the report has not been made yet.
-    touched: bool,
+    /// Received and not taken in yet.
+    held: Option<ToStep>,
+    /// What is not urgent has waited for a tick.
+    waited: bool,
     /// Ticks are coming.
     running: bool,
     /// At rest: the last pulse has not ended yet.
     settling: bool,
     directions_shown: u8,
-    segment_power: u16,
     power_shown: u16,
     /// The probe is active while its pin is high.
     probe_invert: bool,
     stops_done: u8,
+}
+
+/// Events that have not been sent yet, in the order in which they happen. Each kind has a place of its own and cannot
+/// happen twice before it has been sent: after a contact or an underrun nothing moves until `control` has answered, and
+/// it answers what it has received; of several stops the newest count is what it has to answer.
+struct Unsent {
+    /// The probe has been seen.
+    touched: bool,
+    underrun: Option<StepEvent<AXES>>,
+    stopped: Option<StepEvent<AXES>>,
+}
+
+impl Unsent {
+    fn any(&self) -> bool {
+        self.touched || self.underrun.is_some() || self.stopped.is_some()
+    }
 }
 
 impl Step {
@@ -74,18 +111,19 @@ impl Step {
             timer,
             pins,
             pulse_ticks: 10 * TICKS_PER_US,
-            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS,
+            low_ticks: LOW_TICKS - LEAST_EDGE_TICKS,
+            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS - LEAST_EDGE_TICKS,
             setup_ticks: LOW_TICKS,
             segments,
             wiring,
             events,
-            unsent: None,
+            unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
-            touched: false,
+            held: None,
+            waited: false,
             running: false,
             settling: false,
             directions_shown: 0,
-            segment_power: 0,
             power_shown: 0,
             probe_invert: false,
             stops_done: 0,
@@ -99,14 +137,27 @@ impl Step {
     pub fn run(&mut self) {
         let due = self.timer.take();
         if due == Due::TICK {
-            if self.stepper.ends_segment() || self.stepper.is_watching() {
-                self.rare_tick();
-            } else {
-                let tick = self.stepper.tick_within();
-                self.show(&tick, true);
-            }
+            self.tick();
         } else if due == Due::PULSE_END {
             self.end_pulse();
+        } else {
+            self.others(due);
+        }
+    }
+
+    #[inline(always)]
+    fn tick(&mut self) {
+        match self.stepper.plain_tick() {
+            Some(tick) => _ = self.show(&tick, true),
+            None => self.rare_tick(),
+        }
+    }
+
+    /// None of the two usual things.
+    #[inline(never)]
+    fn others(&mut self, due: Due) {
+        if due == Due::CALLED && crossing::stops_asked() == self.stops_done {
+            self.attend();
         } else {
             self.several(due);
         }
@@ -121,47 +172,51 @@ impl Step {
         if due.has(Due::PULSE_END) {
             self.end_pulse();
         }
+        let mut is_called = due.has(Due::CALLED);
         if due.has(Due::SETTLED) {
             self.settle();
+            is_called = true;
         }
         // The end of a pulse or a turn may have put the tick off.
         let still_due = self.timer.next_tick().wrapping_sub(self.timer.now()) as i32 <= 0;
         if due.has(Due::TICK) && still_due {
-            self.rare_tick();
-            if due.has(Due::CALLED) {
+            self.tick();
+            if is_called {
                 // One thing at a time: what else the call was for comes after whatever the timer wants by then.
                 StepTimer::call();
             }
-        } else if due.has(Due::CALLED) {
+        } else if is_called {
             self.attend();
         }
     }
 
-    /// Writes a tick to the pins, and sets the timer for the end of its pulse and for the next tick.
+    /// Writes a tick to the pins, and sets the timer for the end of its pulse and for the next tick; the moment of the
+    /// pulse's end.
     ///
     /// A pulse must have ended, and the pin have been low for a while, before the next one begins: a tick that comes late
     /// puts the next one off, and those after it stay where they were.
     #[inline(always)]
-    fn show(&mut self, tick: &Tick, goes_on: bool) {
+    fn show(&mut self, tick: &Tick, goes_on: bool) -> u32 {
+        let due = self.stepper.moment();
         let mut least = SHORTEST_TICKS;
         if tick.steps != 0 {
             self.pins.raise(tick.steps);
             least = self.gap_ticks;
         }
         let now = self.timer.now();
+        let pulse_end = now.wrapping_add(self.pulse_ticks);
         if tick.steps != 0 {
-            self.timer.pulse_end_at(now.wrapping_add(self.pulse_ticks));
+            self.timer.pulse_end_at(pulse_end);
         }
-        if !goes_on {
-            return;
+        if goes_on {
+            self.pins.pass(tick.interval);
+            if due.wrapping_sub(now) as i32 >= least as i32 {
+                self.timer.next_tick_at(due);
+            } else {
+                self.put_off(now.wrapping_add(least));
+            }
         }
-        self.pins.pass(tick.interval);
-        let due = self.stepper.moment();
-        if due.wrapping_sub(now) as i32 >= least as i32 {
-            self.timer.next_tick_at(due);
-        } else {
-            self.put_off(now.wrapping_add(least));
-        }
+        pulse_end
     }
 
     /// A tick with more to do than to step: a segment ends, motion begins or ends, the probe is looked at.
@@ -171,37 +226,46 @@ impl Step {
             return;
         }
         // Segments of a tick or two may leave no time to fetch ahead.
-        if self.stepper.ends_segment() {
-            // Behind a shut gate the queue is only emptied, which has time.
-            while self.stepper.wants() && !self.stepper.is_shut() && self.fetch() {}
+        if self.stepper.wants() && self.stepper.ends_segment() {
+            self.fetch_at_last();
         }
-        let begun = self.stepper.segments_begun();
-        let tick = self.stepper.tick();
-        self.show(&tick, tick.interval != 0);
+        let tick = self.stepper.rare_tick();
+        let pulse_end = self.show(&tick, tick.interval != 0);
+        if tick.begins {
+            // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
+            if tick.steps == 0 {
+                self.settle();
+                StepTimer::call();
+            } else if self.pulse_ticks < FAR_TICKS || tick.directions != self.directions_shown {
+                self.timer.settled_at(pulse_end);
+            } else {
+                StepTimer::call();
+            }
+        }
         if self.stepper.is_watching() && self.stepper.probe(self.pins.probe_low() != self.probe_invert) {
-            self.touched = true;
+            self.unsent.touched = true;
             StepTimer::call();
         }
         if tick.interval == 0 {
             if tick.underrun {
-                self.report(self.stepper.underrun_event());
+                self.unsent.underrun = Some(self.stepper.underrun_event());
+                // The beam goes off at once.
+                StepTimer::call();
             }
             self.rest(tick.steps != 0);
-            return;
         }
-        if self.stepper.segments_begun() != begun {
-            SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
-            self.segment_power = tick.power;
-            self.show_power();
-            if tick.directions != self.directions_shown {
-                if tick.steps != 0 {
-                    self.timer.settled_at(self.timer.now().wrapping_add(self.pulse_ticks));
-                } else {
-                    self.turn();
-                }
+    }
+
+    /// Fetches what the tick that is due needs.
+    #[cold]
+    fn fetch_at_last(&mut self) {
+        // Behind a shut gate the queue is only emptied, which has time.
+        while self.stepper.wants() && !self.stepper.is_shut() {
+            if let Some(message) = self.held.take() {
+                self.stepper.load(message);
+            } else if !self.receive() {
+                return;
             }
-            // The next segment is fetched ahead of its time, and not in this tick, which is long enough.
-            StepTimer::call();
         }
     }
 
@@ -210,8 +274,8 @@ impl Step {
     fn end_pulse(&mut self) {
         self.pins.lower();
         let low = self.timer.next_tick().wrapping_sub(self.timer.now());
-        if (low as i32) < LOW_TICKS as i32 {
-            self.postpone(LOW_TICKS);
+        if (low as i32) < self.low_ticks as i32 {
+            self.postpone(self.low_ticks);
         }
     }
 
@@ -221,10 +285,7 @@ impl Step {
         if self.running && self.stepper.directions() != self.directions_shown {
             self.turn();
         }
-        if self.settling || self.unsent.is_some() {
-            self.settling = false;
-            StepTimer::call();
-        }
+        self.settling = false;
     }
 
     /// Writes the directions of the next step.
@@ -262,35 +323,78 @@ impl Step {
         }
     }
 
-    /// Fetches a message; `false` if there is none.
+    /// Receives a message, which waits for being taken in; `false` if there is none.
     #[inline(never)]
-    fn fetch(&mut self) -> bool {
-        let Ok(message) = self.segments.try_recv() else { return false };
-        self.stepper.load(message);
-        true
+    fn receive(&mut self) -> bool {
+        self.held = self.segments.try_recv().ok();
+        self.held.is_some()
     }
 
-    /// What is not as urgent as a tick, one message at a time.
+    /// What is not as urgent as a tick, half a message at a time.
+    #[inline(never)]
     fn attend(&mut self) {
-        if self.stepper.wants() && self.fetch() && self.stepper.wants() {
-            StepTimer::call();
+        if self.running && self.wait() {
+            return;
+        }
+        self.waited = false;
+        if self.stepper.wants() {
+            if let Some(message) = self.held.take() {
+                self.stepper.load(message);
+                if self.stepper.wants() {
+                    StepTimer::call();
+                }
+            } else if self.receive() {
+                // Everything else comes with the second half.
+                StepTimer::call();
+                return;
+            }
         }
         if !self.running && !self.settling {
             self.start();
         }
+        SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
         self.show_power();
-        let at_rest = !self.running && !self.settling;
+        let at_rest = !self.running && !self.settling && self.held.is_none();
         if at_rest && !STEP_AT_REST.load(Ordering::Relaxed) {
             self.wake.write(());
         }
         STEP_AT_REST.store(at_rest, Ordering::Relaxed);
         STEP_WANTS.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
-        if self.touched || self.unsent.is_some() {
+        if self.unsent.any() {
             self.send_all();
-            if self.unsent.is_some() && at_rest {
+            if self.unsent.any() && at_rest {
                 self.timer.settled_at(self.timer.now().wrapping_add(RETRY_TICKS));
             }
         }
+    }
+
+    /// If the next edge is near, calls again after it: after the end of this pulse, or after the next tick.
+    #[inline]
+    fn wait(&mut self) -> bool {
+        let now = self.timer.now();
+        let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
+        let to_end = self.timer.pulse_end().wrapping_sub(now);
+        let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
+        if to_end.wrapping_neg() < FAR_TICKS && self.timer.is_due(Due::PULSE_END) {
+            // It has ended since this call was taken, a moment ago.
+            StepTimer::call();
+            return true;
+        }
+        let until = if in_pulse && to_end < FAR_TICKS {
+            to_end + BEHIND_TICKS
+        } else if !self.waited && to_tick < FAR_TICKS as i32 {
+            self.waited = true;
+            // A long pulse leaves time while it is out.
+            let pulse = if self.pulse_ticks < FAR_TICKS { self.pulse_ticks } else { 0 };
+            to_tick.max(0) as u32 + pulse + EDGE_TICKS
+        } else {
+            return false;
+        };
+        // A turn that is still to come calls at its end.
+        if self.stepper.directions() == self.directions_shown {
+            self.timer.settled_at(now.wrapping_add(until));
+        }
+        true
     }
 
     /// Nothing moves: time for new wiring, and for a start.
@@ -302,7 +406,8 @@ impl Step {
             self.pins.direct(self.directions_shown);
             self.probe_invert = wiring.probe_invert;
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
-            self.gap_ticks = self.pulse_ticks + LOW_TICKS;
+            self.low_ticks = self.pulse_ticks.min(LOW_TICKS) - LEAST_EDGE_TICKS;
+            self.gap_ticks = self.pulse_ticks + self.low_ticks;
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
         }
         if !self.stepper.is_idle() {
@@ -318,7 +423,7 @@ impl Step {
     fn show_power(&mut self) {
         let power = Power::wanted();
         let level = match (power.from_segments, self.running) {
-            (true, true) => self.segment_power,
+            (true, true) => self.stepper.power(),
             // After a stop or underrun the beam stays off, whatever was wanted before.
             (true, false) if self.stepper.is_shut() => 0,
             _ => power.level,
@@ -332,7 +437,6 @@ impl Step {
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        self.send_all();
         // A pulse that is out has been counted: it gets its full length, and its end comes by itself.
         self.timer.tick_off();
         self.running = false;
@@ -347,41 +451,44 @@ impl Step {
             let mut event = self.stepper.stop();
             // The newest counts; that something was moving at an older one must not be forgotten.
             if let (StepEvent::Stopped { moving, .. }, Some(StepEvent::Stopped { moving: before, .. })) =
-                (&mut event, self.unsent)
+                (&mut event, self.unsent.stopped)
             {
                 *moving |= before;
             }
-            self.unsent = Some(event);
+            self.unsent.stopped = Some(event);
         }
         self.show_power();
-    }
-
-    /// Keeps an event until there is time to send it.
-    #[cold]
-    fn report(&mut self, event: StepEvent<AXES>) {
-        self.send_all();
-        self.unsent = Some(event);
-        StepTimer::call();
     }
 
     /// Sends what there is to report, as far as there is room.
     #[inline(never)]
     fn send_all(&mut self) {
-        self.send();
-        if self.touched && self.unsent.is_none() {
-            self.touched = false;
-            self.unsent = Some(self.stepper.probed_event());
-            self.send();
+        if self.unsent.touched {
+            let event = self.stepper.probed_event();
+            self.unsent.touched = !self.send(event);
+        }
+        // No event overtakes another.
+        if !self.unsent.touched
+            && let Some(event) = self.unsent.underrun
+            && self.send(event)
+        {
+            self.unsent.underrun = None;
+        }
+        if !self.unsent.touched
+            && self.unsent.underrun.is_none()
+            && let Some(event) = self.unsent.stopped
+            && self.send(event)
+        {
+            self.unsent.stopped = None;
         }
     }
 
     #[inline(never)]
-    fn send(&mut self) {
-        if let Some(event) = self.unsent
-            && self.events.try_send(event).is_ok()
-        {
-            self.unsent = None;
+    fn send(&mut self, event: StepEvent<AXES>) -> bool {
+        let sent = self.events.try_send(event).is_ok();
+        if sent {
             self.wake.write(());
         }
+        sent
     }
 }

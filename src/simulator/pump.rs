@@ -715,7 +715,7 @@ impl Simulator {
             self.begun = begun;
             self.trace.segment(due);
             self.meter.begin(self.clock.seconds(due), self.machine.position());
-            self.segment_power(tick.power);
+            self.segment_power(self.stepper.power());
         }
         let probed = self.stepper.is_watching() && self.look_at_probe();
         if tick.underrun {

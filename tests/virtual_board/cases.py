@@ -221,8 +221,8 @@ def streamed(bench, job):
 
 
 def fast(bench, acceleration):
-    """1000 steps/mm, and axes as fast as the board's safe rate. A greater rate would be refused."""
-    rate = bench.wiring.safe_step_hz * 60 // 1000
+    """1000 steps/mm, and axes as fast as the board's safe rate and a pulse of 2 us allow. A greater rate would be refused."""
+    rate = min(bench.wiring.safe_step_hz, 172_000) * 60 // 1000
     bench.settings(s0=2, s110=rate, s111=rate, s112=rate)
     bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
 
@@ -235,7 +235,7 @@ def pulses(bench):
 def safe_rate(bench):
     """The same at the rate that the board calls safe."""
     safe = bench.wiring.safe_step_hz
-    yield from at_rates(bench, (safe, round(safe**2 / 6e6) + 2000, 2), acceleration=6_000)
+    yield from at_rates(bench, (safe, round(safe**2 / 6e6) + 2000, 1), acceleration=6_000)
 
 
 def tight(bench):

@@ -55,13 +55,13 @@ impl Row {
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
 const ROWS: [Row; 15] = [
-    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (78, 109)).beside("105 / 138", "137 / 195"),
-    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (78, 109)).beside("83 / 119", "110 / 170"),
-    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (72, 104)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (263, 422))
+    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
+    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
+    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (177, 290))
         .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (233, 360)),
-    row("stop", "stop, with its report", Figure::Worst, None, (380, 708)),
+    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (225, 353)),
+    row("stop", "stop, with its report", Figure::Worst, None, (380, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (860, 1510)).beside("205 / 329", "196 / 313"),
@@ -148,9 +148,11 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
         if let Some(name) = rows.get(&at) {
             row = Some(name);
         }
-        if open.is_none() && units.contains_key(&at) {
+        if open.is_none()
+            && let Some(unit) = units.get(&at)
+        {
             let Some((end, Kind::Call(_))) = before else {
-                return Err("a unit is entered otherwise than by a call".into());
+                return Err(format!("unit_{unit} is entered otherwise than by a call, at {at:#010x}: {before:x?}"));
             };
             open = Some((end, Meter::default()));
         }

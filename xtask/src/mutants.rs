@@ -85,8 +85,8 @@ const MUTANTS: &[Mutant] = &[
         name: "fraction-of-a-tick-dropped",
         edits: &[Edit {
             file: STEPPER,
-            find: "wrapping_add(u64::from(self.piece.interval) << FRACTION_SHIFT);",
-            replace: "wrapping_add(u64::from(self.piece.interval) << FRACTION_SHIFT >> 32 << 32);",
+            find: "wrapping_add(u64::from(interval) << FRACTION_SHIFT)",
+            replace: "wrapping_add(u64::from(interval) << FRACTION_SHIFT >> 32 << 32)",
         }],
     },
     Mutant {
@@ -118,17 +118,17 @@ const MUTANTS: &[Mutant] = &[
         edits: &[Edit {
             file: STEPPER,
             find: "        let underrun = self.run_out();\n",
-            replace: "        if !self.piece.last {\n            self.piece.ticks = 2;\n            return self.set_out(steps);\n        \
-                }\n        let underrun = self.run_out();\n",
+            replace: "        if !self.piece.last {\n            self.piece.rare_ticks = 2;\n            return \
+                self.set_out(steps);\n        }\n        let underrun = self.run_out();\n",
         }],
     },
     Mutant {
         name: "direction-one-tick-late",
         edits: &[Edit {
             file: STEPPER,
-            find: "        if self.begin_segment() {\n            return self.set_out(steps);\n",
-            replace: "        let directions = self.course.directions;\n        if self.begin_segment() {\n            return Tick { \
-                directions, ..self.set_out(steps) };\n",
+            find: "            self.begin_segment();\n            return Tick { begins: true, ..self.set_out(steps) };\n",
+            replace: "            let directions = self.course.directions;\n            self.begin_segment();\n            return \
+                Tick { begins: true, directions, ..self.set_out(steps) };\n",
         }],
     },
     Mutant {

@@ -37,8 +37,8 @@ pub struct Tick {
     pub directions: u8,
     /// Step-clock ticks to the next call; 0 = at rest, the timer may stop.
     pub interval: u32,
-    /// Spindle or laser power from now on.
-    pub power: u16,
+    /// A segment has begun with this tick, and its power and directions hold from now on.
+    pub begins: bool,
     /// The queue ran dry at speed; the report is at [`Stepper::underrun_event`].
     pub underrun: bool,
 }
@@ -49,14 +49,18 @@ pub struct Tick {
 struct Piece<const N: usize> {
     /// What a tick takes off.
     increments: [u32; N],
-    /// Ticks left; 0 = at rest.
-    ticks: u32,
+    /// Ticks until one that does more than to step.
+    plain_ticks: u32,
+    /// Ticks left after these, none of which is plain: while the probe is waited for all, otherwise the last. No tick left
+    /// = at rest.
+    rare_ticks: u32,
     /// In fixed point, to the next tick, and its change from tick to tick.
     interval: u32,
     ramp: i32,
-    /// Units that a tick advances, and all ticks together.
+    /// Units that a tick advances.
     units_per_tick: u32,
-    units: u32,
+    /// Units of the block at the end of the segment.
+    end_units: u32,
     power: u16,
     last: bool,
     new_block: bool,
@@ -66,11 +70,13 @@ struct Piece<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Course<const N: usize> {
-    /// Steps of each axis with their sign.
-    way: [i32; N],
     /// Units of the whole block: 16 for each step of the dominant axis.
     threshold: u32,
     directions: u8,
+    /// Steps of each axis with their sign.
+    way: [i32; N],
+    /// Position at the start of the block.
+    base: [i32; N],
 }
 
 /// State of the step task. The order is that of use: a tick within a segment needs the first part only.
@@ -88,12 +94,10 @@ pub struct Stepper<const N: usize> {
     /// The state it is to have.
     watched: bool,
 
-    /// Units of the block at the end of the segment.
-    end_units: u32,
-    /// Position at the start of the block.
-    base: [i32; N],
     begun: u32,
     is_next: bool,
+    /// The probe has been seen at the last tick, and where that was has not been noted yet.
+    unnoted: bool,
     next_piece: Piece<N>,
     next_course: Course<N>,
     /// Units at which the next block is entered in its midst; 0 = at its start.
@@ -111,19 +115,25 @@ pub struct Stepper<const N: usize> {
 impl<const N: usize> Piece<N> {
     const REST: Self = Self {
         increments: [0; N],
-        ticks: 0,
+        plain_ticks: 0,
+        rare_ticks: 0,
         interval: 0,
         ramp: 0,
         units_per_tick: 0,
-        units: 0,
+        end_units: 0,
         power: 0,
         last: true,
         new_block: false,
     };
+
+    #[inline]
+    fn ticks(&self) -> u32 {
+        self.plain_ticks.wrapping_add(self.rare_ticks)
+    }
 }
 
 impl<const N: usize> Course<N> {
-    const NOWHERE: Self = Self { way: [0; N], threshold: 0, directions: 0 };
+    const NOWHERE: Self = Self { threshold: 0, directions: 0, way: [0; N], base: [0; N] };
 }
 
 /// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
@@ -188,10 +198,9 @@ impl<const N: usize> Stepper<N> {
             moment: 0,
             is_watching: false,
             watched: false,
-            end_units: 0,
-            base: [0; N],
             begun: 0,
             is_next: false,
+            unnoted: false,
             next_piece: Piece::REST,
             next_course: Course::NOWHERE,
             next_units: 0,
@@ -207,12 +216,15 @@ impl<const N: usize> Stepper<N> {
     /// calls [`Stepper::tick`]: a new block needs two or three messages, all other segments one.
     #[inline]
     pub fn wants(&self) -> bool {
-        !self.is_next
+        !self.is_next || self.unnoted
     }
 
     /// Takes a message; only while [`Stepper::wants`].
     #[inline]
     pub fn load(&mut self, message: ToStep) {
+        if self.unnoted {
+            self.note_touch();
+        }
         if self.gate_shut {
             if let ToStep::Resume { stops } = message {
                 self.gate_shut = stops != self.stops;
@@ -234,6 +246,10 @@ impl<const N: usize> Stepper<N> {
                 }
                 self.next_course.threshold = (dominant as u32).wrapping_mul(UNITS_PER_STEP);
                 self.next_course.directions = directions;
+                // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
+                for ((next, base), way) in self.next_course.base.iter_mut().zip(self.course.base).zip(self.course.way) {
+                    *next = base.wrapping_add(way);
+                }
             }
             ToStep::BlockRest { steps } => {
                 for (own, new) in self.next_course.way.iter_mut().skip(3).zip(steps) {
@@ -245,6 +261,9 @@ impl<const N: usize> Stepper<N> {
                 self.is_watching = probe.is_some();
                 self.watched = probe == Some(true);
                 self.braking = braking;
+                if self.is_watching {
+                    self.look_at_all();
+                }
             }
             ToStep::Resume { .. } => {}
         }
@@ -253,7 +272,8 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     fn load_segment(&mut self, segment: &Segment) {
         let new_block = segment.flags & Segment::FLAG_NEW_BLOCK != 0;
-        let course = if new_block { &self.next_course } else { &self.course };
+        let (course, units) =
+            if new_block { (&self.next_course, self.next_units) } else { (&self.course, self.piece.end_units) };
         let mut increments = [0; N];
         let mut units_per_tick = 0;
         if segment.flags & Segment::FLAG_WAIT == 0 {
@@ -264,11 +284,12 @@ impl<const N: usize> Stepper<N> {
         let ticks = u32::from(segment.ticks.max(1));
         self.next_piece = Piece {
             increments,
-            ticks,
+            plain_ticks: ticks.wrapping_sub(1),
+            rare_ticks: 1,
             interval: segment.interval,
             ramp: segment.ramp,
             units_per_tick,
-            units: ticks.wrapping_mul(units_per_tick),
+            end_units: units.wrapping_add(ticks.wrapping_mul(units_per_tick)),
             power: segment.power,
             last: segment.flags & Segment::FLAG_LAST != 0,
             new_block,
@@ -279,51 +300,77 @@ impl<const N: usize> Stepper<N> {
     /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
     #[inline]
     pub fn tick(&mut self) -> Tick {
-        if !self.ends_segment() {
-            return self.tick_within();
+        match self.plain_tick() {
+            Some(tick) => tick,
+            None => self.rare_tick(),
+        }
+    }
+
+    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_tick`]
+    /// is to be called.
+    #[inline(always)]
+    pub fn plain_tick(&mut self) -> Option<Tick> {
+        self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
+        let steps = self.step_axes();
+        Some(self.set_out(steps))
+    }
+
+    /// A tick with which a segment may end or motion begin or end, or at which the probe is waited for.
+    #[inline(always)]
+    pub fn rare_tick(&mut self) -> Tick {
+        if self.unnoted {
+            self.note_touch();
         }
         let steps = self.step_axes();
-        self.piece.ticks = 0;
-        if self.begin_segment() {
+        if self.piece.rare_ticks > 1 {
+            self.piece.rare_ticks = self.piece.rare_ticks.wrapping_sub(1);
+            return self.set_out(steps);
+        }
+        if self.is_next {
+            self.begin_segment();
+            return Tick { begins: true, ..self.set_out(steps) };
+        }
+        self.piece.rare_ticks = 0;
+        if self.brakes && self.brake() {
             return self.set_out(steps);
         }
         let underrun = self.run_out();
-        Tick { steps, directions: self.course.directions, interval: 0, power: self.piece.power, underrun }
-    }
-
-    /// The same for a tick that does not end its segment, which most do.
-    #[inline(always)]
-    pub fn tick_within(&mut self) -> Tick {
-        let steps = self.step_axes();
-        self.piece.ticks = self.piece.ticks.wrapping_sub(1);
-        self.set_out(steps)
+        Tick { steps, directions: self.course.directions, interval: 0, begins: false, underrun }
     }
 
     #[inline(always)]
     fn step_axes(&mut self) -> u8 {
-        let mut steps = 0;
-        let threshold = self.course.threshold;
-        for (bit, (left, increment)) in self.left.iter_mut().zip(&self.piece.increments).enumerate() {
-            let (mut rest, passed) = left.overflowing_sub(*increment);
-            if passed {
-                rest = rest.wrapping_add(threshold);
-                steps |= 1 << bit;
-            }
-            *left = rest;
+        let mut minus_steps = 0_i32;
+        let threshold = self.course.threshold as i32;
+        // The last axis first: each doubles the bits of those before it.
+        for (left, increment) in self.left.iter_mut().zip(&self.piece.increments).rev() {
+            // Both are at most the threshold, which is at most 2^30. So the sign says whether the axis steps, and without
+            // a branch: all bits of `stepping` are those of a sign.
+            let rest = left.wrapping_sub(*increment) as i32;
+            let stepping = rest >> 31;
+            *left = rest.wrapping_add(threshold & stepping) as u32;
+            minus_steps = minus_steps.wrapping_mul(2).wrapping_add(stepping);
             // One axis after the other: all at once they need more registers than an interrupt gets for nothing.
             compiler_fence(Ordering::SeqCst);
         }
-        steps
+        minus_steps.wrapping_neg() as u8
     }
 
     /// Sets the moment of the next tick.
     #[inline(always)]
     fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
-        self.moment = self.moment.wrapping_add(u64::from(self.piece.interval) << FRACTION_SHIFT);
-        self.piece.interval = self.piece.interval.wrapping_add_signed(self.piece.ramp);
+        let interval = self.piece.interval;
+        self.moment = self.moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);
+        self.piece.interval = interval.wrapping_add_signed(self.piece.ramp);
         let interval = self.moment().wrapping_sub(now);
-        Tick { steps, directions: self.course.directions, interval, power: self.piece.power, underrun: false }
+        Tick { steps, directions: self.course.directions, interval, begins: false, underrun: false }
+    }
+
+    /// Spindle or laser power of the segment.
+    #[inline]
+    pub fn power(&self) -> u16 {
+        self.piece.power
     }
 
     /// Directions of the next step, as in [`Tick::directions`].
@@ -332,10 +379,10 @@ impl<const N: usize> Stepper<N> {
         self.course.directions
     }
 
-    /// Whether the next tick is the last of its segment, or begins to move: it costs more than the others.
+    /// Whether the next tick is the last of its segment, or begins to move: it takes up what has been fetched.
     #[inline(always)]
     pub fn ends_segment(&self) -> bool {
-        self.piece.ticks <= 1
+        self.piece.ticks() <= 1
     }
 
     /// The moment of the next tick, on the step clock (wrapping); that of the last one at rest.
@@ -351,6 +398,7 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// No segment has followed: rest, and whether it is a fault.
+    #[cold]
     fn run_out(&mut self) -> bool {
         let underrun = !self.piece.last;
         if underrun {
@@ -360,47 +408,53 @@ impl<const N: usize> Stepper<N> {
         underrun
     }
 
-    /// Makes the prefetched segment the current one; `false` if there is none.
-    #[inline]
-    fn begin_segment(&mut self) -> bool {
-        if !self.is_next {
-            return self.brakes && self.brake();
-        }
+    /// Makes the prefetched segment the current one.
+    #[inline(always)]
+    fn begin_segment(&mut self) {
         self.is_next = false;
         if self.next_piece.new_block {
             self.begin_block();
         }
         self.piece = self.next_piece;
-        self.end_units = self.end_units.wrapping_add(self.piece.units);
         self.begun = self.begun.wrapping_add(1);
-        true
+        if self.is_watching {
+            self.look_at_all();
+        }
     }
 
+    /// The probe is waited for: no tick is plain.
     #[inline]
+    fn look_at_all(&mut self) {
+        self.piece.rare_ticks = self.piece.ticks();
+        self.piece.plain_ticks = 0;
+    }
+
+    #[inline(always)]
     fn begin_block(&mut self) {
-        if self.end_units == self.course.threshold {
-            // The usual case: the block before was run to its end.
-            for (base, way) in self.base.iter_mut().zip(self.course.way) {
-                *base = base.wrapping_add(way);
-            }
-        } else {
-            self.base = self.position().0;
+        if self.piece.end_units != self.course.threshold {
+            self.leave_midst();
         }
         self.course = self.next_course;
         self.left = [self.course.threshold / 2; N];
-        self.end_units = 0;
         if self.next_units != 0 {
             self.enter_midst();
         }
+    }
+
+    /// The block before was left in its midst, for a detour.
+    #[cold]
+    fn leave_midst(&mut self) {
+        // With this tick its segment has ended.
+        self.piece.rare_ticks = 0;
+        self.next_course.base = self.position().0;
     }
 
     /// Brings all axes to where they were when the block was left at `next_units`.
     #[cold]
     fn enter_midst(&mut self) {
         let units = core::mem::take(&mut self.next_units);
-        self.end_units = units;
-        let threshold = self.course.threshold;
-        for ((left, base), way) in self.left.iter_mut().zip(self.base.iter_mut()).zip(self.course.way) {
+        let Course { threshold, way, .. } = self.course;
+        for ((left, base), way) in self.left.iter_mut().zip(self.course.base.iter_mut()).zip(way) {
             let (taken, rest) = steps_and_rest(way.unsigned_abs(), threshold, units);
             *left = rest;
             *base = signed_add(*base, taken, way > 0);
@@ -409,12 +463,12 @@ impl<const N: usize> Stepper<N> {
 
     /// Units of the block advanced by now.
     fn units(&self) -> u32 {
-        self.end_units.wrapping_sub(self.piece.ticks.wrapping_mul(self.piece.units_per_tick))
+        self.piece.end_units.wrapping_sub(self.piece.ticks().wrapping_mul(self.piece.units_per_tick))
     }
 
     /// Stops at once, forgets everything and shuts the gate until [`ToStep::Resume`] with this count of stops.
     pub fn stop(&mut self) -> StepEvent<N> {
-        let moving = self.piece.ticks != 0;
+        let moving = self.piece.ticks() != 0;
         self.shut();
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
@@ -437,20 +491,28 @@ impl<const N: usize> Stepper<N> {
         let touched = self.is_watching && self.watched == active;
         if touched {
             self.is_watching = false;
-            self.touched = self.place();
-            self.gate_shut = true;
-            self.is_next = false;
-            self.next_units = 0;
-            self.piece.last = true;
-            if self.piece.ticks != 0 {
-                // The tick that is under way is the last of its segment.
-                self.end_units = self.units().wrapping_add(self.piece.units_per_tick);
-                self.piece.ticks = 1;
-                self.piece.ramp = 0;
-                self.brakes = true;
-            }
+            self.unnoted = true;
         }
         touched
+    }
+
+    /// Keeps the place of the contact, throws away what is queued, and begins to brake. The tick that sees the contact has
+    /// no time for that. Every call that would change something, or would tell of the gate, comes by here first.
+    #[cold]
+    fn note_touch(&mut self) {
+        self.unnoted = false;
+        self.touched = self.place();
+        self.gate_shut = true;
+        self.is_next = false;
+        self.next_units = 0;
+        self.piece.last = true;
+        self.brakes = self.piece.rare_ticks != 0;
+        if self.brakes {
+            // The tick that is under way is the last of its segment.
+            self.piece.end_units = self.units().wrapping_add(self.piece.units_per_tick);
+            self.piece.rare_ticks = 1;
+            self.piece.ramp = 0;
+        }
     }
 
     /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
@@ -463,30 +525,35 @@ impl<const N: usize> Stepper<N> {
         let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
         let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
         let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-        let ends = self.end_units >= self.course.threshold;
+        let ends = self.piece.end_units >= self.course.threshold;
         // Not a number where the tick advances no units: a crawl, which stops where it is.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
-            self.end_units = self.end_units.wrapping_add(self.piece.units_per_tick);
+            self.piece.end_units = self.piece.end_units.wrapping_add(self.piece.units_per_tick);
             self.piece.interval = next as u32;
-            self.piece.ticks = 1;
+            self.piece.rare_ticks = 1;
         }
         self.brakes
     }
 
     /// The report that belongs to [`Stepper::probe`].
-    pub fn probed_event(&self) -> StepEvent<N> {
+    pub fn probed_event(&mut self) -> StepEvent<N> {
+        if self.unnoted {
+            self.note_touch();
+        }
         StepEvent::Probed { position: self.touched.position() }
     }
 
     #[cold]
     fn shut(&mut self) {
+        if self.unnoted {
+            self.note_touch();
+        }
         self.is_watching = false;
         self.brakes = false;
-        self.base = self.position().0;
-        self.course = Course { directions: self.course.directions, ..Course::NOWHERE };
+        let base = self.position().0;
+        self.course = Course { directions: self.course.directions, base, ..Course::NOWHERE };
         self.left = [0; N];
-        self.end_units = 0;
         self.piece = Piece::REST;
         self.moment = u64::from(self.moment()) << 32;
         self.is_next = false;
@@ -498,13 +565,13 @@ impl<const N: usize> Stepper<N> {
     /// Whether a stop has not been answered yet.
     #[inline]
     pub fn is_shut(&self) -> bool {
-        self.gate_shut
+        self.gate_shut || self.unnoted
     }
 
     /// Whether there is nothing left to do.
     #[inline]
     pub fn is_idle(&self) -> bool {
-        self.piece.ticks == 0 && !self.is_next
+        self.piece.ticks() == 0 && (!self.is_next || self.unnoted)
     }
 
     /// Segments begun since power-up (wrapping).
@@ -520,8 +587,8 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn place(&self) -> Place<N> {
-        let course = &self.course;
-        Place { base: self.base, way: course.way, left: self.left, threshold: course.threshold, units: self.units() }
+        let Course { base, way, threshold, .. } = self.course;
+        Place { base, way, left: self.left, threshold, units: self.units() }
     }
 }
 
@@ -595,7 +662,7 @@ mod tests {
             let flags = Segment::FLAG_NEW_BLOCK;
             stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks: 9, power: 0, level: 4, flags }));
             stepper.tick();
-            let start = PerAxis(stepper.base);
+            let start = PerAxis(stepper.course.base);
             prop_assert_eq!(stepper.position(), PerAxis([0; 3]));
             stepper.tick();
             let moved = |steps, bit: u32| {

@@ -121,6 +121,8 @@ impl Registers {
         self.write(Self::SR, flags);
         self.write(Self::EGR, 0);
         unit_step();
+        // So that it is called and not jumped to.
+        cortex_m::asm::nop();
     }
 
     fn called(&self) -> bool {
@@ -129,7 +131,7 @@ impl Registers {
 
     /// Everything the task has asked for beside ticks.
     fn follow_up(&mut self) {
-        for _ in 0..8 {
+        for _ in 0..16 {
             if !self.called() {
                 return;
             }
@@ -208,7 +210,7 @@ fn step_task() {
     }
 
     // The worst: every tick begins a block in the other direction, with other power, while the probe is waited for and
-    // touches at that very tick. Before it, each message is received in an interrupt of its own.
+    // touches at that very tick. Before it, each message is received in an interrupt of its own and taken in in another.
     let probe_port = boards::GPIO + 0x10;
     for turn in 0..20 {
         send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
@@ -217,11 +219,11 @@ fn step_task() {
         registers.follow_up();
         registers.write(probe_port, u32::MAX);
         registers.tick(row_none);
-        // Each message is received in an interrupt of its own.
         send(&mut to_step, &block([2; 3], 0, 2, 0, Segment::FLAG_LAST));
-        for _ in 0..2 {
+        for _ in 0..4 {
             row_receive();
-            registers.interrupt(Registers::CALLED, registers.read(Registers::CNT));
+            // Long after the end of the pulse: it is not looked for.
+            registers.interrupt(Registers::CALLED, registers.read(Registers::CNT) + 500);
         }
         row_none();
         registers.tick(row_none);
