@@ -56,7 +56,7 @@ struct Window {
 }
 
 /// Follows the step task segment by segment.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Meter {
     /// The next sample is the first of its block.
     fresh: bool,

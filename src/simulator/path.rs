@@ -68,7 +68,7 @@ impl Column {
 }
 
 /// The path and the speed curve.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Drawing {
     origin: f64,
     end: f64,

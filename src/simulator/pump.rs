@@ -18,7 +18,7 @@ use crate::machine::Machine;
 use crate::meter::Meter;
 use crate::store::Store;
 use crate::text::JobText;
-use crate::trace::{StepRecord, Trace};
+use crate::trace::{Sole, StepRecord, Trace};
 use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
 use oxmill_controller::machine::signals::Inputs;
 use oxmill_controller::messages::{
@@ -53,7 +53,9 @@ impl Default for Options {
     }
 }
 
-/// A controller, a step task and a machine in virtual time.
+/// A controller, a step task and a machine in virtual time. A copy goes on as this one would, but without its job and its
+/// CSV file.
+#[derive(Clone)]
 pub struct Simulator {
     board: Board,
     clock: Clock,
@@ -86,7 +88,7 @@ pub struct Simulator {
     outgoing: Vec<u8>,
     segments: VecDeque<ToStep>,
     /// A job whose lines are taken whenever the controller wants them.
-    job: Option<JobText>,
+    job: Sole<JobText>,
 
     /// When the step timer expires next; `None` while it is stopped.
     step_due: Option<u64>,
@@ -149,7 +151,7 @@ impl Simulator {
             disconnected: false,
             outgoing: Vec::new(),
             segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
-            job: None,
+            job: Sole(None),
             step_due: None,
             busy: 0,
             directions: 0,
@@ -320,7 +322,7 @@ impl Simulator {
             && self.segments.is_empty()
             && self.unread() == 0
             && !self.power_is_gone()
-            && self.job.as_ref().is_none_or(|job| job.is_used_up())
+            && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
 
     /// Whether an ordered power cut has come: nothing happens any more.
@@ -436,23 +438,23 @@ impl Simulator {
 
     /// Gives the controller a job, whose lines it takes whenever it wants one.
     pub fn load_job(&mut self, job: JobText) {
-        self.job = Some(job);
+        self.job = Sole(Some(job));
         self.turn();
     }
 
     /// Takes the job away.
     pub fn unload_job(&mut self) -> Option<JobText> {
-        self.job.take()
+        self.job.0.take()
     }
 
     /// The job, if one was loaded.
     pub fn job(&self) -> Option<&JobText> {
-        self.job.as_ref()
+        self.job.0.as_ref()
     }
 
     /// The job, if one was loaded.
     pub fn job_mut(&mut self) -> Option<&mut JobText> {
-        self.job.as_mut()
+        self.job.0.as_mut()
     }
 
     // The inputs task
@@ -600,7 +602,7 @@ impl Simulator {
                 }
                 Some(Output::Reply(chunk)) => {
                     self.outgoing.extend_from_slice(chunk.as_bytes());
-                    if let Some(job) = &mut self.job {
+                    if let Some(job) = &mut self.job.0 {
                         job.answered(chunk.as_bytes());
                     }
                 }
@@ -650,14 +652,14 @@ impl Simulator {
     }
 
     fn next_line_byte(&mut self) -> Option<LineByte> {
-        if let Some(job) = &mut self.job {
+        if let Some(job) = &mut self.job.0 {
             return job.next_byte().map(|byte| LineByte { byte, epoch: 0, damaged: false });
         }
         self.lines.pop_front()
     }
 
     fn free_line_bytes(&mut self) -> u16 {
-        let waiting = match &mut self.job {
+        let waiting = match &mut self.job.0 {
             Some(job) => {
                 let waiting = job.waiting();
                 if waiting == 0 {

@@ -23,14 +23,30 @@ pub struct StepRecord {
     pub position: [i32; AXES],
 }
 
+/// What a copy of its owner is without: a file has one reader or writer.
+#[derive(Debug)]
+pub struct Sole<T>(pub Option<T>);
+
+impl<T> Clone for Sole<T> {
+    fn clone(&self) -> Self {
+        Sole(None)
+    }
+}
+
+impl<T> Default for Sole<T> {
+    fn default() -> Self {
+        Sole(None)
+    }
+}
+
 /// Follows the step outputs.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Trace {
     digest: Digest,
     events: u64,
     first: Option<StepRecord>,
     last: Option<StepRecord>,
-    csv: Option<Csv>,
+    csv: Sole<Csv>,
     list: Option<Vec<StepRecord>>,
     segments: Vec<u64>,
 }
@@ -38,7 +54,7 @@ pub struct Trace {
 impl Trace {
     /// Also writes a CSV file from here on. `hz` is the step clock, `origin` the virtual time of its `t_s` = 0.
     pub fn write_csv(&mut self, csv: Csv) {
-        self.csv = Some(csv);
+        self.csv = Sole(Some(csv));
     }
 
     /// Also keeps every step event in memory from here on.
@@ -85,7 +101,7 @@ impl Trace {
             self.first = Some(record);
         }
         self.last = Some(record);
-        if let Some(csv) = &mut self.csv {
+        if let Some(csv) = &mut self.csv.0 {
             csv.step(&record);
         }
         if let Some(list) = &mut self.list {
@@ -95,7 +111,7 @@ impl Trace {
 
     /// Spindle or coolant outputs are now these; `power` is 0 to 65535.
     pub fn outputs(&mut self, outputs: &SlowOutputs, power: u16) {
-        if let Some(csv) = &mut self.csv {
+        if let Some(csv) = &mut self.csv.0 {
             csv.outputs(outputs, power);
         }
     }
@@ -120,7 +136,7 @@ impl Trace {
 
     /// Closes the CSV file.
     pub fn finish(&mut self) -> io::Result<()> {
-        self.csv.take().map_or(Ok(()), Csv::finish)
+        self.csv.0.take().map_or(Ok(()), Csv::finish)
     }
 }
 

@@ -13,6 +13,7 @@ const PATIENCE: f64 = 1000.0;
 /// Between two looks while something is waited for, s.
 const LOOK: f64 = 0.005;
 
+#[derive(Clone)]
 pub struct Bench {
     pub mill: Simulator,
     /// What has been said and not been read.

@@ -19,6 +19,7 @@ use crate::units::{Coordinate, Duration, Instant};
 /// What the controller is in the middle of. While there is one, no further line is taken.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
+#[derive(Clone)]
 pub(super) enum Task<const N: usize> {
     /// Nothing: the next line may come.
     None,
@@ -52,7 +53,7 @@ pub(super) enum Answer {
 }
 
 /// A line under way.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Job<const N: usize> {
     answer: Answer,
     checked: Checked<N>,

@@ -73,6 +73,7 @@ pub struct Profile {
 }
 
 /// Decides everything. `N` axes, look-ahead of `BLOCKS` moves.
+#[derive(Clone)]
 pub struct Controller<const N: usize, const BLOCKS: usize> {
     profile: Profile,
     settings: Settings<N>,

@@ -28,7 +28,7 @@ pub struct Rules {
 }
 
 /// A line being received.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Line {
     text: heapless::Vec<u8, LENGTH>,
     comment: Comment,

@@ -14,7 +14,7 @@ pub enum Received {
 }
 
 /// Splits a byte stream. Keeps the epoch of line bytes: see [`LineByte`].
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Splitter {
     epoch: u16,
 }
