@@ -51,7 +51,7 @@ use stm32f4xx_hal::{
     serial,
 };
 
-use super::stm32f4;
+use super::stm32f4::{self, each};
 pub use super::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
     reset_cause, restart, safe_state,
@@ -84,40 +84,17 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
     // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.
     let _c = device.GPIOC.split(&mut rcc);
 
-    let slow_pins = SlowPins::new([
-        b.pb0.into_push_pull_output_in_state(PinState::High).erase(),
-        b.pb1.into_push_pull_output_in_state(PinState::Low).erase(),
-        b.pb10.into_push_pull_output_in_state(PinState::Low).erase(),
-        b.pb8.into_push_pull_output_in_state(PinState::Low).erase(),
-        b.pb9.into_push_pull_output_in_state(PinState::Low).erase(),
-    ]);
-    let inputs = InputPins::new([
-        b.pb12.into_pull_up_input().erase(),
-        b.pb13.into_pull_up_input().erase(),
-        b.pb14.into_pull_up_input().erase(),
-        b.pb15.into_pull_up_input().erase(),
-        b.pb7.into_pull_up_input().erase(),
-        b.pb5.into_pull_up_input().erase(),
-        b.pb6.into_pull_up_input().erase(),
-        b.pb4.into_pull_up_input().erase(),
-    ])
-    .with_driver_fault(b.pb3.into_pull_up_input().erase());
+    // The driver enable is active low: high is off.
+    let [enable] = each!([b.pb0].into_push_pull_output_in_state(PinState::High));
+    let [spindle, turn, flood, mist] =
+        each!([b.pb1, b.pb10, b.pb8, b.pb9].into_push_pull_output_in_state(PinState::Low));
+    let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
+    let inputs = each!([b.pb12, b.pb13, b.pb14, b.pb15, b.pb7, b.pb5, b.pb6, b.pb4].into_pull_up_input());
+    let inputs = InputPins::new(inputs).with_driver_fault(b.pb3.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
-    let step_pins = stm32f4::step_pins(
-        [
-            a.pa1.into_push_pull_output().speed(Speed::Medium).erase(),
-            a.pa2.into_push_pull_output().speed(Speed::Medium).erase(),
-            a.pa3.into_push_pull_output().speed(Speed::Medium).erase(),
-        ],
-        [
-            a.pa4.into_push_pull_output().erase(),
-            a.pa5.into_push_pull_output().erase(),
-            a.pa6.into_push_pull_output().erase(),
-        ],
-        &inputs,
-        device.TIM3,
-        &mut rcc,
-    );
+    let steps = each!([a.pa1, a.pa2, a.pa3].into_push_pull_output().speed(Speed::Medium));
+    let directions = each!([a.pa4, a.pa5, a.pa6].into_push_pull_output());
+    let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     // With no host on the UART its input must idle high, or noise would be taken for commands.
     let mut rx = a.pa10.into_alternate::<7>();

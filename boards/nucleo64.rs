@@ -10,6 +10,7 @@ use stm32f4xx_hal::{
     serial,
 };
 
+use super::stm32f4::each;
 pub use super::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
     reset_cause, restart, safe_state,
@@ -42,40 +43,17 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
     let b = device.GPIOB.split(&mut rcc);
     let c = device.GPIOC.split(&mut rcc);
 
-    let slow_pins = SlowPins::new([
-        a.pa9.into_push_pull_output_in_state(PinState::High).erase(),
-        c.pc2.into_push_pull_output_in_state(PinState::Low).erase(),
-        a.pa5.into_push_pull_output_in_state(PinState::Low).erase(),
-        b.pb0.into_push_pull_output_in_state(PinState::Low).erase(),
-        c.pc1.into_push_pull_output_in_state(PinState::Low).erase(),
-    ]);
-    let inputs = InputPins::new([
-        c.pc7.into_pull_up_input().erase(),
-        b.pb6.into_pull_up_input().erase(),
-        a.pa6.into_pull_up_input().erase(),
-        c.pc0.into_pull_up_input().erase(),
-        c.pc3.into_pull_up_input().erase(),
-        a.pa1.into_pull_up_input().erase(),
-        a.pa4.into_pull_up_input().erase(),
-        a.pa0.into_pull_up_input().erase(),
-    ])
-    .with_driver_fault(c.pc10.into_pull_up_input().erase());
+    // The driver enable is active low: high is off.
+    let [enable] = each!([a.pa9].into_push_pull_output_in_state(PinState::High));
+    let [spindle, turn, flood, mist] =
+        each!([c.pc2, a.pa5, b.pb0, c.pc1].into_push_pull_output_in_state(PinState::Low));
+    let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
+    let inputs = each!([c.pc7, b.pb6, a.pa6, c.pc0, c.pc3, a.pa1, a.pa4, a.pa0].into_pull_up_input());
+    let inputs = InputPins::new(inputs).with_driver_fault(c.pc10.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
-    let step_pins = stm32f4::step_pins(
-        [
-            a.pa10.into_push_pull_output().speed(Speed::Medium).erase(),
-            b.pb3.into_push_pull_output().speed(Speed::Medium).erase(),
-            b.pb5.into_push_pull_output().speed(Speed::Medium).erase(),
-        ],
-        [
-            b.pb4.into_push_pull_output().erase(),
-            b.pb10.into_push_pull_output().erase(),
-            a.pa8.into_push_pull_output().erase(),
-        ],
-        &inputs,
-        device.TIM3,
-        &mut rcc,
-    );
+    let steps = each!([a.pa10, b.pb3, b.pb5].into_push_pull_output().speed(Speed::Medium));
+    let directions = each!([b.pb4, b.pb10, a.pa8].into_push_pull_output());
+    let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.

@@ -83,6 +83,17 @@ pub fn call_step() {
 /// converter.
 const PWM_HZ: u32 = 5_000;
 
+/// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
+macro_rules! each {
+    ([$($pin:expr),+].$turn:ident $how:tt) => {
+        [$($pin.$turn $how.erase()),+]
+    };
+    ([$($pin:expr),+].$turn:ident $how:tt.$then:ident $so:tt) => {
+        [$($pin.$turn $how.$then $so.erase()),+]
+    };
+}
+pub(crate) use each;
+
 /// Sets up TIM3 for the PWM, whose pin must already be in its alternate function, and puts the pins to rest.
 pub fn step_pins<const S: usize, const D: usize>(
     step: [ErasedPin<Output>; 3],

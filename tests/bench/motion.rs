@@ -112,6 +112,16 @@ struct Row {
     peers: [&'static str; 2],
 }
 
+impl Row {
+    /// Settings and program.
+    fn job(&self) -> (String, String) {
+        let mut text = Vec::new();
+        let written = programs::bench::generate(self.job, &mut text);
+        assert!(matches!(written, Ok(true)), "{}: {written:?}", self.job);
+        ([MACHINE, self.settings].concat(), String::from_utf8(text).expect("programs are ASCII"))
+    }
+}
+
 const ROWS: &[Row] = &[
     Row {
         job: "circle_chords",
@@ -164,11 +174,7 @@ fn table() {
     println!("| job | Grbl 1.1h | grblHAL | Oxmill | unlimited look-ahead |");
     println!("|---|---|---|---|---|");
     for row in ROWS {
-        let mut text = Vec::new();
-        let written = programs::bench::generate(row.job, &mut text);
-        assert!(matches!(written, Ok(true)), "{}: {written:?}", row.job);
-        let program = String::from_utf8(text).expect("programs are ASCII");
-        let settings = [MACHINE, row.settings].concat();
+        let (settings, program) = row.job();
         let ours = simulate::<BOARD>(&settings, &program);
         let unlimited = simulate::<UNLIMITED>(&settings, &program);
         assert_eq!((ours.lines_refused, unlimited.lines_refused), (0, 0), "{}", row.job);
@@ -195,11 +201,7 @@ const JERK: &str = "10000";
 fn table_of_jerk() {
     println!("\n| job | trapezoid | jerk of {JERK} mm/s³ | |\n|---|---|---|---|");
     for row in ROWS {
-        let mut text = Vec::new();
-        let written = programs::bench::generate(row.job, &mut text);
-        assert!(matches!(written, Ok(true)), "{}: {written:?}", row.job);
-        let program = String::from_utf8(text).expect("programs are ASCII");
-        let settings = [MACHINE, row.settings].concat();
+        let (settings, program) = row.job();
         let even = simulate::<BOARD>(&settings, &program);
         let smooth = simulate::<BOARD>(&format!("{settings}$220={JERK}\n$221={JERK}\n$222={JERK}\n"), &program);
         assert_eq!((smooth.lines_refused, smooth.net), (0, even.net), "{}", row.job);
