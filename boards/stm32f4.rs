@@ -79,10 +79,6 @@ pub fn call_step() {
     StepTimer::call();
 }
 
-/// PWM of spindle and laser: fast enough for a laser's supply, slow enough for an opto-coupler before a frequency
-/// converter.
-const PWM_HZ: u32 = 5_000;
-
 /// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
 macro_rules! each {
     ([$($pin:expr),+].$turn:ident $how:tt) => {
@@ -104,8 +100,7 @@ pub fn step_pins<const S: usize, const D: usize>(
 ) -> StepPins<S, D> {
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    let pwm_period = pac::TIM3::timer_clock(&rcc.clocks).raw() / PWM_HZ;
-    pwm.arr().write(|w| raw!(w, pwm_period - 1));
+    let pwm_clock_hz = pac::TIM3::timer_clock(&rcc.clocks).raw();
     // PWM mode 1 without preload: a new value, above all 0, acts at once.
     pwm.ccmr1_output().write(|w| raw!(w, 0b110 << 12));
     pwm.ccr2().write(|w| raw!(w, 0));
@@ -114,7 +109,7 @@ pub fn step_pins<const S: usize, const D: usize>(
     let (at, turn_at) = (step.each_ref().map(Place::from), direction.each_ref().map(Place::from));
     let [x, y, z] = step;
     let [u, v, w] = direction;
-    StepPins::at(at, turn_at, probe.probe(), pwm_period, (pwm, [x, y, z, u, v, w]))
+    StepPins::at(at, turn_at, probe.probe(), pwm_clock_hz, (pwm, [x, y, z, u, v, w]))
 }
 
 /// Starts TIM2 as a free-running counter.

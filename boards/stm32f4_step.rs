@@ -27,6 +27,8 @@ const DIER: usize = 0x0C;
 const SR: usize = 0x10;
 const EGR: usize = 0x14;
 const CNT: usize = 0x24;
+const PSC: usize = 0x28;
+const ARR: usize = 0x2C;
 const CCR1: usize = 0x34;
 const CCR2: usize = 0x38;
 const CCR3: usize = 0x3C;
@@ -57,6 +59,9 @@ pub fn write_bsrr(port: usize, value: u32) {
 pub fn read_idr(port: usize) -> u32 {
     read(GPIO + PORT_SIZE * port + IDR)
 }
+
+/// PWM of spindle and laser before the settings are known: `$33` of a new controller.
+const DEFAULT_PWM_HZ: u32 = 5_000;
 
 /// What to write to each port so that nothing moves, turns, burns or flows. Kept here and not with a task, because a
 /// panic may come in any of them.
@@ -138,6 +143,7 @@ pub struct StepPins<const GPIO: usize, const PWM: usize, const S: usize, const D
     raise: Lines<S>,
     lower: Lines<S>,
     direction: Lines<D>,
+    pwm_clock_hz: u32,
     pwm_period: u32,
     /// Of the touch probe; the pin itself belongs to the inputs.
     probe: Place,
@@ -146,11 +152,12 @@ pub struct StepPins<const GPIO: usize, const PWM: usize, const S: usize, const D
 }
 
 impl<const GPIO: usize, const PWM: usize, const S: usize, const D: usize, O> StepPins<GPIO, PWM, S, D, O> {
-    /// The pins X, Y, Z are outputs already, and the timer runs with a period of `pwm_period`.
-    pub fn at(step: [Place; 3], direction: [Place; 3], probe: Place, pwm_period: u32, owned: O) -> Self {
+    /// The pins X, Y, Z are outputs already, and the timer of the PWM counts at `pwm_clock_hz`.
+    pub fn at(step: [Place; 3], direction: [Place; 3], probe: Place, pwm_clock_hz: u32, owned: O) -> Self {
         let (raise, lower, direction) = (Lines::new(GPIO, step), Lines::new(GPIO, step), Lines::new(GPIO, direction));
-        let mut pins = StepPins { raise, lower, direction, pwm_period, probe, _owned: owned };
+        let mut pins = StepPins { raise, lower, direction, pwm_clock_hz, pwm_period: 1, probe, _owned: owned };
         pins.set_polarity(0, 0);
+        pins.set_pwm(DEFAULT_PWM_HZ, 0);
         pins
     }
 
@@ -181,6 +188,19 @@ impl<const GPIO: usize, const PWM: usize, const S: usize, const D: usize, O> Ste
     #[inline(always)]
     pub fn direct(&mut self, directions: u8) {
         self.direction.write(directions);
+    }
+
+    /// Sets the frequency of the PWM, 1 Hz and more, and the power that goes on.
+    pub fn set_pwm(&mut self, hz: u32, power: u16) {
+        let counts = self.pwm_clock_hz / hz.max(1);
+        // The timer has 16 bits; a period of 65536 would be one too many for `set_power`.
+        let prescaler = (counts >> 16).min(0xFFFF);
+        self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
+        write(PWM + PSC, prescaler);
+        write(PWM + ARR, self.pwm_period - 1);
+        self.set_power(power);
+        // Begins anew: the prescaler is taken over, and the counter cannot be beyond its end.
+        write(PWM + EGR, 1);
     }
 
     /// Sets the power of spindle or laser, 0 to 65535.

@@ -298,6 +298,9 @@ impl StepPins {
         critical_section::with(|cs| RECORD.borrow_ref_mut(cs).directions = directions);
     }
 
+    /// There is no PWM.
+    pub fn set_pwm(&mut self, _hz: u32, _power: u16) {}
+
     /// Power of spindle or laser: not recorded.
     pub fn set_power(&mut self, _power: u16) {}
 

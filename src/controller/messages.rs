@@ -392,6 +392,8 @@ pub struct Wiring {
     pub direction_invert: u8,
     /// `$4`, enable output inverted.
     pub enable_invert: bool,
+    /// `$33`, frequency of the PWM for spindle or laser, 1 to 100,000 Hz.
+    pub pwm_hz: u32,
     /// `$6`, probe input inverted: for the step task, which looks at the pin itself.
     pub probe_invert: bool,
     /// Polarity and pull resistors of the inputs.

@@ -88,6 +88,7 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true),
     entry(31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true),
     entry(32, "Laser mode", "", Kind::Switch, 0.0, true),
+    entry(33, "Spindle PWM frequency", "Hz", Kind::Whole(1, 100_000), 5000.0, false),
     entry(40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false),
     entry(41, "Parking", "", Kind::Switch, 0.0, false),
     entry(42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false),
@@ -165,6 +166,7 @@ pub enum Key {
     SpindleMaximum,
     SpindleMinimum,
     Laser,
+    SpindlePwm,
     JogClip,
     Parking,
     ParkingAxis,
@@ -199,7 +201,7 @@ pub enum Key {
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 57;
+    pub const COUNT: usize = 58;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -553,6 +555,7 @@ mod tests {
             (Key::DirectionSetup, 29),
             (Key::SpindleMinimum, 31),
             (Key::Laser, 32),
+            (Key::SpindlePwm, 33),
             (Key::JogClip, 40),
             (Key::HomingPasses, 43),
             (Key::ParkingTarget, 58),

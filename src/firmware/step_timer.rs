@@ -405,6 +405,7 @@ impl Step {
             self.directions_shown = self.stepper.directions();
             self.pins.direct(self.directions_shown);
             self.probe_invert = wiring.probe_invert;
+            self.pins.set_pwm(wiring.pwm_hz, self.power_shown);
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
             self.low_ticks = self.pulse_ticks.min(LOW_TICKS) - LEAST_EDGE_TICKS;
             self.gap_ticks = self.pulse_ticks + self.low_ticks;

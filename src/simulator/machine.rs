@@ -147,6 +147,7 @@ mod tests {
         Wiring {
             pulse_us: 10,
             direction_setup_us: 5,
+            pwm_hz: 5_000,
             step_invert: 0,
             direction_invert: 0,
             enable_invert: false,

@@ -778,6 +778,33 @@ def brown_out(bench):
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
 
 
+def spindle_pwm(bench):
+    """Frequency and share of the spindle's PWM, from an opto-coupler's to a laser's, also when it is changed while it turns."""
+    bench.boot()
+    bench.settings(s30=1000)
+    pwm = bench.board.peripherals["TIM3"]
+    for hz in (5_000, 1_000, 50, 1, 25_000, 100_000):
+        bench.settings(s33=hz)
+        bench.ask("M3 S250")
+        bench.board.run(seconds=0.005)
+        shares = []
+        for speed in (500, 1000, 250):
+            bench.ask(f"S{speed}")
+            bench.board.run(seconds=0.005)
+            shares.append((speed / 1000, duty(bench.board)))
+        found = pwm.frequency()
+        if abs(found / hz - 1) > 1e-3 or any(abs(share - wanted) > 0.005 for wanted, share in shares):
+            raise Failure(f"$33={hz}: {found:.2f} Hz, shares {shares}")
+        bench.settings(s33=2_000)
+        if abs(duty(bench.board) - 0.25) > 0.005:
+            raise Failure(f"$33=2000 while the spindle turns: share {duty(bench.board):.4f} instead of 0.25")
+        bench.ask("M5")
+        bench.board.run(seconds=0.005)
+        if duty(bench.board):
+            raise Failure("the PWM stays on")
+        yield f"$33={hz}: {found:.2f} Hz, shares {', '.join(f'{share:.4f}' for _, share in shares)}"
+
+
 def busy(bench):
     """Full motion, spindle and coolant on."""
     fast(bench, 1000)
@@ -1039,6 +1066,7 @@ def all_cases(root):
         ("switch noise", noise),
         ("probe", probe),
         ("flood of realtime commands", flood),
+        ("spindle PWM", spindle_pwm),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),

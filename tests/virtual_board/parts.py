@@ -43,6 +43,7 @@ STM32F401 = Part(
     wait_states=(30 * MHZ, 60 * MHZ, 84 * MHZ),
     scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, flash_kib=256, ram_kib=64,
 )  # fmt: skip
+STM32F401RE = replace(STM32F401, name="STM32F401RE", flash_kib=512, ram_kib=96)
 STM32F446 = Part(
     "STM32F446RE", 180 * MHZ, 45 * MHZ, 90 * MHZ,
     wait_states=tuple(n * 30 * MHZ for n in range(1, 7)),
@@ -95,5 +96,7 @@ NUCLEO_F446RE = Wiring(
     enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
     probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", usart="USART2", safe_step_hz=256_000,
 )  # fmt: skip
+NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=160_000)
+NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=134_000)
 
-BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE)}
+BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE)}

@@ -41,7 +41,7 @@ usage:
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
-  cargo xtask virtual [BOARD]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
@@ -65,8 +65,8 @@ fn main() -> ExitCode {
         ["converse"] => live::all(),
         ["jobs"] => jobs::compare_all(),
         ["job", name] => generate(name),
-        ["virtual"] => virtual_board::check(None),
-        ["virtual", board] => virtual_board::check(Some(board)),
+        ["virtual"] => virtual_board::check(None, &[]),
+        ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
         ["mutants", ref names @ ..] => mutants::run(names),
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),

@@ -95,6 +95,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             step_invert: s.whole(Key::StepInvert) as u8,
             direction_invert: s.whole(Key::DirectionInvert) as u8,
             enable_invert: s.is_on(Key::EnableInvert),
+            pwm_hz: s.whole(Key::SpindlePwm),
             probe_invert: s.is_on(Key::ProbeInvert),
             inputs: self.input_wiring,
             armed: self.armed_inputs(),

@@ -183,7 +183,7 @@ fn step_task() {
     let (_wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
     let pin = |pin| stm32f4_step::Place { port: 0, pin };
-    let pins = boards::StepPins::at([pin(1), pin(2), pin(3)], [pin(4), pin(5), pin(6)], pin(15), 19_200, ());
+    let pins = boards::StepPins::at([pin(1), pin(2), pin(3)], [pin(4), pin(5), pin(6)], pin(15), 96_000_000, ());
     let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };

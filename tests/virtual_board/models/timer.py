@@ -159,6 +159,10 @@ class Timer(Peripheral):
         self._call()
         self._plan()
 
+    def frequency(self):
+        """Overflows in a second."""
+        return self.board.rcc.hclk / (self.cycles * (self.values[ARR] + 1))
+
     def duty(self, channel):
         """Share of the time that a PWM output is high, 0 to 1; None if the channel is not a PWM output."""
         mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> (8 * ((channel - 1) & 1)) + 4 & 7
