@@ -7,17 +7,17 @@
 //!            Y limit    B13  ──┤           ├──  GND
 //!            Z limit    B14  ──┤           ├──  3V3
 //!              probe    B15  ──┤           ├──  B10   spindle direction
-//!                        A8  ──┤           ├──  B2    (BOOT1)
+//!   second motor step    A8  ──┤           ├──  B2    (BOOT1)
 //!   TX to the host       A9  ──┤           ├──  B1    spindle on
 //!   RX from the host    A10  ──┤           ├──  B0    driver enable
 //!            (USB D-)   A11  ──┤  STM32F4  ├──  A7    spindle PWM / laser
 //!            (USB D+)   A12  ──┤ 11CE/01CC ├──  A6    Z direction
-//!                       A15  ──┤           ├──  A5    Y direction
+//!     its direction     A15  ──┤           ├──  A5    Y direction
 //!       driver fault      B3  ──┤           ├──  A4    X direction
 //!      reset (abort)     B4  ──┤           ├──  A3    Z step
 //!               hold     B5  ──┤           ├──  A2    Y step
 //!     start (resume)     B6  ──┤           ├──  A1    X step
-//!               door     B7  ──┤           ├──  A0    (KEY)
+//!               door     B7  ──┤           ├──  A0    second motor limit (KEY)
 //!              flood     B8  ──┤           ├──  RST
 //!               mist     B9  ──┤           ├──  C15   (32 kHz crystal)
 //!                        5V  ──┤           ├──  C14   (32 kHz crystal)
@@ -39,8 +39,9 @@
 //! | host, USB | A11 (D-), A12 (D+) | the only pins of OTG_FS, wired to the socket; a serial port (CDC-ACM) on the host |
 //! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1, listened to beside USB; the pins that the boot loader uses too. A9 would be VBUS sensing, which is off: a board with a supply of its own sees an unplugged host by the bus going idle |
 //! | driver fault | B3 | pull-up; SWO after reset, which nothing here uses |
-//! | left free | A8, A15 | step and direction of a fourth motor |
-//! | left alone | A13 A14, A0, B2, C13-C15 | SWD, key, BOOT1, LED and crystal |
+//! | second motor of an axis: step, direction | A8, A15 | the same port; `$905` names the axis. A15 is NJTDI after reset and pulled up until set-up |
+//! | its limit switch | A0 | pull-up; the KEY of the board is a switch like it, and does nothing without `$907` |
+//! | left alone | A13 A14, B2, C13-C15 | SWD, BOOT1, LED and crystal: no pin is left for a spindle that tells its speed |
 //!
 //! In reset all pins float: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
 
@@ -51,6 +52,7 @@ use stm32f4xx_hal::{
     serial,
 };
 
+use super::input_bits;
 use super::stm32f4::{self, each};
 pub use super::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
@@ -90,10 +92,13 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
         each!([b.pb1, b.pb10, b.pb8, b.pb9].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
     let inputs = each!([b.pb12, b.pb13, b.pb14, b.pb15, b.pb7, b.pb5, b.pb6, b.pb4].into_pull_up_input());
-    let inputs = InputPins::new(inputs).with_driver_fault(b.pb3.into_pull_up_input().erase());
+    // Drivers' fault outputs are open drains and may be joined.
+    let inputs = InputPins::new(inputs)
+        .with(input_bits::DRIVER_FAULT, b.pb3.into_pull_up_input().erase())
+        .with(input_bits::SECOND_LIMIT, a.pa0.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
-    let steps = each!([a.pa1, a.pa2, a.pa3].into_push_pull_output().speed(Speed::Medium));
-    let directions = each!([a.pa4, a.pa5, a.pa6].into_push_pull_output());
+    let steps = each!([a.pa1, a.pa2, a.pa3, a.pa8].into_push_pull_output().speed(Speed::Medium));
+    let directions = each!([a.pa4, a.pa5, a.pa6, a.pa15].into_push_pull_output());
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     // With no host on the UART its input must idle high, or noise would be taken for commands.

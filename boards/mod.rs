@@ -64,17 +64,21 @@ mod chosen;
 #[cfg(not(feature = "board"))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
 
+#[path = "second_motor.rs"]
+mod second_motor;
+
 pub use chosen::*;
+pub use second_motor::SecondMotor;
 
 use oxmill_controller::Profile;
 
-/// What the controller must know of a board. No board has pins for a second motor yet.
-const fn profile(board: &profiles::Board) -> Profile {
+/// What the controller must know of a board.
+const fn profile(board: &profiles::Board, has_second_motor: bool) -> Profile {
     Profile {
         name: board.name,
         step_clock_hz: board.step_clock_hz,
         safe_step_hz: board.safe_step_hz,
-        has_second_motor: false,
+        has_second_motor,
         has_store: true,
     }
 }
@@ -156,6 +160,8 @@ pub enum Incoming {
 pub mod input_bits {
     /// Limit switch of X; Y and Z follow.
     pub const LIMITS: u32 = 0;
+    /// Limit switch of the second motor of an axis.
+    pub const SECOND_LIMIT: u32 = 6;
     /// Touch probe.
     pub const PROBE: u32 = 8;
     /// Safety door.

@@ -16,7 +16,7 @@ pub use super::stm32f4::{
     reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
-use super::{NoPort, stm32f4};
+use super::{NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
 /// The clock counts microseconds.
@@ -49,10 +49,13 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
         each!([c.pc2, a.pa5, b.pb0, c.pc1].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
     let inputs = each!([c.pc7, b.pb6, a.pa6, c.pc0, c.pc3, a.pa1, a.pa4, a.pa0].into_pull_up_input());
-    let inputs = InputPins::new(inputs).with_driver_fault(c.pc10.into_pull_up_input().erase());
+    // Drivers' fault outputs are open drains and may be joined.
+    let inputs = InputPins::new(inputs)
+        .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
+        .with(input_bits::SECOND_LIMIT, b.pb15.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
-    let steps = each!([a.pa10, b.pb3, b.pb5].into_push_pull_output().speed(Speed::Medium));
-    let directions = each!([b.pb4, b.pb10, a.pa8].into_push_pull_output());
+    let steps = each!([a.pa10, b.pb3, b.pb5, b.pb13].into_push_pull_output().speed(Speed::Medium));
+    let directions = each!([b.pb4, b.pb10, a.pa8, b.pb14].into_push_pull_output());
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {

@@ -69,7 +69,7 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
 
 /// Step and direction outputs, step pins on `S` ports and direction pins on `D`.
 pub type StepPins<const S: usize, const D: usize> =
-    step::StepPins<{ step::GPIO }, { step::TIM3 }, S, D, (pac::TIM3, [ErasedPin<Output>; 6])>;
+    step::StepPins<{ step::GPIO }, { step::TIM3 }, S, D, (pac::TIM3, [ErasedPin<Output>; 8])>;
 /// TIM2 as the step timer.
 pub type StepTimer = step::StepTimer<{ step::TIM2 }, pac::TIM2>;
 
@@ -92,8 +92,8 @@ pub(crate) use each;
 
 /// Sets up TIM3 for the PWM, whose pin must already be in its alternate function, and puts the pins to rest.
 pub fn step_pins<const S: usize, const D: usize>(
-    step: [ErasedPin<Output>; 3],
-    direction: [ErasedPin<Output>; 3],
+    step: [ErasedPin<Output>; 4],
+    direction: [ErasedPin<Output>; 4],
     probe: &InputPins,
     pwm: pac::TIM3,
     rcc: &mut Rcc,
@@ -107,9 +107,9 @@ pub fn step_pins<const S: usize, const D: usize>(
     pwm.ccer().write(|w| w.cc2e().set_bit());
     pwm.cr1().write(|w| w.cen().set_bit());
     let (at, turn_at) = (step.each_ref().map(Place::from), direction.each_ref().map(Place::from));
-    let [x, y, z] = step;
-    let [u, v, w] = direction;
-    StepPins::at(at, turn_at, probe.probe(), pwm_clock_hz, (pwm, [x, y, z, u, v, w]))
+    let [a, b, c, d] = step;
+    let [e, f, g, h] = direction;
+    StepPins::at(at, turn_at, probe.probe(), pwm_clock_hz, (pwm, [a, b, c, d, e, f, g, h]))
 }
 
 /// Starts TIM2 as a free-running counter.
@@ -207,37 +207,41 @@ impl<U: Instance> Port for Usart<U> {
     }
 }
 
+/// Inputs at most.
+const MOST_INPUTS: usize = 11;
+
 /// Inputs, with pull-ups until a setting wants something else.
 pub struct InputPins {
-    places: [(Place, u32); 9],
+    /// Where they are, and their bits.
+    places: [(Place, u32); MOST_INPUTS],
     /// How many of them there are.
     count: usize,
-    _pins: [ErasedPin<Input>; 8],
-    _driver_fault: Option<ErasedPin<Input>>,
+    probe: Place,
+    _pins: [Option<ErasedPin<Input>>; MOST_INPUTS],
 }
 
 impl InputPins {
     /// The pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
     pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
-        use super::input_bits::{DOOR, DRIVER_FAULT, HOLD, LIMITS, PROBE, RESET, START};
+        use super::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
+        let nowhere = Place { port: 0, pin: 0 };
+        let [_, _, _, probe, ..] = pins.each_ref().map(Place::from);
+        let inputs =
+            InputPins { places: [(nowhere, 0); MOST_INPUTS], count: 0, probe, _pins: [const { None }; MOST_INPUTS] };
         let bits = [LIMITS, LIMITS + 1, LIMITS + 2, PROBE, DOOR, HOLD, START, RESET];
-        let mut places = [(Place { port: 0, pin: 0 }, DRIVER_FAULT); 9];
-        for ((place, pin), bit) in places.iter_mut().zip(&pins).zip(bits) {
-            *place = (Place::from(pin), bit);
-        }
-        InputPins { places, count: pins.len(), _pins: pins, _driver_fault: None }
+        pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
     }
 
-    /// And a pin for the fault outputs of the motor drivers, which are open drains and may be joined.
-    pub fn with_driver_fault(mut self, pin: ErasedPin<Input>) -> Self {
-        let [.., (place, _)] = &mut self.places;
-        *place = Place::from(&pin);
-        InputPins { count: self.places.len(), _driver_fault: Some(pin), ..self }
+    /// And a pin for one more of [`input_bits`](super::input_bits).
+    pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
+        self.places[self.count] = (Place::from(&pin), bit);
+        self._pins[self.count] = Some(pin);
+        self.count += 1;
+        self
     }
 
     fn probe(&self) -> Place {
-        let [_, _, _, (probe, _), ..] = self.places;
-        probe
+        self.probe
     }
 
     /// Which pins are low, as `input_bits`.

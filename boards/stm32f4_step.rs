@@ -5,6 +5,7 @@
 //! memory. Setting clocks, pins and timers up is left to `stm32f4.rs`. Addresses and bits: reference manual RM0383,
 //! the same in RM0390 for the F446.
 
+use super::SecondMotor;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// The bus region with the ports, `TIM2` and `TIM3` of the STM32F4.
@@ -90,9 +91,9 @@ pub const fn bsrr(pin: u32, high: bool) -> u32 {
     if high { 1 << pin } else { 0x1_0000 << pin }
 }
 
-/// Three pins on `P` ports, written by table: one store for each port.
+/// Pins of four motors on `P` ports, written by table: one store for each port.
 struct Lines<const P: usize> {
-    places: [Place; 3],
+    places: [Place; 4],
     /// Ports, and the addresses of their BSRR.
     ports: [usize; P],
     registers: [usize; P],
@@ -101,7 +102,7 @@ struct Lines<const P: usize> {
 }
 
 impl<const P: usize> Lines<P> {
-    fn new(gpio: usize, places: [Place; 3]) -> Self {
+    fn new(gpio: usize, places: [Place; 4]) -> Self {
         let mut ports = [places[0].port; P];
         let mut used = 1;
         for place in places {
@@ -114,13 +115,15 @@ impl<const P: usize> Lines<P> {
         Lines { places, ports, registers: ports.map(|port| gpio + PORT_SIZE * port + BSRR), words: [[0; 8]; P] }
     }
 
-    /// Fills the tables. `both` = a bit of 0 writes the opposite level; otherwise it leaves the pin alone.
-    fn fill(&mut self, invert: u8, both: bool) {
+    /// Fills the tables: which bits of a combination drive each pin, and a bit for each that is active low. `both` = a pin
+    /// that is not driven gets the opposite level; otherwise it is left alone.
+    fn fill(&mut self, driven: [u8; 4], invert: u8, both: bool) {
         for (port, words) in self.ports.into_iter().zip(&mut self.words) {
             for (bits, word) in words.iter_mut().enumerate() {
                 *word = 0;
-                for (i, place) in self.places.iter().enumerate().filter(|(_, place)| place.port == port) {
-                    let set = bits >> i & 1 != 0;
+                let pins = self.places.iter().zip(driven).enumerate();
+                for (i, (place, driven)) in pins.filter(|(_, (place, _))| place.port == port) {
+                    let set = bits as u8 & driven != 0;
                     if set || both {
                         *word |= bsrr(place.pin, set != (invert >> i & 1 != 0));
                     }
@@ -152,20 +155,26 @@ pub struct StepPins<const GPIO: usize, const PWM: usize, const S: usize, const D
 }
 
 impl<const GPIO: usize, const PWM: usize, const S: usize, const D: usize, O> StepPins<GPIO, PWM, S, D, O> {
-    /// The pins X, Y, Z are outputs already, and the timer of the PWM counts at `pwm_clock_hz`.
-    pub fn at(step: [Place; 3], direction: [Place; 3], probe: Place, pwm_clock_hz: u32, owned: O) -> Self {
+    /// The pins X, Y, Z and those of a second motor are outputs already, and the timer of the PWM counts at `pwm_clock_hz`.
+    pub fn at(step: [Place; 4], direction: [Place; 4], probe: Place, pwm_clock_hz: u32, owned: O) -> Self {
         let (raise, lower, direction) = (Lines::new(GPIO, step), Lines::new(GPIO, step), Lines::new(GPIO, direction));
         let mut pins = StepPins { raise, lower, direction, pwm_clock_hz, pwm_period: 1, probe, _owned: owned };
-        pins.set_polarity(0, 0);
+        pins.set_polarity(0, 0, SecondMotor::default());
         pins.set_pwm(DEFAULT_PWM_HZ, 0);
         pins
     }
 
-    /// Takes over which outputs are inverted, and puts them to rest.
-    pub fn set_polarity(&mut self, step_invert: u8, direction_invert: u8) {
-        self.raise.fill(step_invert, false);
-        self.lower.fill(!step_invert, false);
-        self.direction.fill(direction_invert, true);
+    /// Takes over which outputs are inverted and what the second motor does, and puts the step outputs to rest.
+    pub fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor) {
+        // The fourth pin is driven as that of its axis is.
+        let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & second.axis != 0) != turn) << 3;
+        let step_invert = fourth(step_invert, false);
+        let direction_invert = fourth(direction_invert, second.inverted);
+        let own = |stands: bool| [1, 2, 4].map(|axis| if stands && axis == second.axis { 0 } else { axis });
+        let ([x, y, z], motor) = (own(second.first_stands), if second.stands { 0 } else { second.axis });
+        self.raise.fill([x, y, z, motor], step_invert, false);
+        self.lower.fill([7; 4], !step_invert, false);
+        self.direction.fill([1, 2, 4, second.axis], direction_invert, true);
         for (i, place) in self.raise.places.iter().enumerate() {
             note_safe_level(*place, step_invert >> i & 1 != 0);
         }

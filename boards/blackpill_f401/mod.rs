@@ -11,7 +11,7 @@ use oxmill_controller::Profile;
 pub use super::blackpill::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F401);
+pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F401, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::BLACKPILL_F401.axes;
 /// Depth of the look-ahead.

@@ -10,7 +10,7 @@ use oxmill_controller::Profile;
 pub use super::blackpill::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F411);
+pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F411, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::BLACKPILL_F411.axes;
 /// Depth of the look-ahead.

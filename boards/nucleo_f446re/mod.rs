@@ -12,7 +12,7 @@ use oxmill_controller::Profile;
 pub use super::nucleo64::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::NUCLEO_F446RE);
+pub const PROFILE: Profile = super::profile(&profiles::NUCLEO_F446RE, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::NUCLEO_F446RE.axes;
 /// Depth of the look-ahead.

@@ -32,7 +32,7 @@ use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
-use super::{Incoming, NoPort, Port, SlowLevels, profiles};
+use super::{Incoming, NoPort, Port, SecondMotor, SlowLevels, profiles};
 
 /// There is none.
 pub type UsbPort = NoPort;
@@ -42,7 +42,7 @@ mod script;
 pub use flash::SettingsFlash;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::QEMU_MPS2);
+pub const PROFILE: Profile = super::profile(&profiles::QEMU_MPS2, false);
 /// Axes that are counted.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead.
@@ -275,7 +275,7 @@ pub struct StepPins;
 
 impl StepPins {
     /// Polarity is a matter of pins.
-    pub fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8) {}
+    pub fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8, _second: SecondMotor) {}
 
     /// A step of the axes of `steps`.
     pub fn raise(&mut self, steps: u8) {

@@ -11,12 +11,13 @@ use crate::pend_step;
 use crate::watchdog::Supervisor;
 use core::sync::atomic::Ordering;
 use oxmill_controller::machine::signals;
-use oxmill_controller::messages::{SIGNALS_DEPTH, Sensed, Wiring, input};
+use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, input};
 use rtic_sync::channel::{Receiver, Sender};
 
 // A board's word of inputs is the controller's.
 const _: () = assert!(
     input_bits::LIMITS == 0
+        && 1 << input_bits::SECOND_LIMIT == SECOND_SWITCH
         && input_bits::PROBE == input::PROBE
         && input_bits::DOOR == input::DOOR
         && input_bits::HOLD == input::HOLD

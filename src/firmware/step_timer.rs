@@ -18,10 +18,10 @@
 //! [`FAR_US`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
 //! another.
 
-use crate::boards::{AXES, Due, PROFILE, StepPins, StepTimer};
+use crate::boards::{AXES, Due, PROFILE, SecondMotor, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
 use core::sync::atomic::Ordering;
-use oxmill_controller::messages::{EVENTS_DEPTH, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
+use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
 use oxmill_controller::{Stepper, Tick};
 use rtic_sync::channel::{Receiver, Sender};
 
@@ -401,7 +401,13 @@ impl Step {
     #[cold]
     fn start(&mut self) {
         while let Ok(wiring) = self.wiring.try_recv() {
-            self.pins.set_polarity(wiring.step_invert, wiring.direction_invert);
+            let second = SecondMotor {
+                axis: wiring.ganged,
+                inverted: wiring.ganged_invert,
+                stands: wiring.ganged_motors == GangedMotors::First,
+                first_stands: wiring.ganged_motors == GangedMotors::Second,
+            };
+            self.pins.set_polarity(wiring.step_invert, wiring.direction_invert, second);
             self.directions_shown = self.stepper.directions();
             self.pins.direct(self.directions_shown);
             self.probe_invert = wiring.probe_invert;

@@ -778,6 +778,51 @@ def brown_out(bench):
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
 
 
+def second_motor(bench):
+    """The second motor of an axis ($905): steps with it and with no other, turns the other way, is squared by its own switch."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    rest = {"s110": 1000, "s111": 1000, "s112": 1000, "s120": 500, "s121": 500, "s122": 500}
+    bench.settings(**rest, s905=2)
+
+    def moved(line):
+        scope = Scope(board, second=True)
+        bench.ask(f"G91 G1 {line} F600")
+        bench.wait_state("Idle", 2)
+        return scope.counts()
+
+    for settings, line, counts in (
+        ({}, "X-1 Y2 Z1", [-250, 500, 250, 500]),
+        ({"s906": 1}, "Y1", [0, 250, 0, -250]),
+        ({"s3": 2}, "Y1", [0, -250, 0, 250]),
+        ({"s3": 0, "s905": 3, "s906": 0}, "Y1 Z-1", [0, 250, -250, -250]),
+        ({"s905": 0}, "X1 Y1 Z1", [250, 250, 250, 0]),
+    ):
+        bench.settings(**settings)
+        if (found := moved(line)) != counts:
+            raise Failure(f"{settings} {line}: motors at {found} instead of {counts}")
+    bench.settings(s905=1, s2=1)
+    if [board.level(pin) for pin in (*wiring.step, wiring.second_step)] != [1, 0, 0, 1]:
+        raise Failure("$2 does not invert the second motor with its axis")
+    bench.settings(s2=0)
+    yield "steps and turns with its axis only, also inverted"
+    bench.settings(s907=1, s22=1, s44=1, s45=0, s46=0, s24=120, s25=600, s26=5, s27=1)
+    scope = Scope(board, second=True)
+    host.send("$H\n")
+    # Motor by motor the switch closes here.
+    places, answered = (400, 460), len(host.answers)
+    begin = board.now
+    while len(host.answers) == answered and board.seconds(board.now) - board.seconds(begin) < 20:
+        board.run(seconds=0.004)
+        first, _, _, second = scope.counts()
+        board.drive(wiring.limits[0], 0 if first >= places[0] else 1)
+        board.drive(wiring.second_limit, 0 if second >= places[1] else 1)
+    first, _, _, second = scope.counts()
+    if host.answers[answered:] != ["ok"] or abs(second - first - 60) > 12:
+        raise Failure(f"$H was answered by {host.answers[answered:]}, the motors are at {first} and {second}")
+    yield f"squared: the second motor is {second - first} steps further, its switch 60"
+
+
 def spindle_pwm(bench):
     """Frequency and share of the spindle's PWM, from an opto-coupler's to a laser's, also when it is changed while it turns."""
     bench.boot()
@@ -1066,6 +1111,7 @@ def all_cases(root):
         ("switch noise", noise),
         ("probe", probe),
         ("flood of realtime commands", flood),
+        ("second motor", second_motor),
         ("spindle PWM", spindle_pwm),
         ("settings write", settings_write),
         ("power cut", power_cut),

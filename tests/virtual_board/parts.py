@@ -75,6 +75,9 @@ class Wiring:
     start: str
     reset: str
     driver_fault: str
+    second_step: str
+    second_direction: str
+    second_limit: str
     usart: str
     safe_step_hz: int
     step_irq: int = 28
@@ -87,14 +90,16 @@ BLACKPILL_F411 = Wiring(
     "blackpill_f411", STM32F411, 25 * MHZ, False, 96 * MHZ,
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
-    probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", usart="USART1", safe_step_hz=120_000, usb=True,
+    probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
+    second_limit="A0", usart="USART1", safe_step_hz=120_000, usb=True,
 )  # fmt: skip
 BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=46_000)
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
     enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
-    probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", usart="USART2", safe_step_hz=256_000,
+    probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", second_step="B13", second_direction="B14",
+    second_limit="B15", usart="USART2", safe_step_hz=256_000,
 )  # fmt: skip
 NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=160_000)
 NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=134_000)

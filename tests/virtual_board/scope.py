@@ -21,13 +21,18 @@ class Scope:
     TOGETHER_S = 0.5e-6
     """Rising edges closer than this are one step event."""
 
-    def __init__(self, board):
+    def __init__(self, board, second=False):
+        """`second`: the second motor of an axis counts as a fourth one."""
         self.board = board
         wiring = board.wiring
-        self.step_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.step)}
-        self.direction_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(wiring.direction)}
+        steps, directions = wiring.step, wiring.direction
+        if second:
+            steps, directions = (*steps, wiring.second_step), (*directions, wiring.second_direction)
+        self.motors = len(steps)
+        self.step_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(steps)}
+        self.direction_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(directions)}
         self.first = len(board.edges)
-        self.levels = [board.shown(name) == 1 for name in wiring.direction]
+        self.levels = [board.shown(name) == 1 for name in directions]
         """Direction outputs where the record begins."""
 
     def read(self):
@@ -64,10 +69,10 @@ class Scope:
     def steps(self):
         return self.read()[0]
 
-    def counts(self, axes=3):
-        net = [0] * axes
+    def counts(self):
+        net = [0] * self.motors
         for step in self.steps():
-            for axis in range(axes):
+            for axis in range(self.motors):
                 if step.axes >> axis & 1:
                     net[axis] += -1 if step.negative >> axis & 1 else 1
         return net

@@ -20,6 +20,7 @@ use oxmill_controller::{Controller, Profile};
 use oxmill_on_target as _;
 use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
+use second_motor::SecondMotor;
 use step_timer::Step;
 
 #[path = "../../../src/firmware/copy.rs"]
@@ -27,6 +28,8 @@ mod copy;
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/firmware/crossing.rs"]
 mod crossing;
+#[path = "../../../boards/second_motor.rs"]
+mod second_motor;
 #[path = "../../../src/firmware/step_timer.rs"]
 mod step_timer;
 #[allow(dead_code, reason = "the ports of other tasks")]
@@ -35,6 +38,7 @@ mod stm32f4_step;
 
 /// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
 mod boards {
+    pub use crate::second_motor::SecondMotor;
     use crate::stm32f4_step;
     pub use crate::stm32f4_step::Due;
     use oxmill_controller::Profile;
@@ -183,7 +187,7 @@ fn step_task() {
     let (_wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
     let pin = |pin| stm32f4_step::Place { port: 0, pin };
-    let pins = boards::StepPins::at([pin(1), pin(2), pin(3)], [pin(4), pin(5), pin(6)], pin(15), 96_000_000, ());
+    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), 96_000_000, ());
     let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };
