@@ -78,7 +78,7 @@ pub struct Simulator {
     /// Changes of each input that the filter has rejected.
     noise: [u16; input::COUNT],
     /// What the controller was told of last.
-    told: Sensed,
+    told: Option<Sensed>,
     /// The controller has asked to see the inputs.
     pins_asked: bool,
     connected: bool,
@@ -143,7 +143,7 @@ impl Simulator {
             sample_due: None,
             inputs: Inputs::new(),
             noise: [0; input::COUNT],
-            told: Sensed::default(),
+            told: None,
             pins_asked: false,
             connected: false,
             disconnected: false,
@@ -463,10 +463,6 @@ impl Simulator {
         let raw = self.fittings.sample(now);
         let contacts = Signals::of_word(self.filter.sample(raw.word()));
         self.count_noise(self.filter.rejected());
-        if contacts != self.contacts {
-            self.contacts = contacts;
-            self.update_signals();
-        }
         let settled = raw == contacts && !self.fittings.chatter(now);
         let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
         self.sample_due = (!settled).then(|| self.clock.now() + period);
@@ -474,6 +470,10 @@ impl Simulator {
 
     /// Pins that are low: those that a hand has put to 1, and closed contacts.
     fn low(&self) -> u16 {
+        if contacts != self.contacts || self.inputs.sensed().is_none() {
+            self.contacts = contacts;
+            self.update_signals();
+        }
         self.hand.word() | self.contacts.word()
     }
 
@@ -482,7 +482,9 @@ impl Simulator {
         if let Some(wiring) = &self.wiring {
             self.inputs.wire(wiring);
         }
-        if self.inputs.set(self.low()) {
+        // A machine that was left on a switch: the first that the controller hears of its inputs has that in it.
+        let unknown = self.inputs.sensed().is_none() && self.sample_due.is_some();
+        if !unknown && self.inputs.set(self.low()) {
             self.stop();
         }
     }
@@ -567,7 +569,9 @@ impl Simulator {
             give(&mut self.controller, Event::Realtime(command));
         }
         let sensed = self.inputs.sensed();
-        if sensed != self.told {
+        if sensed != self.told
+            && let Some(sensed) = sensed
+        {
             self.inputs.told();
             self.told = self.inputs.sensed();
             give(&mut self.controller, Event::Signals(sensed));

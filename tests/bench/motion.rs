@@ -8,7 +8,7 @@
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
 mod programs;
 
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, SEGMENTS_DEPTH};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, SEGMENTS_DEPTH, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, Stepper};
 use std::collections::VecDeque;
@@ -43,6 +43,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
     };
     let mut controller = Box::new(Controller::<AXES, BLOCKS>::new(profile));
     controller.start(Instant::from_ticks(0));
+    controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
     let mut stepper = Stepper::<AXES>::new();
     let mut queue = VecDeque::new();
     let mut bytes = settings.bytes().chain(program.bytes()).peekable();

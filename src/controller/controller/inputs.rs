@@ -10,6 +10,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn signals_changed(&mut self, sensed: &Sensed) {
         // Armed inputs have stopped the step task themselves, before this message.
         let stops = sensed.trips.wrapping_sub(self.trips);
+        self.has_sensed = true;
         self.trips = sensed.trips;
         self.stop.expected = self.stop.expected.wrapping_add(stops);
         let mut stopped = Stopped { already: stops != 0, answered: false };

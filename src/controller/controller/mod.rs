@@ -139,6 +139,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Levels as the pins have them, and those that count.
     pins: Signals,
     signals: Signals,
+    /// They have been told: startup lines wait for it.
+    has_sensed: bool,
     /// Inputs that caused the last alarm of an input.
     tripped: Signals,
     /// Stops that inputs have asked for (wrapping).
@@ -256,6 +258,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_watch: None,
             pins: Signals::NONE,
             signals: Signals::NONE,
+            has_sensed: false,
             tripped: Signals::NONE,
             trips: 0,
             input_wiring: InputWiring::PULL_UPS,
@@ -290,7 +293,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.restart = restart;
     }
 
-    /// Power-up is complete: greets the host and runs the startup lines.
+    /// Power-up is complete: greets the host, and runs the startup lines once the inputs are known.
     pub fn start(&mut self, now: Instant) {
         self.now = now;
         self.settings.settle();

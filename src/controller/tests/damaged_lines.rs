@@ -1,6 +1,6 @@
 //! Bytes lost on the link: the line they belong to is refused, and no other.
 
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
 
@@ -15,6 +15,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
     let mut controller = Box::new(Controller::<3, 16>::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);
+    controller.event(now, Event::Signals(Sensed::default()));
     let mut text = String::new();
     let mut pull = |controller: &mut Controller<3, 16>| {
         controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 - 1 });

@@ -1,7 +1,8 @@
 //! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
 
 use oxmill_controller::messages::{
-    Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, StepEvent,
+    Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, Sensed, Signals,
+    StepEvent,
 };
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
@@ -28,6 +29,7 @@ impl Board {
             controller.restarted(restart);
         }
         controller.start(NOW);
+        controller.event(NOW, Event::Signals(Sensed::default()));
         let mut board = Board { controller, stops: 0, epoch: 0 };
         let said = board.pump();
         (board, said)

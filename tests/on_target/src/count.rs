@@ -422,6 +422,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) {
     let controller = place.write(Controller::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);
+    controller.event(now, Event::Signals(Sensed::default()));
     let mut text = heapless::String::<32>::new();
     let mut begun = 0;
     let feed = |controller: &mut Whole, line: &[u8]| {
