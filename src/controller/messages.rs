@@ -108,7 +108,7 @@ pub enum ToStep {
     /// `control` knew of; the gate stays shut when there has been another one since.
     Resume {
         /// Value of [`StepEvent::Stopped::stops`] that this answers.
-        stops: u8,
+        stops: u16,
     },
 }
 
@@ -156,7 +156,7 @@ pub enum StepEvent<const N: usize> {
     /// Pulses have stopped because someone asked (reset, limit).
     Stopped {
         /// How often this has happened since power-up (wrapping).
-        stops: u8,
+        stops: u16,
         /// Whether the machine was stepping when the stop came.
         moving: bool,
         /// Step counter of each axis: net steps since power-up (wrapping).
@@ -170,7 +170,7 @@ pub enum StepEvent<const N: usize> {
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
     Underrun {
         /// As in [`StepEvent::Stopped`].
-        stops: u8,
+        stops: u16,
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },

@@ -48,7 +48,7 @@ static OWED: AtomicU32 = AtomicU32::new(0);
 /// `control`: see [`Power`].
 static POWER: AtomicU32 = AtomicU32::new(0);
 /// Stops asked for since power-up (wrapping). A count and not a flag, so that each is answered.
-static STOPS_ASKED: AtomicU8 = AtomicU8::new(0);
+static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);
 
 /// Asks the step task to stop at once. The caller pends the step vector right after it; the mark stays until the step
 /// task has obeyed, so it can neither be lost nor be overtaken by what is queued.
@@ -105,7 +105,7 @@ fn opens_epoch(command: Realtime) -> bool {
 
 /// How many stops have been asked for.
 #[inline(always)]
-pub fn stops_asked() -> u8 {
+pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 

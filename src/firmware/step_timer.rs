@@ -56,7 +56,7 @@ pub struct Step {
     power_shown: u16,
     /// The probe is active while its pin is high.
     probe_invert: bool,
-    stops_done: u8,
+    stops_done: u16,
 }
 
 impl Step {

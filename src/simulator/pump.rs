@@ -95,7 +95,7 @@ pub struct Simulator {
     directions: u8,
     begun: u32,
     /// Count of stops that the step task waits to hear of, while its gate is shut.
-    shut: Option<u8>,
+    shut: Option<u16>,
     power: u16,
     outputs: Option<SlowOutputs>,
     wiring: Option<Wiring>,

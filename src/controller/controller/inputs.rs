@@ -12,7 +12,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let stops = sensed.trips.wrapping_sub(self.trips);
         self.has_sensed = true;
         self.trips = sensed.trips;
-        self.stop.expected = self.stop.expected.wrapping_add(stops);
+        self.stop.expected = self.stop.expected.wrapping_add(u16::from(stops));
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.pins = sensed.signals;
         let signals = self.fitted(self.pins);

@@ -181,9 +181,9 @@ struct StopState {
     /// A stop is awaited, and why.
     awaited: Option<StopReason>,
     /// Stops that must have happened before it is over (wrapping).
-    expected: u8,
+    expected: u16,
     /// Stops that have happened (wrapping).
-    seen: u8,
+    seen: u16,
     /// The machine was stepping at one of them.
     moving: bool,
     /// N word of what was running at the last of them, 0 = none.

@@ -18,7 +18,7 @@ const NOW: Instant = Instant::from_ticks(0);
 
 struct Board {
     controller: Box<Controller<3, 16>>,
-    stops: u8,
+    stops: u16,
     epoch: u16,
 }
 
