@@ -27,7 +27,7 @@ use oxmill_controller::messages::{
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
-use oxmill_controller::{Controller, Profile, Received, Splitter, Stepper};
+use oxmill_controller::{Controller, Profile, Received, Stepper};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -59,7 +59,8 @@ pub struct Simulator {
     clock: Clock,
     controller: Box<Controller<AXES, BLOCKS>>,
     stepper: Box<Stepper<AXES>>,
-    splitter: Splitter,
+    /// Of the next line byte: see [`LineByte`].
+    epoch: u16,
     store: Store,
 
     /// Received and not yet taken. Longer than the board's queue when the host sends more than that: the rest is on its
@@ -131,7 +132,7 @@ impl Simulator {
             clock,
             controller,
             stepper: Box::new(Stepper::new()),
-            splitter: Splitter::new(),
+            epoch: 0,
             store,
             lines: VecDeque::new(),
             realtime: VecDeque::new(),
@@ -177,9 +178,12 @@ impl Simulator {
     /// bytes are taken when the controller wants them.
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         for byte in bytes.as_ref() {
-            match self.splitter.push(*byte) {
-                Received::Realtime(command) => self.take_realtime(command),
-                Received::Line(byte) => self.lines.push_back(byte),
+            match Received::of(*byte) {
+                Received::Realtime(command) => {
+                    self.epoch = self.epoch.wrapping_add(u16::from(command.opens_epoch()));
+                    self.take_realtime(command);
+                }
+                Received::Line(byte) => self.lines.push_back(LineByte { byte, epoch: self.epoch, damaged: false }),
                 Received::Nothing => {}
             }
         }
@@ -466,14 +470,14 @@ impl Simulator {
         let settled = raw == contacts && !self.fittings.chatter(now);
         let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
         self.sample_due = (!settled).then(|| self.clock.now() + period);
-    }
-
-    /// Pins that are low: those that a hand has put to 1, and closed contacts.
-    fn low(&self) -> u16 {
         if contacts != self.contacts || self.inputs.sensed().is_none() {
             self.contacts = contacts;
             self.update_signals();
         }
+    }
+
+    /// Pins that are low: those that a hand has put to 1, and closed contacts.
+    fn low(&self) -> u16 {
         self.hand.word() | self.contacts.word()
     }
 
@@ -511,11 +515,12 @@ impl Simulator {
                 return;
             }
             let now = self.clock.instant();
-            let rx_free = self.free_line_bytes();
+            let received = self.received_bytes();
             self.controller.observe(Observed {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: self.step_due.is_none() && self.segments.is_empty() && self.stepper.is_idle(),
-                rx_free,
+                rx_free: self.board.received_bytes.saturating_sub(received) as u16,
+                received: u16::try_from(received).unwrap_or(u16::MAX),
             });
             let mut busy = self.deliver_events();
             while self.controller.wants_line()
@@ -660,8 +665,9 @@ impl Simulator {
         self.lines.pop_front()
     }
 
-    fn free_line_bytes(&mut self) -> u16 {
-        let waiting = match &mut self.job {
+    /// Line bytes received and not yet taken.
+    fn received_bytes(&mut self) -> usize {
+        match &mut self.job {
             Some(job) => {
                 let waiting = job.waiting();
                 if waiting == 0 {
@@ -670,8 +676,7 @@ impl Simulator {
                 waiting
             }
             None => self.lines.len(),
-        };
-        self.board.received_bytes.saturating_sub(waiting) as u16
+        }
     }
 
     // The step task

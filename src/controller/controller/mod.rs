@@ -267,7 +267,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
-            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 },
+            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0 },
             stop: StopState::NONE,
             rare_fields: RareFields::DUE,
             status_due: false,
@@ -305,9 +305,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.initialise();
     }
 
-    /// What the pump sees of the step task and the line queue. To be called before events and outputs.
+    /// What the pump sees of the step task and of received lines. To be called before outputs, and before each event that
+    /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
+        // Those of a host that has gone have gone with it.
+        self.drop_bytes = self.drop_bytes.min(observed.received);
+        self.jog_bytes = self.jog_bytes.min(observed.received);
         self.motion.observe(&observed);
         self.detour.observe(&observed);
     }
@@ -585,7 +589,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.motion.start();
             return;
         }
-        let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
+        let no_more = self.input_ended || self.observed.received == 0;
         if self.mode == Mode::Normal && !self.motion.is_idle() && self.task.is_none() && no_more {
             self.start_motion();
         }

@@ -66,6 +66,7 @@ impl Rig {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: !self.moving && self.stepper.is_idle(),
                 rx_free: free as u16,
+                received: u16::from(free == 0),
             });
             let mut took = false;
             while self.controller.wants_line()
