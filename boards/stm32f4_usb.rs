@@ -94,7 +94,9 @@ pub struct UsbPort {
     outgoing: heapless::Vec<u8, SENT>,
     /// The host has sent something since it set the device up: some never raise DTR.
     spoken: bool,
+    /// As they were at the last look.
     dtr: bool,
+    configured: bool,
     /// The bus is being reset: until its end the driver takes the device for set up, but what is written to an endpoint
     /// meanwhile is never sent and keeps it busy for ever.
     resetting: bool,
@@ -136,6 +138,7 @@ impl UsbPort {
             outgoing: heapless::Vec::new(),
             spoken: false,
             dtr: false,
+            configured: false,
             resetting: false,
             masked: false,
         }
@@ -177,6 +180,13 @@ impl UsbPort {
         self.device.state() == UsbDeviceState::Configured && !self.resetting
     }
 
+    /// The host has gone, and what it has sent goes with it: here, and in the driver's buffer.
+    fn forget_received(&mut self) {
+        let _ = self.class.read_packet(&mut self.received.packet);
+        self.received.length = 0;
+        self.received.next = 0;
+    }
+
     fn flush(&mut self) {
         if !self.outgoing.is_empty() && self.class.write_packet(&self.outgoing).is_ok() {
             self.outgoing.clear();
@@ -199,17 +209,19 @@ impl Port for UsbPort {
         if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
             // A reset of the bus has emptied the FIFO and enabled the endpoint.
             self.resetting = false;
-            self.received = Received { length: 0, next: 0, ended: false, ..self.received };
+            self.received.ended = false;
         }
         let dtr = self.class.dtr();
         // DTR falls when the port is closed, the bus goes idle when the cable is pulled.
-        if self.dtr && !dtr || !self.is_configured() {
+        let configured = self.is_configured();
+        if self.dtr && !dtr || self.configured && !configured {
             self.spoken = false;
             self.outgoing.clear();
+            self.forget_received();
         }
         self.dtr = dtr;
-        self.spoken |= self.is_configured() && self.received.next < self.received.length;
-        self.is_configured() && (dtr || self.spoken)
+        self.configured = configured;
+        configured && (dtr || self.spoken)
     }
 
     fn receive(&mut self) -> Incoming {
@@ -227,8 +239,9 @@ impl Port for UsbPort {
     }
 
     fn allow(&mut self, room: usize) {
+        // Without room nothing is fetched, and there may be a packet here, one with the driver and one in the FIFO.
+        self.mask(room == 0 && self.entry() == Some(OUT_DATA));
         let fetched = self.received.next >= self.received.length;
-        self.mask(!fetched && self.entry() == Some(OUT_DATA));
         if self.received.ended && fetched && room >= PACKET && self.is_configured() {
             self.enable_endpoint();
         }

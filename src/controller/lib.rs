@@ -40,5 +40,5 @@ mod controller;
 pub use controller::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
-pub use protocol::link::{Floor, Intake, Queues, REFUSAL};
-pub use protocol::realtime::{Received, Splitter};
+pub use protocol::link::{Entrance, Link, Owed, Queues};
+pub use protocol::realtime::Received;

@@ -11,7 +11,7 @@ use crate::axes::PerAxis;
 
 /// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
 /// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
-/// (`Owed` in the firmware's `crossing`), other commands are reported as lost.
+/// (`protocol::link::Owed`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
@@ -59,14 +59,25 @@ pub enum Realtime {
     MistToggle,
 }
 
-/// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that the splitter had
-/// seen before it. So a byte sent before a reset is dropped and one sent after it never is, although the two queues to
+impl Realtime {
+    /// Whether it begins another epoch of line bytes: see [`LineByte`].
+    pub fn opens_epoch(self) -> bool {
+        matches!(self, Realtime::Reset | Realtime::Stop | Realtime::JogCancel)
+    }
+}
+
+/// In place of a byte of a line: what has come of the line is void, for its host has gone or lost the floor. No host can
+/// send it, as 0x18 is a command.
+pub const CUT: u8 = 0x18;
+
+/// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that had been handed
+/// to `control` before it. So a byte sent before a reset is dropped and one sent after it never is, although the two queues to
 /// `control` keep no order between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {
     /// The byte.
     pub byte: u8,
-    /// The splitter's epoch when it came.
+    /// The epoch when it came.
     pub epoch: u16,
     /// Bytes before this one were lost: the line it belongs to is refused.
     pub damaged: bool,
@@ -108,7 +119,7 @@ pub enum ToStep {
     /// `control` knew of; the gate stays shut when there has been another one since.
     Resume {
         /// Value of [`StepEvent::Stopped::stops`] that this answers.
-        stops: u8,
+        stops: u16,
     },
 }
 
@@ -156,7 +167,7 @@ pub enum StepEvent<const N: usize> {
     /// Pulses have stopped because someone asked (reset, limit).
     Stopped {
         /// How often this has happened since power-up (wrapping).
-        stops: u8,
+        stops: u16,
         /// Whether the machine was stepping when the stop came.
         moving: bool,
         /// Step counter of each axis: net steps since power-up (wrapping).
@@ -170,7 +181,7 @@ pub enum StepEvent<const N: usize> {
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
     Underrun {
         /// As in [`StepEvent::Stopped`].
-        stops: u8,
+        stops: u16,
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },
@@ -316,6 +327,8 @@ pub struct Observed {
     pub step_idle: bool,
     /// Free bytes of the line queue.
     pub rx_free: u16,
+    /// Line bytes received and not yet given, also those that have no room in the queue.
+    pub received: u16,
 }
 
 /// Which queues of the pump can take something now.

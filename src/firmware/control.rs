@@ -10,7 +10,7 @@ use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
 use crate::crossing::{
     self, CONTROL_ASKED, HEARD, HOSTS_CAME, HOSTS_WENT, INPUTS_FITTED, INPUTS_LOW, LAST_LINE, LAST_PLACE,
-    LINE_BYTES_IN, NOISE, Owed, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
+    LINE_BYTES_IN, LINE_BYTES_RECEIVED, NOISE, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
 };
 use crate::flash::Settings;
 use crate::outputs::Outputs;
@@ -108,7 +108,7 @@ impl Control {
             while self.pass() {}
         }
         let observed = self.observed();
-        let nothing_waits = usize::from(observed.rx_free) == LINES_DEPTH && self.ends.realtime.is_empty();
+        let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         let answered = self.controller.is_idle() && self.ends.replies.is_empty();
         crossing::set_free(heard, nothing_waits && answered && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
@@ -129,13 +129,13 @@ impl Control {
     fn pass(&mut self) -> bool {
         CONTROL_ASKED.store(false, Ordering::Relaxed);
         let now = self.clock.now();
-        let observed = self.observed();
-        self.controller.observe(observed);
+        self.observe();
         while let Ok(event) = self.ends.events.try_recv() {
             self.controller.event(now, Event::Step(event));
         }
         let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
         if went != self.hosts_went {
+            self.observe();
             self.hosts_went = went;
             self.controller.event(now, Event::Disconnected);
         }
@@ -143,16 +143,21 @@ impl Control {
             self.hosts_came = came;
             self.controller.event(now, Event::Connected);
         }
-        let mut made_room = false;
+        let (mut made_room, owes) = (false, crossing::owes());
         while let Ok(command) = self.ends.realtime.try_recv() {
             made_room = true;
+            self.observe();
             self.controller.event(now, Event::Realtime(command));
         }
-        // What found no room in that queue came after what did.
-        for command in Owed::take() {
-            self.controller.event(now, Event::Realtime(command));
+        if owes {
+            made_room = true;
+            self.observe();
+            for command in crossing::take_owed().commands() {
+                self.controller.event(now, Event::Realtime(command));
+            }
         }
         while let Ok(sensed) = self.ends.signals.try_recv() {
+            self.observe();
             self.controller.event(now, Event::Signals(sensed));
         }
         let mut took = false;
@@ -238,8 +243,8 @@ impl Control {
     /// sends in that time is kept (see the board).
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observed();
-        let nothing_waits = (usize::from(observed.rx_free) == LINES_DEPTH || self.settings.wants_erase_soon())
-            && self.ends.realtime.is_empty();
+        let nothing_waits =
+            (observed.received == 0 || self.settings.wants_erase_soon()) && self.ends.realtime.is_empty();
         let erases = self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet();
         if erases {
             self.settings.erase();
@@ -261,17 +266,26 @@ impl Control {
         }
     }
 
+    /// What has been received before an event is taken out of its queue, has been received now.
+    fn observe(&mut self) {
+        let observed = self.observed();
+        self.controller.observe(observed);
+    }
+
     fn observed(&self) -> Observed {
         // The order matters: what leaves the queue shows up in the step task in the same handler.
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP_AT_REST.load(Ordering::Relaxed);
         let used = LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
         // A job has its next bytes ready until its end.
-        let waiting = if self.job.as_ref().is_some_and(|job| job.next < job.text.len()) { LINES_DEPTH } else { used };
+        let received = LINE_BYTES_RECEIVED.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
+        let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
+        let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
         Observed {
             segments_begun: SEGMENTS_BEGUN.load(Ordering::Relaxed),
             step_idle,
-            rx_free: LINES_DEPTH.saturating_sub(waiting) as u16,
+            rx_free: LINES_DEPTH.saturating_sub(used) as u16,
+            received: received as u16,
         }
     }
 

@@ -3,6 +3,7 @@
 
 use crate::boards::AXES;
 use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};
+use oxmill_controller::Owed;
 use oxmill_controller::messages::{Realtime, input};
 
 /// The flag that wakes `control`; anyone may raise it.
@@ -31,6 +32,8 @@ static FREE_AT: AtomicU32 = AtomicU32::new(u32::MAX);
 pub static HOSTS_CAME: AtomicU8 = AtomicU8::new(0);
 /// `serial`: how often the host with the floor has gone since power-up (wrapping).
 pub static HOSTS_WENT: AtomicU8 = AtomicU8::new(0);
+/// `serial`: line bytes received since power-up (wrapping): those in the queue, and those that wait for room in it.
+pub static LINE_BYTES_RECEIVED: AtomicU32 = AtomicU32::new(0);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.
 pub static RX_HELD: AtomicBool = AtomicBool::new(false);
 /// `inputs`: pins that are low, and those that the board has.
@@ -48,7 +51,7 @@ static OWED: AtomicU32 = AtomicU32::new(0);
 /// `control`: see [`Power`].
 static POWER: AtomicU32 = AtomicU32::new(0);
 /// Stops asked for since power-up (wrapping). A count and not a flag, so that each is answered.
-static STOPS_ASKED: AtomicU8 = AtomicU8::new(0);
+static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);
 
 /// Asks the step task to stop at once. The caller pends the step vector right after it; the mark stays until the step
 /// task has obeyed, so it can neither be lost nor be overtaken by what is queued.
@@ -56,56 +59,31 @@ pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Commands that had no room in their queue. Their order among each other is the safe one: a hold before a reset.
-pub struct Owed;
-
-impl Owed {
-    const DOOR: u32 = 1 << 16;
-    const HOLD: u32 = 1 << 17;
-    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
-    const RESETS: u32 = 0xFFFF;
-
-    /// Whether a command has to be owed because another one is: what opens an epoch keeps its order.
-    pub fn blocks(command: Realtime) -> bool {
-        opens_epoch(command) && OWED.load(Ordering::Relaxed) & Self::RESETS != 0
+/// For `serial`, which finds no room for a command: whether it will be obeyed all the same. What becomes a reset by it
+/// stops the step task, too; the caller then pends its vector, as after [`ask_for_stop`].
+pub fn owe(command: Realtime) -> bool {
+    let Some(owed) = Owed(OWED.load(Ordering::Relaxed)).with(command) else { return false };
+    if command.opens_epoch() && command != Realtime::Reset {
+        ask_for_stop();
     }
-
-    /// For `serial`, which finds no room for a command. Whether it will be obeyed all the same: a hold and a door are; 0x19
-    /// and a jog cancel become a reset, for the epochs of all later lines count on them; the others are lost. The caller then
-    /// pends the step vector, as after [`ask_for_stop`].
-    pub fn add(command: Realtime) -> bool {
-        let mark = match command {
-            Realtime::FeedHold => Self::HOLD,
-            Realtime::SafetyDoor => Self::DOOR,
-            _ if opens_epoch(command) => {
-                if command != Realtime::Reset {
-                    ask_for_stop();
-                }
-                OWED.fetch_add(1, Ordering::Relaxed);
-                return true;
-            }
-            _ => return false,
-        };
-        OWED.fetch_or(mark, Ordering::Relaxed);
-        true
-    }
-
-    /// For `control`, once the queue is empty.
-    pub fn take() -> impl Iterator<Item = Realtime> {
-        let owed = if OWED.load(Ordering::Relaxed) == 0 { 0 } else { OWED.swap(0, Ordering::Relaxed) };
-        let once = |mark: u32, command| (owed & mark != 0).then_some(command);
-        let resets = core::iter::repeat_n(Realtime::Reset, (owed & Self::RESETS) as usize);
-        once(Self::DOOR, Realtime::SafetyDoor).into_iter().chain(once(Self::HOLD, Realtime::FeedHold)).chain(resets)
-    }
+    // `control`, which takes them, does not preempt.
+    OWED.store(owed.0, Ordering::Relaxed);
+    true
 }
 
-fn opens_epoch(command: Realtime) -> bool {
-    matches!(command, Realtime::Reset | Realtime::Stop | Realtime::JogCancel)
+/// Whether any commands are owed: until they are taken, nothing is queued.
+pub fn owes() -> bool {
+    OWED.load(Ordering::Relaxed) != 0
+}
+
+/// For `control`, which has seen [`owes`] and then emptied the queue: what is owed came after all that was in it.
+pub fn take_owed() -> Owed {
+    Owed(OWED.swap(0, Ordering::Relaxed))
 }
 
 /// How many stops have been asked for.
 #[inline(always)]
-pub fn stops_asked() -> u8 {
+pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 

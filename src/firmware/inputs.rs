@@ -32,13 +32,13 @@ pub struct Inputs {
     inputs: signals::Inputs,
     wiring: Receiver<'static, Wiring, 2>,
     signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
-    sent: Sensed,
+    sent: Option<Sensed>,
     wake: Wake,
     supervisor: Supervisor,
 }
 
 impl Inputs {
-    /// All inputs count as inactive until they have been sampled often enough.
+    /// Nothing is reported before `control` has told how the inputs are wired.
     pub fn new(
         pins: InputPins,
         wiring: Receiver<'static, Wiring, 2>,
@@ -47,7 +47,7 @@ impl Inputs {
         supervisor: Supervisor,
     ) -> Inputs {
         crossing::INPUTS_FITTED.store(pins.fitted(), Ordering::Relaxed);
-        Inputs { pins, inputs: signals::Inputs::new(), wiring, signals, sent: Sensed::default(), wake, supervisor }
+        Inputs { pins, inputs: signals::Inputs::new(), wiring, signals, sent: None, wake, supervisor }
     }
 
     /// One sample.
@@ -65,7 +65,10 @@ impl Inputs {
         self.count_noise();
         // Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
         let sensed = self.inputs.sensed();
-        if sensed != self.sent && self.signals.try_send(sensed).is_ok() {
+        if sensed != self.sent
+            && let Some(sensed) = sensed
+            && self.signals.try_send(sensed).is_ok()
+        {
             self.inputs.told();
             self.sent = self.inputs.sensed();
             self.wake.write(());

@@ -1,19 +1,21 @@
 //! The links to the host: received bytes are split into realtime commands and bytes of lines, answers are sent.
 //!
 //! ```text
-//!  USART ──▶ intake ─┐                                   ┌─▶ USART
+//!  USART ──▶ link ───┐                                   ┌─▶ USART
 //!                    ├─▶ realtime, lines   replies ─floor─┤
-//!  USB   ──▶ intake ─┘                                   └─▶ USB
+//!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
 //! Both links are listened to at once. Realtime commands act from either; lines are taken from the one that has the floor:
 //! it changes when the machine has nothing to do, when its holder goes, and with a reset. A reset stops the step task
 //! from here, before anyone has queued or decided anything.
 
 use crate::boards::{Incoming, Port, SerialPort, UsbPort};
-use crate::crossing::{self, HEARD, HOSTS_CAME, HOSTS_WENT, LINE_BYTES_IN, Owed, RX_HELD, SERIAL_ASKED, Wake};
+use crate::crossing::{
+    self, HEARD, HOSTS_CAME, HOSTS_WENT, LINE_BYTES_IN, LINE_BYTES_RECEIVED, RX_HELD, SERIAL_ASKED, Wake,
+};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
-use oxmill_controller::{Floor, Intake, Queues, REFUSAL, Received, Splitter};
+use oxmill_controller::{Entrance, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
@@ -29,6 +31,8 @@ const USB: usize = 1;
 struct ToControl {
     /// What finds no room may be owed: the link that is being read cannot wait.
     may_owe: bool,
+    /// No answer is half sent.
+    flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineByte, LINES_DEPTH>,
 }
@@ -41,8 +45,8 @@ fn count(counter: &AtomicU32) {
 impl Queues for ToControl {
     fn realtime(&mut self, command: Realtime) -> bool {
         count(&HEARD);
-        let queued = !Owed::blocks(command) && self.realtime.try_send(command).is_ok();
-        let owed = !queued && self.may_owe && Owed::add(command);
+        let queued = !crossing::owes() && self.realtime.try_send(command).is_ok();
+        let owed = !queued && self.may_owe && crossing::owe(command);
         if owed {
             crate::pend_step();
         }
@@ -61,140 +65,77 @@ impl Queues for ToControl {
     fn waits(&self) -> bool {
         !self.may_owe
     }
-}
 
-/// What a link needs of the rest of the task to receive.
-struct Room<'a, const OTHER: usize> {
-    splitter: &'a mut Splitter,
-    queues: &'a mut ToControl,
-    /// The other link.
-    other: &'a mut Intake<OTHER>,
-    /// No answer is half sent.
-    flushed: bool,
-}
-
-impl<const OTHER: usize> Room<'_, OTHER> {
     fn is_free(&self) -> bool {
         self.flushed && crossing::is_free()
     }
-}
 
-/// One link.
-struct Link<P, const HELD: usize> {
-    number: usize,
-    port: P,
-    intake: Intake<HELD>,
-    open: bool,
-    /// What is left of the refusals to be sent: so many, less so many bytes of the first.
-    refusals: u8,
-    refused_bytes: usize,
-}
-
-impl<P: Port, const HELD: usize> Link<P, HELD> {
-    fn new(number: usize, port: P) -> Self {
-        Link { number, port, intake: Intake::new(), open: false, refusals: 0, refused_bytes: 0 }
+    fn stop(&mut self) {
+        crossing::ask_for_stop();
+        crate::pend_step();
     }
+}
 
-    /// Asks for the floor. A line that the other host has begun and left there ends as a damaged one.
-    fn claim<const OTHER: usize>(&self, floor: &mut Floor, firm: bool, room: &mut Room<OTHER>) -> bool {
-        let before = floor.holder();
-        let granted = floor.claim(self.number, room.is_free(), firm);
-        if granted && before != self.number && !room.other.is_between_lines() {
-            room.other.cut_off(room.splitter.epoch());
-            room.other.pass_on(room.queues);
-        }
-        granted
+/// A link and its port.
+struct Ported<P, const HELD: usize> {
+    port: P,
+    link: Link<HELD>,
+    open: bool,
+}
+
+impl<P: Port, const HELD: usize> Ported<P, HELD> {
+    const fn new(number: usize, port: P) -> Self {
+        Ported { port, link: Link::new(number), open: false }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
-    fn look<const OTHER: usize>(&mut self, floor: &mut Floor, room: &mut Room<OTHER>) -> bool {
+    fn look<const O: usize>(&mut self, entrance: &mut Entrance, other: &mut Link<O>, queues: &ToControl) -> bool {
         let open = self.port.poll();
         if open == core::mem::replace(&mut self.open, open) {
             return false;
         }
         if open {
-            // Another host's job goes on, and this one is not greeted in its midst.
-            if self.claim(floor, true, room) {
+            if self.link.came(entrance, other, queues) {
                 HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
             }
-        } else {
-            self.intake.cut_off(room.splitter.epoch());
-            self.refusals = 0;
-            self.refused_bytes = 0;
-            if floor.holder() == self.number {
-                HOSTS_WENT.fetch_add(1, Ordering::Relaxed);
-            }
-            floor.leave(self.number);
+        } else if self.link.went(entrance) {
+            HOSTS_WENT.fetch_add(1, Ordering::Relaxed);
         }
         true
     }
 
     /// Fetches what has come, as far as there is room. Whether there is news for `control`.
-    fn receive<const OTHER: usize>(&mut self, floor: &mut Floor, room: &mut Room<OTHER>) -> bool {
-        room.queues.may_owe = !P::WAITS;
-        let mut news = self.intake.pass_on(room.queues);
-        while self.intake.room() > 0 || !P::WAITS {
-            let byte = match self.port.receive() {
+    fn receive<const O: usize>(
+        &mut self,
+        entrance: &mut Entrance,
+        other: &mut Link<O>,
+        queues: &mut ToControl,
+    ) -> bool {
+        queues.may_owe = !P::WAITS;
+        let mut news = self.link.pass_on(entrance, queues);
+        while self.link.room() > 0 || !P::WAITS {
+            match self.port.receive() {
                 Incoming::Nothing => break,
-                Incoming::Lost => {
-                    self.intake.lose();
-                    continue;
-                }
-                Incoming::Byte(byte) => byte,
-            };
-            let received = room.splitter.push(byte);
-            match received {
-                Received::Realtime(command) => {
-                    if command == Realtime::Reset {
-                        crossing::ask_for_stop();
-                        crate::pend_step();
-                        floor.seize(self.number);
-                    }
-                    if matches!(command, Realtime::Reset | Realtime::Stop) {
-                        self.intake.begin_anew();
-                        room.other.begin_anew();
-                    }
-                    self.claim(floor, false, room);
-                }
-                Received::Line(line) => {
-                    if !self.claim(floor, true, room) {
-                        if matches!(line.byte, b'\n' | b'\r') {
-                            self.refusals = self.refusals.saturating_add(1);
-                        }
-                        continue;
-                    }
-                }
-                Received::Nothing => {}
+                Incoming::Lost => self.link.lose(),
+                Incoming::Byte(byte) => news |= self.link.take(byte, entrance, other, queues),
             }
-            news |= self.intake.take(received, room.queues);
         }
-        self.port.allow(self.intake.room());
+        self.port.allow(self.link.room());
         news
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
     fn refuse(&mut self) -> bool {
-        while self.refusals > 0 {
-            let Some(byte) = REFUSAL.get(self.refused_bytes) else {
-                self.refused_bytes = 0;
-                self.refusals -= 1;
-                continue;
-            };
-            if !self.port.send(*byte) {
-                return false;
-            }
-            self.refused_bytes += 1;
-        }
-        true
+        let Self { port, link, .. } = self;
+        link.refuse(|byte| port.send(byte))
     }
 }
 
 /// Everything the task owns.
 pub struct Serial {
-    splitter: Splitter,
-    floor: Floor,
-    uart: Link<SerialPort, UART_HELD>,
-    usb: Link<UsbPort, USB_HELD>,
+    entrance: Entrance,
+    uart: Ported<SerialPort, UART_HELD>,
+    usb: Ported<UsbPort, USB_HELD>,
     queues: ToControl,
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
     sending: Chunk,
@@ -213,11 +154,10 @@ impl Serial {
         wake: Wake,
     ) -> Serial {
         Serial {
-            splitter: Splitter::new(),
-            floor: Floor::new(),
-            uart: Link::new(UART, uart),
-            usb: Link::new(USB, usb),
-            queues: ToControl { may_owe: false, realtime, lines },
+            entrance: Entrance::new(),
+            uart: Ported::new(UART, uart),
+            usb: Ported::new(USB, usb),
+            queues: ToControl { may_owe: false, flushed: true, realtime, lines },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
             sent: 0,
@@ -229,14 +169,14 @@ impl Serial {
     /// in the queues).
     pub fn run(&mut self) {
         SERIAL_ASKED.store(false, Ordering::Relaxed);
-        let Serial { splitter, floor, uart, usb, queues, .. } = self;
-        let flushed = self.sent >= self.sending.as_bytes().len();
-        let mut room = Room { splitter, queues, other: &mut usb.intake, flushed };
-        let mut news = uart.receive(floor, &mut room);
-        let mut room = Room { splitter, queues, other: &mut uart.intake, flushed };
-        news |= usb.look(floor, &mut room);
-        news |= usb.receive(floor, &mut room);
-        RX_HELD.store(uart.intake.is_waiting() || usb.intake.is_waiting(), Ordering::Relaxed);
+        let Serial { entrance, uart, usb, queues, .. } = self;
+        queues.flushed = self.sent >= self.sending.as_bytes().len();
+        let mut news = uart.receive(entrance, &mut usb.link, queues);
+        news |= usb.look(entrance, &mut uart.link, queues);
+        news |= usb.receive(entrance, &mut uart.link, queues);
+        RX_HELD.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
+        let held = (uart.link.held() + usb.link.held()) as u32;
+        LINE_BYTES_RECEIVED.store(LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {
             self.wake.write(());
@@ -247,7 +187,7 @@ impl Serial {
     fn send(&mut self) -> bool {
         let mut room = false;
         let (uart, usb) = (self.uart.refuse(), self.usb.refuse());
-        let to_usb = self.floor.holder() == USB;
+        let to_usb = self.entrance.holder() == USB;
         let mut more = false;
         // A refusal is not torn by an answer.
         let clear = if to_usb { usb } else { uart };

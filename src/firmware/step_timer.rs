@@ -77,7 +77,7 @@ pub struct Step {
     power_shown: u16,
     /// The probe is active while its pin is high.
     probe_invert: bool,
-    stops_done: u8,
+    stops_done: u16,
 }
 
 /// Events that have not been sent yet, in the order in which they happen. Each kind has a place of its own and cannot

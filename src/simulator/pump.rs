@@ -27,7 +27,7 @@ use oxmill_controller::messages::{
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
-use oxmill_controller::{Controller, Profile, Received, Splitter, Stepper};
+use oxmill_controller::{Controller, Profile, Received, Stepper};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -61,7 +61,8 @@ pub struct Simulator {
     clock: Clock,
     controller: Box<Controller<AXES, BLOCKS>>,
     stepper: Box<Stepper<AXES>>,
-    splitter: Splitter,
+    /// Of the next line byte: see [`LineByte`].
+    epoch: u16,
     store: Store,
 
     /// Received and not yet taken. Longer than the board's queue when the host sends more than that: the rest is on its
@@ -80,7 +81,7 @@ pub struct Simulator {
     /// Changes of each input that the filter has rejected.
     noise: [u16; input::COUNT],
     /// What the controller was told of last.
-    told: Sensed,
+    told: Option<Sensed>,
     /// The controller has asked to see the inputs.
     pins_asked: bool,
     connected: bool,
@@ -97,7 +98,7 @@ pub struct Simulator {
     directions: u8,
     begun: u32,
     /// Count of stops that the step task waits to hear of, while its gate is shut.
-    shut: Option<u8>,
+    shut: Option<u16>,
     power: u16,
     outputs: Option<SlowOutputs>,
     wiring: Option<Wiring>,
@@ -133,7 +134,7 @@ impl Simulator {
             clock,
             controller,
             stepper: Box::new(Stepper::new()),
-            splitter: Splitter::new(),
+            epoch: 0,
             store,
             lines: VecDeque::new(),
             realtime: VecDeque::new(),
@@ -145,7 +146,7 @@ impl Simulator {
             sample_due: None,
             inputs: Inputs::new(),
             noise: [0; input::COUNT],
-            told: Sensed::default(),
+            told: None,
             pins_asked: false,
             connected: false,
             disconnected: false,
@@ -179,9 +180,12 @@ impl Simulator {
     /// bytes are taken when the controller wants them.
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         for byte in bytes.as_ref() {
-            match self.splitter.push(*byte) {
-                Received::Realtime(command) => self.take_realtime(command),
-                Received::Line(byte) => self.lines.push_back(byte),
+            match Received::of(*byte) {
+                Received::Realtime(command) => {
+                    self.epoch = self.epoch.wrapping_add(u16::from(command.opens_epoch()));
+                    self.take_realtime(command);
+                }
+                Received::Line(byte) => self.lines.push_back(LineByte { byte, epoch: self.epoch, damaged: false }),
                 Received::Nothing => {}
             }
         }
@@ -465,13 +469,13 @@ impl Simulator {
         let raw = self.fittings.sample(now);
         let contacts = Signals::of_word(self.filter.sample(raw.word()));
         self.count_noise(self.filter.rejected());
-        if contacts != self.contacts {
-            self.contacts = contacts;
-            self.update_signals();
-        }
         let settled = raw == contacts && !self.fittings.chatter(now);
         let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
         self.sample_due = (!settled).then(|| self.clock.now() + period);
+        if contacts != self.contacts || self.inputs.sensed().is_none() {
+            self.contacts = contacts;
+            self.update_signals();
+        }
     }
 
     /// Pins that are low: those that a hand has put to 1, and closed contacts.
@@ -484,7 +488,9 @@ impl Simulator {
         if let Some(wiring) = &self.wiring {
             self.inputs.wire(wiring);
         }
-        if self.inputs.set(self.low()) {
+        // A machine that was left on a switch: the first that the controller hears of its inputs has that in it.
+        let unknown = self.inputs.sensed().is_none() && self.sample_due.is_some();
+        if !unknown && self.inputs.set(self.low()) {
             self.stop();
         }
     }
@@ -511,11 +517,12 @@ impl Simulator {
                 return;
             }
             let now = self.clock.instant();
-            let rx_free = self.free_line_bytes();
+            let received = self.received_bytes();
             self.controller.observe(Observed {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: self.step_due.is_none() && self.segments.is_empty() && self.stepper.is_idle(),
-                rx_free,
+                rx_free: self.board.received_bytes.saturating_sub(received) as u16,
+                received: u16::try_from(received).unwrap_or(u16::MAX),
             });
             let mut busy = self.deliver_events();
             while self.controller.wants_line()
@@ -569,7 +576,9 @@ impl Simulator {
             give(&mut self.controller, Event::Realtime(command));
         }
         let sensed = self.inputs.sensed();
-        if sensed != self.told {
+        if sensed != self.told
+            && let Some(sensed) = sensed
+        {
             self.inputs.told();
             self.told = self.inputs.sensed();
             give(&mut self.controller, Event::Signals(sensed));
@@ -658,8 +667,9 @@ impl Simulator {
         self.lines.pop_front()
     }
 
-    fn free_line_bytes(&mut self) -> u16 {
-        let waiting = match &mut self.job.0 {
+    /// Line bytes received and not yet taken.
+    fn received_bytes(&mut self) -> usize {
+        match &mut self.job.0 {
             Some(job) => {
                 let waiting = job.waiting();
                 if waiting == 0 {
@@ -668,8 +678,7 @@ impl Simulator {
                 waiting
             }
             None => self.lines.len(),
-        };
-        self.board.received_bytes.saturating_sub(waiting) as u16
+        }
     }
 
     // The step task

@@ -8,7 +8,7 @@
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
 mod programs;
 
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, SEGMENTS_DEPTH};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, SEGMENTS_DEPTH, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, Stepper};
 use std::collections::VecDeque;
@@ -43,6 +43,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
     };
     let mut controller = Box::new(Controller::<AXES, BLOCKS>::new(profile));
     controller.start(Instant::from_ticks(0));
+    controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
     let mut stepper = Stepper::<AXES>::new();
     let mut queue = VecDeque::new();
     let mut bytes = settings.bytes().chain(program.bytes()).peekable();
@@ -54,6 +55,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
             segments_begun: stepper.segments_begun(),
             step_idle: !moving && stepper.is_idle() && queue.is_empty(),
             rx_free: if bytes.peek().is_some() { 0 } else { LINES_DEPTH as u16 },
+            received: u16::from(bytes.peek().is_some()),
         });
         while controller.wants_line()
             && let Some(byte) = bytes.next()

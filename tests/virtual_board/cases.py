@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .board import Board, Failure
 from .host import Host
+from .models.otg import EPENA, NAKSTS, OUT
 from .scope import Scope, steady
 from .usb import UsbHost
 
@@ -1080,6 +1081,49 @@ def usb_unplugged(bench):
     yield "with $914=0 the move was finished"
 
 
+def usb_unread(bench):
+    """Packets that wait for room: they keep nobody from running, and go with their host."""
+    board, host = with_usb(bench)
+    otg, step = board.otg, Scope(board)
+    bench.settings(**JOB_SETTINGS)
+    # The queue of commands is full, one more waits, and what stands behind it is not fetched.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?G1 X5 F100 Y")
+    board.run(seconds=0.02)
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.01)
+    unpatch(bench)
+    board.run(seconds=0.05)
+    after = len(host.text)
+    host.order("open")
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    bench.ask("G4P0")
+    bench.wait_state("Idle", 1)
+    if host.has_said("error", after) or step.steps():
+        raise Failure(f"the next host was told {bytes(host.text[after:])!r}")
+    yield "closed with half a line unfetched: the next host begins a line of its own"
+    # Twice the driver has enabled the endpoint before the end of a packet was seen: one packet is with the driver, and one
+    # stays in the FIFO and keeps the interrupt pending.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?")
+    board.run(seconds=0.02)
+    before = len(host.answers)
+    for _ in range(2):
+        otg.control[OUT, 1] = otg.control[OUT, 1] & ~NAKSTS | EPENA
+        if not otg.out(1, b"G4P0\n"):
+            raise Failure("the endpoint takes no packet: this proves nothing")
+        board.run(seconds=0.01)
+    unpatch(bench)
+    bench.wait(lambda: len(host.answers) >= before + 2 or board.resets, 3, "an answer to what waited")
+    if board.resets or host.answers[before:] != ["ok", "ok"]:
+        raise Failure(f"{host.answers[before:]}, resets {board.resets}")
+    bench.ask("G4P0")
+    yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
+
+
 KNOWN = {
     **{
         ("blackpill_f401", name): "built for size, control is too slow to prepare the first segments of a hard start: the step task runs dry"
@@ -1125,4 +1169,5 @@ def all_cases(root):
         ("usb", usb_port),
         ("usb flood", usb_flood),
         ("usb unplugged", usb_unplugged),
+        ("usb unread", usb_unread),
     ]

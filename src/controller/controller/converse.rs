@@ -7,8 +7,8 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, Store, input};
-use crate::protocol::line::{self, Pushed};
+use crate::messages::{CUT, LINES_DEPTH, LineByte, PinView, Record, Store, input};
+use crate::protocol::line::{self, Line, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -100,7 +100,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.drop_bytes > 0 || self.drop_rest {
             // Received before the reset button; the line that the last of them stands in goes to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
-            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r');
+            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
+            return;
+        }
+        if byte.byte == CUT {
+            self.line = Line::new();
             return;
         }
         let before_cancel = self.jog_bytes > 0;

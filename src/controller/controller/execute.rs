@@ -190,7 +190,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         match core::mem::replace(&mut self.task, Task::None) {
-            Task::Startup(index, then) => {
+            Task::Startup(index, then) if self.has_sensed => {
                 self.run_startup_line(index, then);
                 true
             }

@@ -10,8 +10,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn signals_changed(&mut self, sensed: &Sensed) {
         // Armed inputs have stopped the step task themselves, before this message.
         let stops = sensed.trips.wrapping_sub(self.trips);
+        self.has_sensed = true;
         self.trips = sensed.trips;
-        self.stop.expected = self.stop.expected.wrapping_add(stops);
+        self.stop.expected = self.stop.expected.wrapping_add(u16::from(stops));
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.pins = sensed.signals;
         let signals = self.fitted(self.pins);
@@ -20,8 +21,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let tripped = self.fitted(Signals::of_word(sensed.tripped));
         self.emergency(&before, &tripped, &mut stopped);
         if signals.reset && !before.reset || tripped.reset {
-            // The button stands for 0x18, but no splitter has counted it: what has been received goes all the same.
-            self.drop_bytes = self.received_bytes();
+            // The button stands for 0x18, but it opens no epoch: what has been received goes all the same.
+            self.drop_bytes = self.observed.received;
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let closed = signals.limits & !before.limits | tripped.limits;

@@ -140,6 +140,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Levels as the pins have them, and those that count.
     pins: Signals,
     signals: Signals,
+    /// They have been told: startup lines wait for it.
+    has_sensed: bool,
     /// Inputs that caused the last alarm of an input.
     tripped: Signals,
     /// Stops that inputs have asked for (wrapping).
@@ -180,9 +182,9 @@ struct StopState {
     /// A stop is awaited, and why.
     awaited: Option<StopReason>,
     /// Stops that must have happened before it is over (wrapping).
-    expected: u8,
+    expected: u16,
     /// Stops that have happened (wrapping).
-    seen: u8,
+    seen: u16,
     /// The machine was stepping at one of them.
     moving: bool,
     /// N word of what was running at the last of them, 0 = none.
@@ -257,6 +259,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             probe_watch: None,
             pins: Signals::NONE,
             signals: Signals::NONE,
+            has_sensed: false,
             tripped: Signals::NONE,
             trips: 0,
             input_wiring: InputWiring::PULL_UPS,
@@ -265,7 +268,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             ganged_motors: GangedMotors::Both,
             drivers_off_at: None,
             drivers_on: false,
-            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 },
+            observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0 },
             stop: StopState::NONE,
             rare_fields: RareFields::DUE,
             status_due: false,
@@ -291,7 +294,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.restart = restart;
     }
 
-    /// Power-up is complete: greets the host and runs the startup lines.
+    /// Power-up is complete: greets the host, and runs the startup lines once the inputs are known.
     pub fn start(&mut self, now: Instant) {
         self.now = now;
         self.settings.settle();
@@ -303,9 +306,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.initialise();
     }
 
-    /// What the pump sees of the step task and the line queue. To be called before events and outputs.
+    /// What the pump sees of the step task and of received lines. To be called before outputs, and before each event that
+    /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
+        // Those of a host that has gone have gone with it.
+        self.drop_bytes = self.drop_bytes.min(observed.received);
+        self.jog_bytes = self.jog_bytes.min(observed.received);
         self.motion.observe(&observed);
         self.detour.observe(&observed);
     }
@@ -583,7 +590,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.motion.start();
             return;
         }
-        let no_more = self.input_ended || usize::from(self.observed.rx_free) >= LINES_DEPTH;
+        let no_more = self.input_ended || self.observed.received == 0;
         if self.mode == Mode::Normal && !self.motion.is_idle() && self.task.is_none() && no_more {
             self.start_motion();
         }

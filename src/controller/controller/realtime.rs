@@ -2,7 +2,7 @@
 
 use super::cycles::{self, Probing};
 use super::execute::Task;
-use super::{Controller, EPOCHS, LINES_DEPTH, StopReason};
+use super::{Controller, EPOCHS, StopReason};
 use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
@@ -235,13 +235,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
     pub(super) fn forget_received_jogs(&mut self) {
-        self.jog_bytes = self.received_bytes();
+        self.jog_bytes = self.observed.received;
         self.line_before_cancel = true;
-    }
-
-    /// Line bytes that wait to be read.
-    pub(super) fn received_bytes(&self) -> u16 {
-        (LINES_DEPTH as u16).saturating_sub(self.observed.rx_free)
     }
 
     pub(super) fn end_jog(&mut self) {

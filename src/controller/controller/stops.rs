@@ -85,7 +85,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn finish_stop(&mut self) {
         let Some(reason) = self.stop.awaited else { return };
         // An order that is not out yet cannot have been obeyed, whatever else has stopped meanwhile.
-        if self.stop.order || (self.stop.seen.wrapping_sub(self.stop.expected) as i8) < 0 {
+        if self.stop.order || (self.stop.seen.wrapping_sub(self.stop.expected) as i16) < 0 {
             return;
         }
         let (moving, line) = (self.stop.moving, self.stop.line);

@@ -9,11 +9,17 @@
 use super::filter::Filter;
 use crate::messages::{InputWiring, Sensed, Signals, Wiring};
 
+/// Samples that the filter takes to know a level.
+const SETTLING: u8 = 8;
+
 /// The inputs, sample by sample.
 #[derive(Clone, Debug)]
 pub struct Inputs {
     filter: Filter,
-    wiring: InputWiring,
+    /// Unknown until `control` has sent it: no level means anything before.
+    wiring: Option<InputWiring>,
+    /// Samples until the filter has seen the levels.
+    settling: u8,
     armed: u16,
     sensed: Sensed,
     active: u16,
@@ -26,11 +32,12 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// All inputs count as inactive until they have been sampled often enough, and none is armed.
+    /// Nothing is known, and nothing trips, before polarity and arming are: see [`Inputs::wire`].
     pub const fn new() -> Self {
         Inputs {
             filter: Filter::new(),
-            wiring: InputWiring::PULL_UPS,
+            wiring: None,
+            settling: SETTLING,
             armed: 0,
             sensed: Sensed { signals: Signals::NONE, trips: 0, tripped: 0 },
             active: 0,
@@ -39,19 +46,23 @@ impl Inputs {
 
     /// Takes over polarity and arming.
     pub fn wire(&mut self, wiring: &Wiring) {
-        self.wiring = wiring.inputs;
+        self.wiring = Some(wiring.inputs);
         self.armed = wiring.armed;
     }
 
     /// Takes a sample of the pins (bit set = low). Whether the step task has to be stopped.
     pub fn sample(&mut self, low: u16) -> bool {
-        let active = self.filter.sample(low ^ self.wiring.inverted);
+        let Some(wiring) = self.wiring else { return false };
+        self.settling = self.settling.saturating_sub(1);
+        let active = self.filter.sample(low ^ wiring.inverted);
         self.take(active)
     }
 
     /// Takes levels that need no filter (bit set = low). Whether the step task has to be stopped.
     pub fn set(&mut self, low: u16) -> bool {
-        self.take(low ^ self.wiring.inverted)
+        let Some(wiring) = self.wiring else { return false };
+        self.settling = 0;
+        self.take(low ^ wiring.inverted)
     }
 
     fn take(&mut self, active: u16) -> bool {
@@ -74,9 +85,9 @@ impl Inputs {
         self.filter.rejected()
     }
 
-    /// What `control` has to know.
-    pub fn sensed(&self) -> Sensed {
-        self.sensed
+    /// What `control` has to know; nothing before the levels are known.
+    pub fn sensed(&self) -> Option<Sensed> {
+        (self.settling == 0).then_some(self.sensed)
     }
 
     /// It knows [`Inputs::sensed`].
@@ -93,7 +104,7 @@ mod tests {
     fn armed(armed: u16, inverted: u16) -> Inputs {
         let mut inputs = Inputs::new();
         inputs.armed = armed;
-        inputs.wiring.inverted = inverted;
+        inputs.wiring = Some(InputWiring { inverted, ..InputWiring::PULL_UPS });
         inputs
     }
 
@@ -102,9 +113,9 @@ mod tests {
         let mut inputs = armed(0b001, 0);
         assert!(!inputs.set(0b010));
         assert!(inputs.set(0b011) && !inputs.set(0b011) && !inputs.set(0));
-        assert_eq!(inputs.sensed(), Sensed { signals: Signals::NONE, trips: 1, tripped: 0b001 });
+        assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0b001 }));
         inputs.told();
-        assert_eq!(inputs.sensed(), Sensed { signals: Signals::NONE, trips: 1, tripped: 0 });
+        assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0 }));
     }
 
     #[test]
@@ -112,7 +123,19 @@ mod tests {
         let mut inputs = armed(1 << input::EMERGENCY_STOP, 1 << input::EMERGENCY_STOP);
         let tripped: Vec<bool> = (0..9).map(|_| inputs.sample(0)).collect();
         assert_eq!(tripped.iter().position(|t| *t), Some(7));
-        assert!(inputs.sensed().signals.emergency_stop);
+        assert!(inputs.sensed().unwrap().signals.emergency_stop);
+    }
+
+    #[test]
+    fn nothing_is_known_before_the_polarity_is() {
+        let mut inputs = Inputs::new();
+        assert!((0..100).all(|_| !inputs.sample(0b001) && inputs.sensed().is_none()));
+        // Normally closed, and closed.
+        inputs.wiring = Some(InputWiring { inverted: 0b001, ..InputWiring::PULL_UPS });
+        inputs.armed = 0b001;
+        let known: Vec<bool> = (0..8).map(|_| !inputs.sample(0b001) && inputs.sensed().is_some()).collect();
+        assert_eq!(known.iter().position(|known| *known), Some(7));
+        assert_eq!(inputs.sensed(), Some(Sensed::default()));
     }
 
     #[test]

@@ -103,7 +103,7 @@ pub struct Stepper<const N: usize> {
     /// Units at which the next block is entered in its midst; 0 = at its start.
     next_units: u32,
     gate_shut: bool,
-    stops: u8,
+    stops: u16,
     /// How to brake at a contact: units per square of a clock.
     braking: f32,
     /// Braking after a contact.

@@ -77,6 +77,8 @@ impl Line {
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
     pub fn damage(&mut self) {
         self.overflow = true;
+        // The LF that follows may be the end of another line than the CR before the loss.
+        self.after_cr = false;
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].

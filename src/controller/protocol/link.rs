@@ -1,31 +1,91 @@
 //! The way of received bytes into the queues to `control`, and which of two hosts is listened to. Lives in the serial task.
 //!
 //! ```text
-//!  link ──packet──▶ Splitter ──realtime────────────────────▶ queue     at once, past all lines
-//!                       └─────line bytes──▶ Intake (held) ──▶ queue     in their order, when there is room
-//!                                             │ too little room for another packet: the link is told to wait
+//!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
+//!             └───line bytes──▶ floor? ──▶ held ──▶ queue     in their order, when there is room
+//!                                 │         │ too little room for another packet: the link is told to wait
+//!                                 └─▶ error:8, once for each line
 //! ```
 //! What is promised for a link that can wait (USB answers NAK): no byte is lost, and a realtime command acts at once as
-//! long as the line bytes under way fit into the queue and [`Intake::room`]. A sender that counts characters, or obeys
+//! long as the line bytes under way fit into the queue and [`Link::room`]. A sender that counts characters, or obeys
 //! `Bf:`, never has more of them under way than the queue alone takes, so for it that is always. A sender that pours a
 //! whole file in without counting is told to wait, and then what it sends behind that waits too, commands as well.
+//!
+//! A line is read as a whole or not at all: of one that was refused, or cut because another host took the floor or made
+//! the machine begin anew, the rest is refused too, whenever it comes and whoever has the floor then.
 
-use crate::messages::{LineByte, Realtime};
+use crate::messages::{CUT, LineByte, Realtime};
 use crate::protocol::realtime::Received;
 
-/// The queues to `control`. Each call gives whether there was room.
+/// The way to `control`.
 pub trait Queues {
-    /// Queues a command.
+    /// Queues a command. Gives whether there was room.
     fn realtime(&mut self, command: Realtime) -> bool;
-    /// Queues a byte of a line.
+    /// Queues a byte of a line. Gives whether there was room.
     fn line(&mut self, byte: LineByte) -> bool;
     /// Whether the link that is being read can wait. One that cannot loses a command that is refused, so each is tried.
     fn waits(&self) -> bool;
+    /// Whether all that any host has said is done and answered.
+    fn is_free(&self) -> bool;
+    /// A reset has come: stops the step task, before anyone has queued or decided anything.
+    fn stop(&mut self);
 }
 
-/// Received bytes of one link that have no room in the queue yet; at most `HELD`.
+/// What the links pass through together.
 #[derive(Debug, Default)]
-pub struct Intake<const HELD: usize> {
+pub struct Entrance {
+    floor: Floor,
+    /// The epoch of the next line byte: see [`LineByte`]. It is counted where a command is handed over and not where it is
+    /// received, so that a command that waits for room is not overtaken in the count by one of the other host.
+    epoch: u16,
+    /// The line that has begun is void: [`CUT`] goes before the next line byte.
+    cut: bool,
+}
+
+impl Entrance {
+    /// Nobody has said anything.
+    pub const fn new() -> Self {
+        Self { floor: Floor::new(), epoch: 0, cut: false }
+    }
+
+    /// Who gets the answers.
+    pub fn holder(&self) -> usize {
+        self.floor.holder()
+    }
+
+    fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
+        let queued = queues.realtime(command);
+        if queued && command.opens_epoch() {
+            self.epoch = self.epoch.wrapping_add(1);
+        }
+        queued
+    }
+
+    fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
+        if self.cut && !queues.line(LineByte { byte: CUT, damaged: false, ..byte }) {
+            return false;
+        }
+        self.cut = false;
+        queues.line(byte)
+    }
+
+    /// Lets `ask` ask for the floor. Who loses it is cut short.
+    fn turn_to<const OTHER: usize>(&mut self, other: &mut Link<OTHER>, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
+        let before = self.floor.holder();
+        let granted = ask(&mut self.floor);
+        if self.floor.holder() != before {
+            other.refusing |= other.mid_line;
+            other.held.clear();
+            self.cut = true;
+        }
+        granted
+    }
+}
+
+/// The receiving side of one link to a host. At most `HELD` bytes of lines wait here for room in the queue.
+#[derive(Debug)]
+pub struct Link<const HELD: usize> {
+    number: usize,
     held: heapless::Deque<LineByte, HELD>,
     /// A command for which there was no room: nothing more is taken, as it may not be overtaken by another.
     stuck: Option<Realtime>,
@@ -33,12 +93,29 @@ pub struct Intake<const HELD: usize> {
     lost: bool,
     /// A line has begun and not ended.
     mid_line: bool,
+    /// The line is refused to its end, and with it the LF behind its CR.
+    refusing: bool,
+    /// The byte before was a CR.
+    after_cr: bool,
+    /// What is left of the refusals to be sent: so many, less so many bytes of the first.
+    refusals: u8,
+    refused_bytes: usize,
 }
 
-impl<const HELD: usize> Intake<HELD> {
+impl<const HELD: usize> Link<HELD> {
     /// Nothing received.
-    pub const fn new() -> Self {
-        Self { held: heapless::Deque::new(), stuck: None, lost: false, mid_line: false }
+    pub const fn new(number: usize) -> Self {
+        Self {
+            number,
+            held: heapless::Deque::new(),
+            stuck: None,
+            lost: false,
+            mid_line: false,
+            refusing: false,
+            after_cr: false,
+            refusals: 0,
+            refused_bytes: 0,
+        }
     }
 
     /// How many bytes can be taken, whatever they are, with both queues full.
@@ -46,52 +123,90 @@ impl<const HELD: usize> Intake<HELD> {
         if self.stuck.is_some() { 0 } else { HELD - self.held.len() }
     }
 
+    /// Line bytes that wait for room in the queue.
+    pub fn held(&self) -> usize {
+        self.held.len()
+    }
+
     /// Whether something waits for room in a queue.
     pub fn is_waiting(&self) -> bool {
         self.stuck.is_some() || !self.held.is_empty()
     }
 
-    /// Whether the last line has come to its end.
-    pub fn is_between_lines(&self) -> bool {
-        !self.mid_line
-    }
-
-    /// Takes what was received. Without room it is lost, which the next byte of a line says: a link that can wait is not
-    /// read then. Gives whether something was queued.
-    pub fn take(&mut self, received: Received, queues: &mut impl Queues) -> bool {
-        match received {
+    /// Takes a byte. Without room it is lost, which the next byte of a line says: a link that can wait is not read then.
+    /// Gives whether something was queued.
+    pub fn take<const OTHER: usize>(
+        &mut self,
+        byte: u8,
+        entrance: &mut Entrance,
+        other: &mut Link<OTHER>,
+        queues: &mut impl Queues,
+    ) -> bool {
+        match Received::of(byte) {
             Received::Nothing => false,
             Received::Realtime(command) => {
-                let waits = queues.waits();
-                let queued = (self.stuck.is_none() || !waits) && queues.realtime(command);
-                if !queued {
-                    self.lost |= !waits || self.stuck.replace(command).is_some();
+                if command == Realtime::Reset {
+                    queues.stop();
+                    entrance.turn_to(other, |floor| floor.seize(self.number));
+                    self.mid_line = false;
+                    self.after_cr = false;
                 }
-                queued
+                if matches!(command, Realtime::Reset | Realtime::Stop) {
+                    other.void_line(entrance);
+                }
+                let free = queues.is_free();
+                entrance.turn_to(other, |floor| floor.claim(self.number, free, false));
+                self.command(command, entrance, queues)
             }
             Received::Line(byte) => {
-                let byte = LineByte { damaged: byte.damaged | self.lost, ..byte };
-                let queued = self.held.is_empty() && queues.line(byte);
-                self.lost = !queued && self.held.push_back(byte).is_err();
-                if !self.lost {
-                    self.mid_line = !matches!(byte.byte, b'\n' | b'\r');
+                let second_of_crlf = byte == b'\n' && self.after_cr;
+                self.after_cr = byte == b'\r';
+                if second_of_crlf {
+                    if self.refusing || entrance.holder() != self.number {
+                        return false;
+                    }
+                } else {
+                    self.refusing &= self.mid_line;
+                    let free = queues.is_free();
+                    self.refusing =
+                        self.refusing || !entrance.turn_to(other, |floor| floor.claim(self.number, free, true));
                 }
+                self.mid_line = !is_end(byte);
+                if self.refusing {
+                    if is_end(byte) {
+                        self.refusals = self.refusals.saturating_add(1);
+                        self.lost = false;
+                    }
+                    return false;
+                }
+                let byte = LineByte { byte, epoch: entrance.epoch, damaged: self.lost };
+                let queued = self.held.is_empty() && entrance.line(byte, queues);
+                self.lost = !queued && self.held.push_back(byte).is_err();
                 queued
             }
         }
     }
 
+    fn command(&mut self, command: Realtime, entrance: &mut Entrance, queues: &mut impl Queues) -> bool {
+        let waits = queues.waits();
+        let queued = (self.stuck.is_none() || !waits) && entrance.command(command, queues);
+        if !queued {
+            self.lost |= !waits || self.stuck.replace(command).is_some();
+        }
+        queued
+    }
+
     /// There may be room in the queues: what waits goes on. Gives whether something was queued.
-    pub fn pass_on(&mut self, queues: &mut impl Queues) -> bool {
+    pub fn pass_on(&mut self, entrance: &mut Entrance, queues: &mut impl Queues) -> bool {
         let mut any = false;
         if let Some(command) = self.stuck
-            && queues.realtime(command)
+            && entrance.command(command, queues)
         {
             self.stuck = None;
             any = true;
         }
         while let Some(byte) = self.held.front()
-            && queues.line(*byte)
+            && entrance.line(*byte, queues)
         {
             self.held.pop_front();
             any = true;
@@ -99,9 +214,16 @@ impl<const HELD: usize> Intake<HELD> {
         any
     }
 
-    /// A reset or stop has come, from here or elsewhere: the line that had begun is void, and the next byte begins another.
-    pub fn begin_anew(&mut self) {
-        self.mid_line = false;
+    /// The other host has made the machine begin anew: of the line that has begun here nothing may be read.
+    fn void_line(&mut self, entrance: &mut Entrance) {
+        if !self.mid_line || self.refusing {
+            return;
+        }
+        self.refusing = true;
+        while self.held.back().is_some_and(|byte| !is_end(byte.byte)) {
+            self.held.pop_back();
+        }
+        entrance.cut |= self.held.is_empty();
     }
 
     /// Bytes were lost on the way here: the line that they belong to will be refused.
@@ -109,21 +231,82 @@ impl<const HELD: usize> Intake<HELD> {
         self.lost = true;
     }
 
-    /// The host has gone. What has no place in the queue goes with it, and if a line or part of one is lost by that, the
-    /// end of a damaged line says so; the next host begins at the start of a line.
-    pub fn cut_off(&mut self, epoch: u16) {
-        let lost = self.lost || self.mid_line || !self.held.is_empty();
-        *self = Self { stuck: self.stuck, ..Self::new() };
-        if lost {
-            // CR ends a line in every dialect, also right after another one. The buffer is empty.
-            let _ = self.held.push_back(LineByte { byte: b'\r', epoch, damaged: true });
+    /// A host has opened its port. Gives whether it has the floor: another host's job goes on, and this one is not greeted
+    /// in its midst.
+    pub fn came<const OTHER: usize>(
+        &mut self,
+        entrance: &mut Entrance,
+        other: &mut Link<OTHER>,
+        queues: &impl Queues,
+    ) -> bool {
+        let free = queues.is_free();
+        entrance.turn_to(other, |floor| floor.claim(self.number, free, true))
+    }
+
+    /// The host has gone. What has no place in the queue goes with it, also the rest of a line, and the next host begins at
+    /// the start of one. Gives whether it had the floor.
+    pub fn went(&mut self, entrance: &mut Entrance) -> bool {
+        let held_floor = entrance.holder() == self.number;
+        entrance.cut |= held_floor;
+        entrance.floor.leave(self.number);
+        *self = Self { stuck: self.stuck, ..Self::new(self.number) };
+        held_floor
+    }
+
+    /// Sends what the host is refused. `false` while there is more of it.
+    pub fn refuse(&mut self, mut send: impl FnMut(u8) -> bool) -> bool {
+        while self.refusals > 0 {
+            let Some(byte) = REFUSAL.get(self.refused_bytes) else {
+                self.refused_bytes = 0;
+                self.refusals -= 1;
+                continue;
+            };
+            if !send(*byte) {
+                return false;
+            }
+            self.refused_bytes += 1;
         }
+        true
+    }
+}
+
+fn is_end(byte: u8) -> bool {
+    matches!(byte, b'\n' | b'\r')
+}
+
+/// Commands of a link that cannot wait for which there was no room, and which must not be lost. While there are any,
+/// nothing else is queued, so that they come after all that is queued and before all that is not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Owed(pub u32);
+
+impl Owed {
+    const DOOR: u32 = 1 << 16;
+    const HOLD: u32 = 1 << 17;
+    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
+    const RESETS: u32 = 0xFFFF;
+
+    /// With one more, if it will be obeyed: a reset, which voids the holds before it; a hold and a door, once each; 0x19 and
+    /// a jog cancel as a reset, for the epochs of all later lines count on them. The others are lost.
+    pub fn with(self, command: Realtime) -> Option<Owed> {
+        match command {
+            Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),
+            Realtime::SafetyDoor => Some(Owed(self.0 | Self::DOOR)),
+            _ if command.opens_epoch() => Some(Owed((self.0 & Self::RESETS) + 1)),
+            _ => None,
+        }
+    }
+
+    /// All of them in their order. Of a hold and a door it does not matter which comes first.
+    pub fn commands(self) -> impl Iterator<Item = Realtime> {
+        let once = |mark: u32, command| (self.0 & mark != 0).then_some(command);
+        let resets = core::iter::repeat_n(Realtime::Reset, (self.0 & Self::RESETS) as usize);
+        resets.chain(once(Self::DOOR, Realtime::SafetyDoor)).chain(once(Self::HOLD, Realtime::FeedHold))
     }
 }
 
 /// Which of two hosts has the floor: whose lines are read, and who gets the answers. Realtime commands need no floor.
 #[derive(Debug)]
-pub struct Floor {
+struct Floor {
     holder: usize,
     /// The holder has gone or has only asked for a report; or nobody has said anything yet.
     weak: bool,
@@ -131,18 +314,18 @@ pub struct Floor {
 
 impl Floor {
     /// Answers go to link 0, and whoever speaks first has the floor.
-    pub const fn new() -> Self {
+    const fn new() -> Self {
         Self { holder: 0, weak: true }
     }
 
     /// Who gets the answers.
-    pub fn holder(&self) -> usize {
+    fn holder(&self) -> usize {
         self.holder
     }
 
     /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.
     /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps nobody out.
-    pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
+    fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.holder = link;
             self.weak = !firm;
@@ -150,14 +333,15 @@ impl Floor {
         self.holder == link
     }
 
-    /// The host of `link` has reset the machine, and with it everything that another one wanted.
-    pub fn seize(&mut self, link: usize) {
+    /// The host of `link` has reset the machine, and with it everything that another one wanted: it has the floor.
+    fn seize(&mut self, link: usize) -> bool {
         self.holder = link;
         self.weak = false;
+        true
     }
 
     /// The host of `link` has gone.
-    pub fn leave(&mut self, link: usize) {
+    fn leave(&mut self, link: usize) {
         self.weak |= self.holder == link;
     }
 }
@@ -169,12 +353,11 @@ impl Default for Floor {
 }
 
 /// What a host without the floor is told for each of its lines: 8 is Grbl's "not idle".
-pub const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
+const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::protocol::realtime::Splitter;
 
     /// Queues of a given depth.
     #[derive(Default)]
@@ -183,7 +366,10 @@ mod tests {
         lines: Vec<LineByte>,
         most_commands: usize,
         most_lines: usize,
+        /// The link that is read cannot wait, and resets are owed.
         owes_resets: bool,
+        free: bool,
+        stops: usize,
     }
 
     impl Queues for Depths {
@@ -206,14 +392,68 @@ mod tests {
         fn waits(&self) -> bool {
             !self.owes_resets
         }
+
+        fn is_free(&self) -> bool {
+            self.free
+        }
+
+        fn stop(&mut self) {
+            self.stops += 1;
+        }
     }
 
-    fn depths(most_commands: usize, most_lines: usize) -> Depths {
-        Depths { most_commands, most_lines, ..Depths::default() }
+    /// Two links: one that holds little, as a UART, and one that holds `HELD`.
+    struct Both<const HELD: usize> {
+        queues: Depths,
+        entrance: Entrance,
+        uart: Link<1>,
+        usb: Link<HELD>,
     }
 
-    fn text(queues: &Depths) -> String {
-        queues.lines.iter().map(|byte| char::from(byte.byte)).collect()
+    impl<const HELD: usize> Both<HELD> {
+        fn new(most_commands: usize, most_lines: usize) -> Self {
+            Both {
+                queues: Depths { most_commands, most_lines, ..Depths::default() },
+                entrance: Entrance::new(),
+                uart: Link::new(0),
+                usb: Link::new(1),
+            }
+        }
+
+        fn usb(&mut self, text: &[u8]) {
+            for byte in text {
+                self.usb.take(*byte, &mut self.entrance, &mut self.uart, &mut self.queues);
+            }
+        }
+
+        fn uart(&mut self, text: &[u8]) {
+            self.queues.owes_resets = true;
+            for byte in text {
+                self.uart.take(*byte, &mut self.entrance, &mut self.usb, &mut self.queues);
+            }
+            self.queues.owes_resets = false;
+        }
+
+        fn pass_on(&mut self) -> bool {
+            let uart = self.uart.pass_on(&mut self.entrance, &mut self.queues);
+            self.usb.pass_on(&mut self.entrance, &mut self.queues) || uart
+        }
+
+        /// What is in the queue, with `|` for a cut; the cut before the first byte is of nothing and not shown.
+        fn text(&self) -> String {
+            let shown = |byte: &LineByte| if byte.byte == CUT { '|' } else { char::from(byte.byte) };
+            self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
+        }
+
+        /// The controller's view: which bytes are of which epoch, and what has it read once all commands have come.
+        fn epochs(&self) -> Vec<u16> {
+            self.queues.lines.iter().map(|byte| byte.epoch).collect()
+        }
+
+        /// How often each has been refused a line.
+        fn refusals(&self) -> (u8, u8) {
+            (self.uart.refusals, self.usb.refusals)
+        }
     }
 
     const PACKET: usize = 64;
@@ -221,61 +461,54 @@ mod tests {
 
     #[test]
     fn a_link_that_cannot_wait_has_each_command_tried() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<1>::new(), Splitter::new(), depths(0, 8));
-        queues.owes_resets = true;
-        for byte in *b"?\x18?" {
-            intake.take(splitter.push(byte), &mut queues);
-        }
-        assert_eq!(queues.commands, [Realtime::Reset]);
-        intake.take(splitter.push(b'G'), &mut queues);
-        assert!(queues.lines[0].damaged && !intake.is_waiting(), "the others are lost, and that is said");
+        let mut both = Both::<16>::new(0, 8);
+        both.uart(b"?\x18?");
+        assert_eq!(both.queues.commands, [Realtime::Reset]);
+        both.uart(b"G");
+        assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
     }
 
     #[test]
     fn realtime_bytes_pass_lines_that_wait() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<16>::new(), Splitter::new(), depths(8, 4));
-        for byte in *b"G1X10\n?Y2!\x18" {
-            intake.take(splitter.push(byte), &mut queues);
-        }
-        assert_eq!(queues.commands, [Realtime::Status, Realtime::FeedHold, Realtime::Reset]);
-        assert_eq!(text(&queues), "G1X1");
-        assert!(intake.is_waiting() && !intake.is_between_lines());
-        queues.most_lines = 100;
-        assert!(intake.pass_on(&mut queues));
-        assert_eq!(text(&queues), "G1X10\nY2");
-        assert!(!intake.is_waiting());
-        assert!(queues.lines.iter().all(|byte| !byte.damaged));
+        let mut both = Both::<16>::new(8, 5);
+        both.usb(b"G1X10\n?Y2!\x18");
+        assert_eq!(both.queues.commands, [Realtime::Status, Realtime::FeedHold, Realtime::Reset]);
+        assert_eq!((both.text().as_str(), both.queues.stops), ("G1X1", 1));
+        assert!(both.usb.is_waiting() && !both.usb.mid_line);
+        both.queues.most_lines = 100;
+        assert!(both.pass_on());
+        assert_eq!(both.text(), "G1X10\nY2");
+        assert!(!both.usb.is_waiting());
+        assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
     }
 
     /// A sender that does not count: as the port does it, a packet is fetched only while a whole one fits.
     #[test]
     fn a_flood_is_told_to_wait_and_nothing_is_lost() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<HELD>::new(), Splitter::new(), depths(64, 255));
+        let mut both = Both::<HELD>::new(64, 255);
         let flood: Vec<u8> = (0..5000_u32).map(|n| if n % 7 == 6 { b'\n' } else { b'A' + (n % 26) as u8 }).collect();
         let mut packets = flood.chunks(PACKET);
         let (mut taken, mut most_held, mut waits) = (String::new(), 0, 0);
         loop {
-            if intake.room() >= PACKET {
+            if both.usb.room() >= PACKET {
                 let Some(packet) = packets.next() else { break };
-                for byte in packet {
-                    intake.take(splitter.push(*byte), &mut queues);
-                }
+                both.usb(packet);
             } else {
                 waits += 1;
                 // The controller reads a line or so.
-                taken.extend(queues.lines.drain(..9).map(|byte| {
+                taken.extend(both.queues.lines.drain(..9).map(|byte| {
                     assert!(!byte.damaged);
                     char::from(byte.byte)
                 }));
-                intake.pass_on(&mut queues);
+                both.pass_on();
             }
-            most_held = most_held.max(HELD - intake.room());
+            most_held = most_held.max(both.usb.held());
         }
-        taken.push_str(&text(&queues));
-        queues = depths(64, HELD);
-        intake.pass_on(&mut queues);
-        taken.push_str(&text(&queues));
-        assert_eq!(taken.as_bytes(), flood);
+        taken.push_str(&both.text());
+        both.queues.lines.clear();
+        both.pass_on();
+        taken.push_str(&both.text());
+        assert_eq!(taken.trim_start_matches(char::from(CUT)).as_bytes(), flood);
         assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
     }
 
@@ -283,80 +516,209 @@ mod tests {
     /// still passes, and there is always room for a packet.
     #[test]
     fn a_counting_sender_never_waits() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<HELD>::new(), Splitter::new(), depths(1000, 255));
+        let mut both = Both::<HELD>::new(1000, 256);
         for n in 0..255 {
-            intake.take(splitter.push(if n % 20 == 19 { b'\n' } else { b'X' }), &mut queues);
-            intake.take(splitter.push(b'?'), &mut queues);
-            assert_eq!(intake.room(), HELD);
+            both.usb(if n % 20 == 19 { b"\n?" } else { b"X?" });
+            assert_eq!(both.usb.room(), HELD);
         }
-        assert_eq!(queues.commands.len(), 255);
+        assert_eq!(both.queues.commands.len(), 255);
     }
 
     #[test]
     fn a_full_queue_of_commands_stops_the_link_without_a_loss() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<16>::new(), Splitter::new(), depths(2, 100));
+        let mut both = Both::<16>::new(2, 100);
         let mut bytes = b"??!~G".iter();
-        while intake.room() > 0 {
-            intake.take(splitter.push(*bytes.next().unwrap()), &mut queues);
+        while both.usb.room() > 0 {
+            both.usb(&[*bytes.next().unwrap()]);
         }
         assert_eq!(bytes.as_slice(), b"~G");
-        assert!(intake.is_waiting());
-        queues.commands.clear();
-        assert!(intake.pass_on(&mut queues));
-        assert_eq!(queues.commands, [Realtime::FeedHold]);
-        assert_eq!(intake.room(), 16);
+        assert!(both.usb.is_waiting());
+        both.queues.commands.clear();
+        assert!(both.pass_on());
+        assert_eq!(both.queues.commands, [Realtime::FeedHold]);
+        assert_eq!(both.usb.room(), 16);
     }
 
     #[test]
     fn a_link_that_cannot_wait_says_what_it_lost() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<2>::new(), Splitter::new(), depths(2, 3));
-        for byte in *b"ABCDEFG" {
-            intake.take(splitter.push(byte), &mut queues);
-        }
-        queues.most_lines = 100;
-        intake.pass_on(&mut queues);
-        intake.take(splitter.push(b'H'), &mut queues);
-        intake.take(splitter.push(b'\n'), &mut queues);
-        assert_eq!(text(&queues), "ABCDEH\n");
-        assert_eq!(
-            queues.lines.iter().map(|b| b.damaged).collect::<Vec<_>>(),
-            [false, false, false, false, false, true, false]
-        );
+        let mut both = Both::<16>::new(2, 3);
+        both.uart(b"ABCDEFG");
+        both.queues.most_lines = 100;
+        both.pass_on();
+        both.uart(b"H\n");
+        assert_eq!(both.text(), "ABCDH\n");
+        let damaged: Vec<bool> = both.queues.lines.iter().map(|byte| byte.damaged).collect();
+        assert_eq!(damaged, [false, false, false, false, true, false]);
     }
 
     #[test]
     fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<16>::new(), Splitter::new(), depths(8, 100));
-        for byte in *b"G0X1\nG1 X" {
-            intake.take(splitter.push(byte), &mut queues);
-        }
-        intake.cut_off(0);
-        intake.pass_on(&mut queues);
-        assert_eq!(text(&queues), "G0X1\nG1 X\r");
-        assert!(queues.lines.last().unwrap().damaged);
-        // Between lines nothing is added; a reset has ended the line as well.
-        for byte in *b"G4\x18" {
-            intake.take(splitter.push(byte), &mut queues);
-        }
-        intake.begin_anew();
-        let before = queues.lines.len();
-        intake.cut_off(0);
-        intake.pass_on(&mut queues);
-        assert_eq!(queues.lines.len(), before);
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G0X1\nG1 X");
+        assert!(both.usb.went(&mut both.entrance));
+        both.usb(b"G4P0\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
+        // The other one may be the next.
+        both.usb(b"G1 Y");
+        both.usb.went(&mut both.entrance);
+        both.uart(b"G4\n");
+        assert_eq!(both.text(), "G0X1\nG1 X|G4P0\nG1 Y|G4\n");
     }
 
     #[test]
     fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
-        let (mut intake, mut splitter, mut queues) = (Intake::<16>::new(), Splitter::new(), depths(8, 2));
-        for byte in *b"G0\nG0\nG0\n" {
-            intake.take(splitter.push(byte), &mut queues);
+        let mut both = Both::<16>::new(8, 3);
+        both.usb(b"G0\nG0\nG0\n!");
+        assert_eq!(both.usb.held(), 7);
+        both.usb.went(&mut both.entrance);
+        assert_eq!(both.usb.room(), 16);
+        // The cut comes before the first byte of the next host, whichever that is, and that byte waits with it.
+        both.uart(b"$");
+        both.queues.most_lines = 100;
+        both.pass_on();
+        both.uart(b"I\n");
+        assert_eq!(both.text(), "G0|$I\n");
+        assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
+    }
+
+    /// The rest of a line is refused with it, whoever has the floor when it comes.
+    #[test]
+    fn the_rest_of_a_refused_line_is_no_line() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G0X1");
+        both.uart(b"G1 Y5");
+        both.usb(b"0\n");
+        // The machine has done it, and the floor is there for the asking.
+        both.queues.free = true;
+        both.uart(b"0 Z-9\r\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n", (1, 0)));
+        both.uart(b"$I\r\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n|$I\r\n", (1, 0)));
+    }
+
+    #[test]
+    fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
+        let mut both = Both::<16>::new(8, 100);
+        both.queues.free = true;
+        both.uart(b"G1 X1");
+        both.usb(b"G0 Y1\n");
+        both.uart(b"0 Z-9\n");
+        both.uart(b"G4\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
+        // A question takes the floor of an idle machine as well.
+        both.uart(b"G1 X1");
+        both.usb(b"?");
+        both.uart(b"0\nG5\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X1|G5\n", (2, 0)));
+    }
+
+    #[test]
+    fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
+        for command in [0x18, 0x19] {
+            let mut both = Both::<16>::new(8, 100);
+            both.uart(b"G1 X1");
+            both.usb(&[command]);
+            both.usb.went(&mut both.entrance);
+            both.uart(b"0 Z-9\nG4\n");
+            assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\n", (1, 0)), "{command:#x}");
+            // One's own reset begins another line.
+            both.uart(b"G1 X1\x180\n");
+            assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\nG1 X10\n", (1, 0)));
+            assert_eq!(both.epochs().last(), Some(&2));
         }
-        intake.cut_off(3);
-        assert_eq!(intake.room(), 15);
-        queues.most_lines = 100;
-        intake.pass_on(&mut queues);
-        assert_eq!(text(&queues), "G0\r");
-        assert_eq!(queues.lines.last(), Some(&LineByte { byte: b'\r', epoch: 3, damaged: true }));
+    }
+
+    /// 0x19 means nothing in Grbl's dialect: whole lines stay, also those that wait.
+    #[test]
+    fn a_stop_by_another_host_keeps_whole_lines() {
+        let mut both = Both::<16>::new(8, 4);
+        both.usb(b"G0X1\nG4\nG1 Y");
+        both.uart(b"\x19");
+        both.queues.most_lines = 100;
+        both.pass_on();
+        both.usb(b"5\nG4\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG4\nG4\n", (0, 1)));
+    }
+
+    #[test]
+    fn bytes_lost_before_another_host_speaks_refuse_their_own_line_only() {
+        let mut both = Both::<16>::new(8, 100);
+        both.queues.free = true;
+        both.uart(b"G1 X1");
+        both.uart.lose();
+        both.usb(b"G0 Y1\n");
+        both.uart(b"0 Z-9\nG4\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
+        assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
+        // The beginning of a line was lost.
+        both.uart.lose();
+        both.usb(b"$I\n");
+        both.uart(b"X5\n");
+        assert!(both.queues.lines.iter().any(|byte| byte.damaged && byte.byte == b'X'));
+    }
+
+    #[test]
+    fn cr_lf_is_refused_once() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G0\n");
+        both.uart(b"G1\r\n\r\nG2\n\nG3\r");
+        assert_eq!(both.refusals(), (6 - 1, 0), "two empty lines among them");
+        // The LF of a line that was refused, or read, is no line of its own when the floor has changed.
+        both.queues.free = true;
+        both.uart(b"\nG5\r");
+        assert_eq!(both.text(), "G0\n|G5\r");
+        both.usb(b"G6");
+        both.uart(b"\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G0\n|G5\r|G6", (5, 0)));
+    }
+
+    /// A command that opens an epoch and waits for room has not opened it yet: one of the other host may go before it.
+    #[test]
+    fn epochs_are_counted_in_the_order_of_the_queue() {
+        let mut both = Both::<16>::new(1, 100);
+        both.usb(b"A?\x85");
+        assert_eq!(both.usb.room(), 0);
+        both.uart(b"\x18B");
+        assert_eq!(both.queues.commands, [Realtime::Status, Realtime::Reset]);
+        both.queues.most_commands = 100;
+        both.pass_on();
+        both.uart(b"C");
+        assert_eq!(both.queues.commands, [Realtime::Status, Realtime::Reset, Realtime::JogCancel]);
+        assert_eq!((both.text().as_str(), both.epochs()), ("A|BC", vec![0, 0, 1, 1, 2]));
+    }
+
+    #[test]
+    fn what_is_owed_keeps_its_order() {
+        use Realtime::{CycleStart, FeedHold, JogCancel, Reset, SafetyDoor, Stop};
+        let owed = |commands: &[Realtime]| {
+            let add = |owed: Owed, command: &Realtime| owed.with(*command).unwrap_or(owed);
+            commands.iter().fold(Owed::default(), add).commands().collect::<Vec<_>>()
+        };
+        assert_eq!(owed(&[FeedHold, SafetyDoor]), [SafetyDoor, FeedHold]);
+        assert_eq!(owed(&[FeedHold, Reset]), [Reset], "void by it");
+        assert_eq!(owed(&[Reset, FeedHold]), [Reset, FeedHold], "and not undone by it");
+        assert_eq!(owed(&[Reset, SafetyDoor, JogCancel, Stop, FeedHold]), [Reset, Reset, Reset, FeedHold]);
+        assert_eq!(owed(&[CycleStart]), []);
+        assert_eq!(owed(&[Reset; 6000]).len(), 6000);
+    }
+
+    #[test]
+    fn a_refusal_is_sent_as_there_is_room() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G0\n");
+        both.uart(b"G1\nG2\n");
+        let mut sent = Vec::new();
+        let mut rounds = 1;
+        while !both.uart.refuse(|byte| {
+            let room = sent.len() < rounds * 10;
+            if room {
+                sent.push(byte);
+            }
+            room
+        }) {
+            rounds += 1;
+        }
+        assert_eq!(sent, REFUSAL.repeat(2));
     }
 
     #[test]

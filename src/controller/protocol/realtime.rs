@@ -1,6 +1,6 @@
-//! The splitter: picks realtime commands out of the received bytes, wherever they stand. Lives in the serial task.
+//! Picks realtime commands out of the received bytes, wherever they stand. Lives in the serial task.
 
-use crate::messages::{LineByte, Realtime};
+use crate::messages::Realtime;
 
 /// What a received byte was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -8,39 +8,18 @@ pub enum Received {
     /// A command that acts at once.
     Realtime(Realtime),
     /// Part of a line.
-    Line(LineByte),
+    Line(u8),
     /// Neither: a byte of 0x80 and above that is no command is thrown away, as Grbl does.
     Nothing,
 }
 
-/// Splits a byte stream. Keeps the epoch of line bytes: see [`LineByte`].
-#[derive(Clone, Debug, Default)]
-pub struct Splitter {
-    epoch: u16,
-}
-
-impl Splitter {
-    /// A splitter at the start of the stream.
-    pub const fn new() -> Self {
-        Self { epoch: 0 }
-    }
-
-    /// The epoch of the next line byte.
-    pub fn epoch(&self) -> u16 {
-        self.epoch
-    }
-
-    /// Takes the next byte.
-    pub fn push(&mut self, byte: u8) -> Received {
+impl Received {
+    /// What a byte is, wherever it stands.
+    pub fn of(byte: u8) -> Received {
         match command(byte) {
-            Some(command) => {
-                if matches!(command, Realtime::Reset | Realtime::Stop | Realtime::JogCancel) {
-                    self.epoch = self.epoch.wrapping_add(1);
-                }
-                Received::Realtime(command)
-            }
+            Some(command) => Received::Realtime(command),
             None if byte >= 0x80 => Received::Nothing,
-            None => Received::Line(LineByte { byte, epoch: self.epoch, damaged: false }),
+            None => Received::Line(byte),
         }
     }
 }
@@ -78,28 +57,28 @@ pub const fn command(byte: u8) -> Option<Realtime> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::CUT;
 
     #[test]
     fn commands_are_picked_out_in_mid_line() {
-        let mut splitter = Splitter::new();
         let mut line = Vec::new();
         let mut commands = Vec::new();
         for byte in *b"G1?X\x85!\x192\xC3\n" {
-            match splitter.push(byte) {
+            match Received::of(byte) {
                 Received::Realtime(c) => commands.push(c),
-                Received::Line(b) => line.push((b.byte, b.epoch)),
+                Received::Line(b) => line.push(b),
                 Received::Nothing => {}
             }
         }
         assert_eq!(commands, [Realtime::Status, Realtime::JogCancel, Realtime::FeedHold, Realtime::Stop]);
-        assert_eq!(line, [(b'G', 0), (b'1', 0), (b'X', 0), (b'2', 2), (b'\n', 2)]);
+        assert_eq!(line, b"G1X2\n");
     }
 
     #[test]
     fn every_high_byte_is_a_command_or_nothing() {
-        let mut splitter = Splitter::new();
         for byte in 0x80..=0xFF {
-            assert!(!matches!(splitter.push(byte), Received::Line(_)));
+            assert!(!matches!(Received::of(byte), Received::Line(_)));
         }
+        assert!(!matches!(Received::of(CUT), Received::Line(_)), "no host can send it");
     }
 }

@@ -1,6 +1,6 @@
 //! Bytes lost on the link: the line they belong to is refused, and no other.
 
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
 
@@ -15,9 +15,15 @@ fn answers(bytes: &[(u8, bool)]) -> String {
     let mut controller = Box::new(Controller::<3, 16>::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);
+    controller.event(now, Event::Signals(Sensed::default()));
     let mut text = String::new();
     let mut pull = |controller: &mut Controller<3, 16>| {
-        controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16 - 1 });
+        controller.observe(Observed {
+            segments_begun: 0,
+            step_idle: true,
+            rx_free: LINES_DEPTH as u16 - 1,
+            received: 1,
+        });
         while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
             if let Output::Reply(chunk) = output {
                 text.push_str(std::str::from_utf8(chunk.as_bytes()).unwrap());
@@ -56,4 +62,16 @@ fn a_gap_in_a_line_refuses_that_line_only() {
     // The gap is at the beginning of a line, or just before its end.
     assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
+}
+
+#[test]
+fn a_gap_before_a_line_end_is_not_within_cr_lf() {
+    assert_eq!(with_gap("G21\r~\nG90\n"), "ok\r\n[MSG:Received bytes lost]\r\nerror:11\r\nok\r\n");
+}
+
+#[test]
+fn a_cut_forgets_what_has_come_of_a_line() {
+    assert_eq!(with_gap("G21\nG99 X\x18G90\n"), "ok\r\nok\r\n");
+    // A line end of another host, and one of this one.
+    assert_eq!(with_gap("G21\r\x18\nG90\n"), "ok\r\nok\r\nok\r\n");
 }

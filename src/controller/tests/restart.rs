@@ -1,7 +1,8 @@
 //! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
 
 use oxmill_controller::messages::{
-    Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, StepEvent,
+    Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, Sensed, Signals,
+    StepEvent,
 };
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile};
@@ -17,7 +18,7 @@ const NOW: Instant = Instant::from_ticks(0);
 
 struct Board {
     controller: Box<Controller<3, 16>>,
-    stops: u8,
+    stops: u16,
     epoch: u16,
 }
 
@@ -28,6 +29,7 @@ impl Board {
             controller.restarted(restart);
         }
         controller.start(NOW);
+        controller.event(NOW, Event::Signals(Sensed::default()));
         let mut board = Board { controller, stops: 0, epoch: 0 };
         let said = board.pump();
         (board, said)
@@ -35,7 +37,7 @@ impl Board {
 
     fn pump(&mut self) -> String {
         let mut said = String::new();
-        self.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 255 });
+        self.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 255, received: 0 });
         while let Some(output) = self.controller.output(NOW, Room { step: true, reply: true }) {
             if let Output::Reply(chunk) = output {
                 said.push_str(&String::from_utf8_lossy(chunk.as_bytes()));
@@ -106,4 +108,53 @@ fn a_failure_locks_and_is_told_until_the_host_has_asked() {
 fn a_watchdog_without_a_record_is_told_too() {
     let (_, said) = Board::started(Some(Restart { cause: ResetCause::Watchdog, crash: None }));
     assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
+}
+
+/// Half a second of nothing but resets is more than a byte counts.
+#[test]
+fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
+    let (mut board, _) = Board::started(None);
+    for _ in 0..6000 {
+        board.controller.event(NOW, Event::Realtime(Realtime::Reset));
+    }
+    assert_eq!(board.pump(), "");
+    let position = oxmill_controller::axes::PerAxis::all(0);
+    board.controller.event(NOW, Event::Step(StepEvent::Stopped { stops: 6000, moving: false, position }));
+    assert_eq!(board.pump().matches("Grbl 1.1h").count(), 1);
+}
+
+/// The reset button finds half a line of a host, and another host takes the floor.
+#[test]
+fn what_a_reset_button_drops_ends_with_a_cut() {
+    let (mut board, _) = Board::started(None);
+    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 251, received: 4 });
+    let signals = Signals { reset: true, ..Signals::NONE };
+    board.controller.event(NOW, Event::Signals(Sensed { signals, ..Sensed::default() }));
+    let position = oxmill_controller::axes::PerAxis::all(0);
+    board.controller.event(NOW, Event::Step(StepEvent::Stopped { stops: 1, moving: false, position }));
+    assert_eq!(board.controller.output(NOW, Room::default()), Some(Output::Stop));
+    board.controller.event(NOW, Event::Step(StepEvent::Stopped { stops: 1, moving: false, position }));
+    let give = |board: &mut Board, text: &[u8]| {
+        for byte in text {
+            board.controller.event(NOW, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+        }
+    };
+    give(&mut board, b"G0 X");
+    board.pump();
+    give(&mut board, b"\x18G21\n");
+    assert_eq!(board.pump(), "ok\r\n");
+}
+
+/// The bytes that a hold has counted go with their host: those of the next one are not taken for them.
+#[test]
+fn a_host_that_goes_takes_what_was_counted_with_it() {
+    let (mut board, _) = Board::started(None);
+    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 55, received: 200 });
+    let signals = Signals { reset: true, ..Signals::NONE };
+    board.controller.event(NOW, Event::Signals(Sensed { signals, ..Sensed::default() }));
+    while board.controller.output(NOW, Room { step: false, reply: true }).is_some() {}
+    let position = oxmill_controller::axes::PerAxis::all(0);
+    board.controller.event(NOW, Event::Step(StepEvent::Stopped { stops: 1, moving: false, position }));
+    assert!(board.pump().contains("Grbl"));
+    assert_eq!(board.line("G21"), "ok\r\n");
 }

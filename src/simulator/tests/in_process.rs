@@ -135,3 +135,50 @@ fn realtime_commands_overtake_lines_that_wait() {
     mill.run_until_idle();
     assert_eq!(mill.unread(), 0, "a reset drops what waited before it");
 }
+
+/// A hold ends a jog and all jogs that have come by then, also those for which the queue has no room.
+#[test]
+fn a_hold_forgets_all_jogs_that_have_been_received() {
+    let mut mill = mill();
+    mill.send("$J=G91 X5 F100\n");
+    mill.run_for(Duration::from_millis(100));
+    // More than the look-ahead takes.
+    mill.send("$J=G91 Y1 F1000\n".repeat(1000));
+    assert!(mill.unread() > 1000, "{}", mill.unread());
+    mill.send("!");
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.machine_position()[1], 0.0);
+    assert_eq!(mill.take_output(), "ok\r\n".repeat(1001));
+    mill.send("$J=G91 Y1 F1000\n");
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.machine_position()[1], 1.0);
+}
+
+/// The same with the reset button, which drops lines of all kinds.
+#[test]
+fn a_reset_button_drops_all_lines_that_have_been_received() {
+    let mut mill = mill();
+    mill.send("G4 P1\n");
+    mill.send("G0 Y1\n".repeat(100));
+    assert_eq!(mill.pin_line("reset 1"), "ok");
+    assert_eq!(mill.pin_line("reset 0"), "ok");
+    mill.send("G0 Z1\n");
+    assert!(mill.run_until_idle());
+    assert_eq!(mill.machine_position(), [0.0, 0.0, 1.0]);
+}
+
+/// A limit switch is active from the beginning: nothing moves before the controller knows it.
+#[test]
+fn a_startup_line_waits_for_the_inputs() {
+    let mut first = mill();
+    for line in ["$21=1\n", "$N0=G0 X1\n", "$5=1\n"] {
+        first.send(line);
+        first.run_until_idle();
+    }
+    let store: Store = first.store().clone();
+    let mut second = Simulator::new(Options { store, ..Options::default() });
+    second.run_until_idle();
+    let said = second.take_output();
+    assert!(said.contains("ALARM:1\r\n") && !said.contains(">G0X1"), "{said}");
+    assert_eq!(second.machine().pulses(), [0, 0, 0]);
+}

@@ -411,7 +411,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
     }
     loop {
         let segments_begun = begun.wrapping_add(segments).saturating_sub(WAITING);
-        let observed = Observed { segments_begun, step_idle: false, rx_free: 0 };
+        let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1 };
         controller.observe(observed);
         match controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,
@@ -428,6 +428,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) {
     let controller = place.write(Controller::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);
+    controller.event(now, Event::Signals(Sensed::default()));
     let mut text = heapless::String::<32>::new();
     let mut begun = 0;
     let feed = |controller: &mut Whole, line: &[u8]| {

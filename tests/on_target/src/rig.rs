@@ -2,7 +2,7 @@
 
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, Stepper};
 
@@ -42,6 +42,7 @@ impl Rig {
         };
         let mut controller = Controller::new(profile);
         controller.start(Instant::from_ticks(0));
+        controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
         Rig {
             controller,
             stepper: Stepper::new(),
@@ -65,6 +66,7 @@ impl Rig {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: !self.moving && self.stepper.is_idle(),
                 rx_free: free as u16,
+                received: u16::from(free == 0),
             });
             let mut took = false;
             while self.controller.wants_line()

@@ -7,19 +7,18 @@ use oxmill_on_target as _;
 
 #[defmt_test::tests]
 mod suite {
+    use oxmill_controller::Received;
     use oxmill_controller::messages::Realtime;
     use oxmill_controller::units::{Coordinate, Decimal, StepsPerMm};
-    use oxmill_controller::{Received, Splitter};
     use oxmill_on_target::rig::Rig;
 
     #[test]
     fn realtime_commands_are_split_from_lines() {
-        let mut splitter = Splitter::new();
         let mut line: heapless::Vec<u8, 16> = heapless::Vec::new();
         let mut holds = 0;
         for byte in b"G1!X\x852\n" {
-            match splitter.push(*byte) {
-                Received::Line(b) => line.push(b.byte).unwrap(),
+            match Received::of(*byte) {
+                Received::Line(b) => line.push(b).unwrap(),
                 Received::Realtime(Realtime::FeedHold) => holds += 1,
                 _ => {}
             }

@@ -121,6 +121,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             segments_begun: self.stepper.segments_begun(),
             step_idle: self.stepper.is_idle() && self.queue.is_empty(),
             rx_free: 0,
+            received: 1,
         }
     }
 
