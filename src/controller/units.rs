@@ -49,8 +49,13 @@ impl Decimal {
     /// The nearest `f32`, computed with one exact conversion and one division, so equal on every machine.
     pub fn to_f32(self) -> f32 {
         // Apart, so that the wide integer is not rounded before it is divided: a printed setting reads back as itself.
-        let (whole, rest) = (self.0 / DECIMAL_ONE, self.0 % DECIMAL_ONE);
-        whole as f32 + rest as f32 / DECIMAL_ONE as f32
+        let size = self.0.unsigned_abs();
+        let whole = ones(size);
+        let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
+        // The 32-bit conversion of the machine gives the same `f32` as the wide one.
+        let whole = u32::try_from(whole).map_or(whole as f32, |whole| whole as f32);
+        let size = whole + rest as f32 / DECIMAL_ONE as f32;
+        if self.0 < 0 { -size } else { size }
     }
 
     /// The whole part, cut towards zero, kept within `i32`.
@@ -253,6 +258,13 @@ mod tests {
                     prop_assert_eq!(scale.steps(half), divided(scale, half));
                 }
             }
+        }
+
+        #[test]
+        fn an_f32_as_by_division(value: i64, bits in 0_u32..63) {
+            let value = value >> bits;
+            let (whole, rest) = (value / DECIMAL_ONE, value % DECIMAL_ONE);
+            prop_assert_eq!(Decimal(value).to_f32(), whole as f32 + rest as f32 / DECIMAL_ONE as f32);
         }
 
         #[test]

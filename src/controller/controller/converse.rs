@@ -421,7 +421,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if !same_steps {
                 self.lose_place();
             }
-            self.settings = settings;
+            self.settings.replace(settings);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();

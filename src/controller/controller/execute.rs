@@ -319,9 +319,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
     fn apply(&mut self, checked: &Checked<N>, checking: bool) -> Duration {
         let mut delay = Duration::from_ticks(0);
-        let before = self.interpreter.work_offset();
+        let before = checked.work_offset_changed.then(|| self.interpreter.work_offset());
         self.interpreter.commit(checked);
-        if self.interpreter.work_offset() != before {
+        if before.is_some_and(|before| self.interpreter.work_offset() != before) {
             self.rare_fields.offset_changed();
         }
         if let Some(offset) = checked.store {
@@ -463,13 +463,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the settings allow no motion at all; then the host has been told which.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        let setting = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor)?;
+        let revision = Some(self.settings.revision());
+        if self.runnable == revision {
+            return None;
+        }
+        let Some(setting) = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor) else {
+            self.runnable = revision;
+            return None;
+        };
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
         Some(Error::Locked)
     }
 
     /// Whether any part of a motion lies outside of the travel, with soft limits on.
     pub(super) fn leaves_travel(&self, checked: &Checked<N>) -> bool {
+        if !self.limits_travel() {
+            return false;
+        }
         let travel = self.settings.axes(AxisKey::Travel);
         let outside = |place: &PerAxis<Coordinate, N>| {
             place
@@ -477,16 +487,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 .iter()
                 .any(|outside| *outside)
         };
-        self.limits_travel()
-            && match &checked.motion {
-                gcode::Motion::None => false,
-                gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
-                gcode::Motion::Arc(arc) => {
-                    let (least, greatest) = extent(&geometry(arc));
-                    outside(&least) || outside(&greatest)
-                }
-                gcode::Motion::Probe { target, .. } => outside(target),
+        match &checked.motion {
+            gcode::Motion::None => false,
+            gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Arc(arc) => {
+                let (least, greatest) = extent(&geometry(arc));
+                outside(&least) || outside(&greatest)
             }
+            gcode::Motion::Probe { target, .. } => outside(target),
+        }
     }
 
     /// Answers a line that has been carried out.

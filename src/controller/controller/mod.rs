@@ -163,6 +163,10 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     replies: heapless::Deque<u8, REPLY_BYTES>,
     pins_sent: Option<SlowOutputs>,
     wiring_sent: Option<Wiring>,
+    /// What that was made of.
+    wiring_source: Option<WiringSource>,
+    /// The settings of this revision can be run.
+    runnable: Option<u32>,
     stores: heapless::Deque<Store, 4>,
     /// Stores that have not been answered yet.
     unstored: u8,
@@ -171,6 +175,15 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// The host knows of the failure before this start.
     restart_told: bool,
     now: Instant,
+}
+
+/// All that [`Wiring`] depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct WiringSource {
+    settings: u32,
+    inputs: InputWiring,
+    homing: bool,
+    ganged_motors: GangedMotors,
 }
 
 /// Stops asked for and stops that have happened.
@@ -271,6 +284,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             replies: heapless::Deque::new(),
             pins_sent: None,
             wiring_sent: None,
+            wiring_source: None,
+            runnable: None,
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,

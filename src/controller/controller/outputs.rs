@@ -1,6 +1,6 @@
 //! Pins, answers and reports: what the outside gets to see.
 
-use super::{Controller, REPLY_RESERVE, motion_settings};
+use super::{Controller, REPLY_RESERVE, WiringSource, motion_settings};
 use crate::axes::AxisMask;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, MotionMode};
@@ -27,9 +27,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
     /// with scaled power (M4) is off at no speed.
     pub(super) fn resting_power(&self) -> u16 {
-        let dark =
-            self.settings.is_on(Key::Laser) && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
+            return 0;
+        }
+        let laser = self.settings.is_on(Key::Laser);
+        if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
             0
         } else {
             self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
@@ -50,10 +52,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A segment's power under the override of this moment: queued moves feel it too.
     pub(super) fn overridden_power(&self, power: u16) -> u16 {
-        let range = self.spindle_range();
         match self.overrides.spindle {
             100 => power,
-            percent => range.output(range.speed_of(power), percent).0,
+            percent => {
+                let range = self.spindle_range();
+                range.output(range.speed_of(power), percent).0
+            }
         }
     }
 
@@ -87,7 +91,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         })
     }
 
+    #[inline]
     pub(super) fn changed_wiring(&mut self) -> Option<Wiring> {
+        let source = WiringSource {
+            settings: self.settings.revision(),
+            inputs: self.input_wiring,
+            homing: self.mode == Mode::Home,
+            ganged_motors: self.ganged_motors,
+        };
+        if self.wiring_source == Some(source) {
+            return None;
+        }
+        self.wiring_source = Some(source);
+        self.new_wiring()
+    }
+
+    #[inline(never)]
+    fn new_wiring(&mut self) -> Option<Wiring> {
         let s = &self.settings;
         let wiring = Wiring {
             pulse_us: s.whole(Key::StepPulse) as u8,
