@@ -191,21 +191,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        let checked = self.interpreter.check(line, self.dialect())?;
-        if let Some(error) = self.refuse_line(&checked) {
+        self.interpreter.check_into(line, dialect(&self.settings), &mut self.checked)?;
+        if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if self.leaves_travel(&checked) {
+        if self.leaves_travel() {
             self.motion.hold();
             self.task = Task::SoftLimit;
         } else {
-            self.begin(checked, answer, false);
+            self.begin(answer, false);
         }
         Ok(())
     }
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        let mut checked = self.interpreter.check_jog(line, self.dialect())?;
+        self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.checked)?;
         if self.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
@@ -213,15 +213,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let clipped = self.settings.is_on(Key::JogClip);
         if clipped {
-            self.clip_to_travel(&mut checked);
+            self.clip_to_travel();
         }
-        if let Some(error) = self.refuse_line(&checked) {
+        if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if !clipped && self.leaves_travel(&checked) {
+        if !clipped && self.leaves_travel() {
             return Err(Error::JogOutsideTravel);
         }
-        self.begin(checked, Answer::Host, true);
+        self.begin(Answer::Host, true);
         Ok(())
     }
 

@@ -23,7 +23,7 @@ mod stops;
 
 use crate::axes::{AxisMask, PerAxis};
 use crate::error::Alarm;
-use crate::gcode::{Dialect, Interpreter};
+use crate::gcode::{Checked, Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
@@ -120,6 +120,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     running: bool,
     input_ended: bool,
     task: Task<N>,
+    /// The line of G-code that the task carries out.
+    checked: Checked<N>,
     overrides: Overrides,
     spindle: SpindleDirection,
     spindle_speed: f32,
@@ -255,6 +257,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             well_filled: false,
             input_ended: false,
             task: Task::None,
+            checked: Checked::NOTHING,
             overrides: Overrides::NONE,
             spindle: SpindleDirection::Off,
             spindle_speed: 0.0,
