@@ -88,6 +88,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Takes a byte of the midst of a line, if nothing has happened for which it would be held or dropped.
+    #[inline]
+    pub(super) fn continues_line(&mut self, byte: LineByte) -> bool {
+        byte.epoch == self.epoch
+            && !byte.damaged
+            && !self.drop_rest
+            && (self.drop_bytes | self.jog_bytes) == 0
+            && self.line.push_plain(byte.byte)
+    }
+
     pub(super) fn line_byte(&mut self, byte: LineByte) {
         if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
             // The command that opened this epoch is still on its way through the other queue.

@@ -328,8 +328,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Something happened at `now`.
+    #[inline]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
         self.now = now;
+        match event {
+            // Nearly all events.
+            Event::Line(byte) if self.continues_line(byte) => {}
+            event => self.take(event),
+        }
+    }
+
+    fn take(&mut self, event: Event<N>) {
         match event {
             Event::Realtime(command) => self.realtime(command),
             Event::Line(byte) => self.line_byte(byte),
@@ -527,7 +536,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(watch) = self.probe_watch.take() {
             return Some(watch);
         }
-        let mut message = self.detour.next(&self.observed).or_else(|| self.motion.next(&self.observed));
+        let mut message = self.detour.next_message().or_else(|| self.motion.next_message());
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }

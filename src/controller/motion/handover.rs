@@ -21,6 +21,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
     pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
         self.observe(observed);
+        self.next_message()
+    }
+
+    /// The same with nothing observed anew.
+    #[inline]
+    pub fn next_message(&mut self) -> Option<ToStep> {
         if !self.started || self.hold == Hold::Held || self.flight.is_full() {
             return None;
         }

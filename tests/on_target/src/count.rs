@@ -410,7 +410,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
         match controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,
             Some(Output::Step(ToStep::Segment(_))) => segments += 1,
-            Some(other) => _ = black_box(other),
+            Some(other) => _ = black_box(&other),
             None => return segments,
         }
     }
