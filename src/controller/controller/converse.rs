@@ -158,6 +158,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The jog that has waited for the end of the one before it.
+    #[inline(never)]
     pub(super) fn begin_waiting_jog(&mut self) {
         let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
         let _ = text.extend_from_slice(self.line.text());
@@ -237,6 +238,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     // Startup lines
 
+    #[inline(never)]
     pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
         let line = if self.mode.is_alarm() { None } else { self.startup_lines.get(index).cloned() };
         let Some(line) = line else {
@@ -476,6 +478,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    #[inline(never)]
     pub(super) fn store_offset(&mut self, offset: StoredOffset) {
         let place = self.interpreter.offsets().stored(offset);
         let mut bytes: heapless::Vec<u8, 48> = heapless::Vec::new();
@@ -509,6 +512,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         .collect()
     }
 
+    #[inline(never)]
     pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.has_reply_room() {
             return false;

@@ -62,6 +62,7 @@ pub(super) struct Job {
 }
 
 #[derive(Clone, Copy, Debug)]
+#[repr(u8)]
 enum Stage {
     /// Motion that was queued before has to end first.
     Drain,
@@ -178,6 +179,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Does one bounded piece of the task. Whether something was done.
+    #[inline(never)]
     pub(super) fn go_on(&mut self) -> bool {
         if self.task.is_none() || self.stop.awaited.is_some() {
             return false;
@@ -309,7 +311,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             progressed = true;
             let shown_first = match job.stage {
                 Stage::Apply => self.checked.changes_outputs(),
-                Stage::Drain | Stage::Via | Stage::Probing => true,
+                Stage::Via => matches!(self.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
+                Stage::Drain | Stage::Probing => true,
                 _ => false,
             };
             job.stage = next;

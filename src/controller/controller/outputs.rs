@@ -26,16 +26,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
     /// with scaled power (M4) is off at no speed.
+    #[inline]
     pub(super) fn resting_power(&self) -> u16 {
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped {
-            return 0;
-        }
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped { 0 } else { self.turning_power() }
+    }
+
+    #[inline(never)]
+    fn turning_power(&self) -> u16 {
         let laser = self.settings.is_on(Key::Laser);
         if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
-            0
-        } else {
-            self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
+            return 0;
         }
+        self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
     }
 
     /// S of the move under way. Without one, and for a laser, whose power the segments carry, that of the last line.
@@ -190,6 +192,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (chunk.len > 0).then_some(chunk)
     }
 
+    #[inline(never)]
     pub(super) fn report_status(&mut self) {
         let busy = self.running
             || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);

@@ -407,10 +407,10 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
         let segments_begun = begun.wrapping_add(segments).saturating_sub(WAITING);
         let observed = Observed { segments_begun, step_idle: false, rx_free: 0 };
         controller.observe(observed);
-        match controller.output(now, Room { step: true, reply: true }) {
+        match &controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,
             Some(Output::Step(ToStep::Segment(_))) => segments += 1,
-            Some(other) => _ = black_box(&other),
+            Some(other) => _ = black_box(other),
             None => return segments,
         }
     }
