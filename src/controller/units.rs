@@ -28,6 +28,20 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
+/// The nearest `f32`. The machine converts 32 bits in one instruction, with the same result.
+#[inline]
+fn wide_to_f32(value: i64) -> f32 {
+    // A function of its own, or the compiler makes one wide conversion of the two again.
+    #[inline(never)]
+    fn far(value: i64) -> f32 {
+        value as f32
+    }
+    match i32::try_from(value) {
+        Ok(near) => near as f32,
+        Err(_) => far(value),
+    }
+}
+
 /// A moment of the controller's clock, in microseconds since power-up.
 pub type Instant = fugit::Instant<u64, 1, 1_000_000>;
 /// A span of the controller's clock, in microseconds.
@@ -52,9 +66,7 @@ impl Decimal {
         let size = self.0.unsigned_abs();
         let whole = ones(size);
         let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
-        // The 32-bit conversion of the machine gives the same `f32` as the wide one.
-        let whole = u32::try_from(whole).map_or(whole as f32, |whole| whole as f32);
-        let size = whole + rest as f32 / DECIMAL_ONE as f32;
+        let size = wide_to_f32(whole as i64) + rest as f32 / DECIMAL_ONE as f32;
         if self.0 < 0 { -size } else { size }
     }
 
@@ -102,7 +114,7 @@ impl Coordinate {
     /// The length in mm as the nearest `f32`.
     #[inline]
     pub fn to_mm(self) -> f32 {
-        self.0 as f32 / DECIMAL_ONE as f32
+        wide_to_f32(self.0) / DECIMAL_ONE as f32
     }
 
     /// The coordinate nearest to a length in mm.

@@ -465,9 +465,12 @@ impl<'a, const N: usize> Check<'a, N> {
             let axes = self.line.axes;
             let target =
                 PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
-            (Some(reachable(self.target())?), target)
+            let via = self.target();
+            reachable(&via)?;
+            (Some(via), target)
         };
-        self.checked.motion = Motion::Line { via, target: reachable(target)?, feed: Feed::Rapid };
+        reachable(&target)?;
+        self.checked.motion = Motion::Line { via, target, feed: Feed::Rapid };
         self.checked.position = target;
         Ok(())
     }
@@ -498,7 +501,8 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.line.axes.is_empty() {
             return Ok(());
         }
-        let target = reachable(self.target())?;
+        let target = self.target();
+        reachable(&target)?;
         let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
         self.checked.motion = Motion::Line { via: None, target, feed };
         self.checked.position = target;
@@ -513,7 +517,7 @@ impl<'a, const N: usize> Check<'a, N> {
         if target == self.state.position {
             return Err(Error::InvalidTarget);
         }
-        let target = reachable(target)?;
+        reachable(&target)?;
         let feed = self.feed_of_motion();
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
         self.checked.position = target;
@@ -549,7 +553,7 @@ impl<'a, const N: usize> Check<'a, N> {
             }
             centre
         };
-        let target = reachable(target)?;
+        reachable(&target)?;
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
@@ -722,7 +726,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) -> Coordina
     place.get(axis).unwrap_or(Coordinate::ZERO)
 }
 
-/// The place, if the controller may compute with it.
-fn reachable<const N: usize>(place: PerAxis<Coordinate, N>) -> Result<PerAxis<Coordinate, N>, Error> {
-    if place.iter().all(|coordinate| coordinate.in_range()) { Ok(place) } else { Err(Error::InvalidTarget) }
+/// An error unless the controller may compute with the place.
+fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+    if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }
 }

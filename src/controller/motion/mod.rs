@@ -30,7 +30,7 @@ pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{Observed, UNITS_PER_STEP};
-use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
+use crate::units::{Coordinate, StepsPerMm};
 use backlash::{Backlash, Lead};
 use block::{NO_OVERRIDE, Overrides};
 use curvature::Chain;
@@ -239,15 +239,6 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
 
     flight: Flight<N>,
     planner: Planner<N, BLOCKS>,
-}
-
-/// A difference of coordinates in mm. Below 0.2 m the 32-bit conversion of the machine gives the same `f32` as the wide one.
-#[inline]
-fn in_mm(way: Coordinate) -> f32 {
-    match i32::try_from(way.0) {
-        Ok(near) => near as f32 / DECIMAL_ONE as f32,
-        Err(_) => way.to_mm(),
-    }
 }
 
 /// `value` within bounds, the least one for a NaN.
