@@ -30,7 +30,7 @@ pub(crate) const fn ones(value: u64) -> u64 {
 
 /// The nearest `f32`. The machine converts 32 bits in one instruction, with the same result.
 #[inline]
-fn wide_to_f32(value: i64) -> f32 {
+pub(crate) fn wide_to_f32(value: i64) -> f32 {
     // A function of its own, or the compiler makes one wide conversion of the two again.
     #[inline(never)]
     fn far(value: i64) -> f32 {
