@@ -64,15 +64,15 @@ const ROWS: [Row; 15] = [
     row("stop", "stop, with its report", Figure::Worst, None, (380, 708)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (860, 1510)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2120, 3450))
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (790, 1375)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1435, 2510))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2840, 4310))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
-    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (14_100, 23_700))
+    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_920, 14_350))
         .beside("2800 / 4400", "4100 / 6500"),
     row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
 ];
