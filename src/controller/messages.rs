@@ -538,6 +538,8 @@ pub enum Store {
 
 /// What the controller wants done.
 #[derive(Clone, Debug, PartialEq)]
+// A message is copied by words then.
+#[repr(u32)]
 pub enum Output {
     /// For the step task.
     Step(ToStep),

@@ -16,20 +16,51 @@ pub enum Digits {
 const EIGHT: u32 = 8;
 /// A mantissa below this takes one more digit without leaving `u64`.
 const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
+/// Powers of ten up to [`DECIMAL_PLACES`].
+const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000];
 
 /// Reads a number (sign, digits, at most one point) from the start of `text`: its value and how many bytes it took;
 /// `None` without any digit. Values beyond ±9.2 × 10¹¹ become that.
 pub fn read(text: &[u8], digits: Digits) -> Option<(Decimal, usize)> {
+    let negative = text.first() == Some(&b'-');
+    let signs = usize::from(negative || text.first() == Some(&b'+'));
+    let text = text.get(signs..).unwrap_or(&[]);
+    let (value, used) = match read_short(text) {
+        Some(((mantissa, power), used)) => (i64::from(mantissa) * i64::from(power), used),
+        None => read_long(text, digits)?,
+    };
+    Some((Decimal(if negative { -value } else { value }), signs + used))
+}
+
+/// A number as programs mostly write them, up to eight digits of which seven at most stand behind the point, as two
+/// factors; `None` for all others.
+#[inline]
+fn read_short(text: &[u8]) -> Option<((u32, u32), usize)> {
+    let mut mantissa: u32 = 0;
     let mut used = 0;
-    let mut negative = false;
-    match text.first() {
-        Some(b'-') => {
-            negative = true;
-            used = 1;
+    // How many bytes are used up to the point.
+    let mut point = 0;
+    for &byte in text {
+        match byte {
+            b'0'..=b'9' => mantissa = mantissa.wrapping_mul(10).wrapping_add(u32::from(byte - b'0')),
+            b'.' if point == 0 => point = used + 1,
+            _ => break,
         }
-        Some(b'+') => used = 1,
-        _ => {}
+        used += 1;
     }
+    let digits = used - usize::from(point > 0);
+    let fraction = if point > 0 { used - point } else { 0 };
+    if digits == 0 || digits > EIGHT as usize {
+        return None;
+    }
+    let power = POWERS.get((DECIMAL_PLACES as usize).checked_sub(fraction)?)?;
+    Some(((mantissa, *power), used))
+}
+
+/// The value, without a sign, and how many bytes it took.
+#[inline(never)]
+fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize)> {
+    let mut used = 0;
     let limit = match digits {
         Digits::Exact => u32::MAX,
         Digits::Eight => EIGHT,
@@ -40,7 +71,7 @@ pub fn read(text: &[u8], digits: Digits) -> Option<(Decimal, usize)> {
     let mut fraction: u32 = 0;
     let mut zeros: u32 = 0;
     let mut point = false;
-    for &byte in text.get(used..).unwrap_or(&[]) {
+    for &byte in text {
         match byte {
             b'0'..=b'9' => {
                 let fits = count < limit && mantissa < ROOM_FOR_A_DIGIT;
@@ -60,19 +91,18 @@ pub fn read(text: &[u8], digits: Digits) -> Option<(Decimal, usize)> {
     if count == 0 {
         return None;
     }
-    Some((scaled(mantissa, fraction, zeros, negative), used))
+    Some((scaled(mantissa, fraction, zeros), used))
 }
 
-/// `mantissa` × 10^(`zeros` - `fraction`), with its sign.
-fn scaled(mantissa: u64, fraction: u32, zeros: u32, negative: bool) -> Decimal {
+/// `mantissa` × 10^(`zeros` - `fraction`).
+fn scaled(mantissa: u64, fraction: u32, zeros: u32) -> i64 {
     let places = DECIMAL_PLACES.saturating_sub(fraction).saturating_add(zeros);
     let magnitude = match 10_u64.checked_pow(places) {
         _ if mantissa == 0 => 0,
         Some(power) => mantissa.saturating_mul(power),
         None => u64::MAX,
     };
-    let magnitude = i64::try_from(magnitude).unwrap_or(i64::MAX);
-    Decimal(if negative { -magnitude } else { magnitude })
+    i64::try_from(magnitude).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]

@@ -234,6 +234,8 @@ enum Place {
 pub struct Settings<const N: usize> {
     scalars: [f32; Key::COUNT],
     per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
+    /// Counts changes: what follows from the values need be computed once for each.
+    revision: u32,
 }
 
 /// Axes of the `n`-th homing cycle of a new controller: Z first, out of the way, then X and Y together, then each of the
@@ -261,7 +263,8 @@ impl<const N: usize> Settings<N> {
     /// The defaults.
     #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
     pub const fn new() -> Self {
-        let mut settings = Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT] };
+        let mut settings =
+            Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT], revision: 0 };
         let mut i = 0;
         while i < Key::COUNT {
             settings.scalars[i] = SCALARS[i].default;
@@ -415,7 +418,18 @@ impl<const N: usize> Settings<N> {
         }
     }
 
+    /// Changes with each change of a value.
+    pub fn revision(&self) -> u32 {
+        self.revision
+    }
+
+    /// Takes over all values of others.
+    pub fn replace(&mut self, others: Self) {
+        *self = Self { revision: self.revision.wrapping_add(1), ..others };
+    }
+
     fn put(&mut self, place: Place, value: f32) {
+        self.revision = self.revision.wrapping_add(1);
         match place {
             Place::Scalar(i) => {
                 if let Some(slot) = self.scalars.get_mut(i) {

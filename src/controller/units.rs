@@ -28,6 +28,20 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
+/// The nearest `f32`. The machine converts 32 bits in one instruction, with the same result.
+#[inline]
+pub(crate) fn wide_to_f32(value: i64) -> f32 {
+    // A function of its own, or the compiler makes one wide conversion of the two again.
+    #[inline(never)]
+    fn far(value: i64) -> f32 {
+        value as f32
+    }
+    match i32::try_from(value) {
+        Ok(near) => near as f32,
+        Err(_) => far(value),
+    }
+}
+
 /// A moment of the controller's clock, in microseconds since power-up.
 pub type Instant = fugit::Instant<u64, 1, 1_000_000>;
 /// A span of the controller's clock, in microseconds.
@@ -49,8 +63,11 @@ impl Decimal {
     /// The nearest `f32`, computed with one exact conversion and one division, so equal on every machine.
     pub fn to_f32(self) -> f32 {
         // Apart, so that the wide integer is not rounded before it is divided: a printed setting reads back as itself.
-        let (whole, rest) = (self.0 / DECIMAL_ONE, self.0 % DECIMAL_ONE);
-        whole as f32 + rest as f32 / DECIMAL_ONE as f32
+        let size = self.0.unsigned_abs();
+        let whole = ones(size);
+        let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
+        let size = wide_to_f32(whole as i64) + rest as f32 / DECIMAL_ONE as f32;
+        if self.0 < 0 { -size } else { size }
     }
 
     /// The whole part, cut towards zero, kept within `i32`.
@@ -97,7 +114,7 @@ impl Coordinate {
     /// The length in mm as the nearest `f32`.
     #[inline]
     pub fn to_mm(self) -> f32 {
-        self.0 as f32 / DECIMAL_ONE as f32
+        wide_to_f32(self.0) / DECIMAL_ONE as f32
     }
 
     /// The coordinate nearest to a length in mm.
@@ -253,6 +270,13 @@ mod tests {
                     prop_assert_eq!(scale.steps(half), divided(scale, half));
                 }
             }
+        }
+
+        #[test]
+        fn an_f32_as_by_division(value: i64, bits in 0_u32..63) {
+            let value = value >> bits;
+            let (whole, rest) = (value / DECIMAL_ONE, value % DECIMAL_ONE);
+            prop_assert_eq!(Decimal(value).to_f32(), whole as f32 + rest as f32 / DECIMAL_ONE as f32);
         }
 
         #[test]

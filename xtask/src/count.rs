@@ -64,21 +64,57 @@ const ROWS: [Row; 15] = [
     row("stop", "stop, with its report", Figure::Worst, None, (380, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (860, 1510)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2120, 3450))
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (790, 1375)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1435, 2510))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2840, 4310))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
-    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (14_100, 23_700))
+    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_920, 14_350))
         .beside("2800 / 4400", "4100 / 6500"),
     row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
 ];
 
 /// Builds the program, runs it and judges the figures. With the profile of the small boards they are only printed.
 pub fn count(profile: &str) -> Result<(), Failure> {
+    let (calls, _) = traced(profile, "")?;
+    let (table, faults) = table(&calls)?;
+    print!("{table}");
+    if faults.is_empty() || profile != "firmware" { Ok(()) } else { Err(faults.join("\n")) }
+}
+
+/// Where the instructions and cycles of a row are spent: by function, those of one call on the average. The addresses
+/// themselves are left in `target/count.addresses`, for a tool that knows which lines were inlined there.
+pub fn profile(row: &str) -> Result<(), Failure> {
+    let (calls, spent) = traced("firmware", row)?;
+    let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
+    let path = root().join("target").join(TARGET).join("firmware/count");
+    let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let mut symbols = Elf { bytes: &bytes }.symbols().ok_or("the program is no ELF file")?;
+    symbols.retain(|symbol| symbol.function);
+    symbols.sort_by_key(|symbol| symbol.address);
+    let mut functions: HashMap<String, Cost> = HashMap::new();
+    let mut addresses = String::new();
+    for (at, cost) in &spent {
+        let place = symbols.partition_point(|symbol| symbol.address <= *at);
+        let name = place.checked_sub(1).map_or_else(String::new, |place| demangled(&symbols[place].name));
+        let sum = functions.entry(name).or_default();
+        *sum = (sum.0 + cost.0, sum.1 + cost.1);
+        addresses += &format!("{at:#010x} {} {}\n", cost.0, cost.1);
+    }
+    std::fs::write(root().join("target/count.addresses"), addresses).map_err(|error| error.to_string())?;
+    let mut functions: Vec<(String, Cost)> = functions.into_iter().collect();
+    functions.sort_by_key(|(_, cost)| std::cmp::Reverse(cost.1));
+    for (name, (instructions, cycles)) in functions {
+        println!("{:7} / {:7}  {name}", (instructions + calls / 2) / calls, (cycles + calls / 2) / calls);
+    }
+    Ok(())
+}
+
+/// Builds the program, runs it, and measures: all calls, and what each instruction of one row has cost.
+fn traced(profile: &str, row: &str) -> Result<(HashMap<String, Vec<Cost>>, HashMap<u32, Cost>), Failure> {
     qemu::require()?;
     let mut build = cargo();
     build.args(["build", "--profile", profile, "--quiet", "--package", "oxmill-on-target", "--bin", "count"]);
@@ -87,12 +123,10 @@ pub fn count(profile: &str) -> Result<(), Failure> {
     let trace = root().join("target/count.trace");
     qemu::trace(&elf, &trace)?;
     let bytes = std::fs::read(&elf).map_err(|error| format!("{}: {error}", elf.display()))?;
-    let calls = measure(&bytes, &trace)?;
+    let measured = measure(&bytes, &trace, row)?;
     // Some hundred megabytes that tell nothing more.
     let _ = std::fs::remove_file(&trace);
-    let (table, faults) = table(&calls)?;
-    print!("{table}");
-    if faults.is_empty() || profile != "firmware" { Ok(()) } else { Err(faults.join("\n")) }
+    Ok(measured)
 }
 
 /// The address in a line of QEMU's log: `Trace 0: host address [flags/address/more] name`.
@@ -101,8 +135,13 @@ fn address(line: &str) -> Option<u32> {
     u32::from_str_radix(inside.split('/').nth(1)?, 16).ok()
 }
 
-/// The costs of all calls of each row.
-fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Failure> {
+/// The costs of all calls of each row, and those of each instruction of the row `profiled`.
+fn measure(
+    bytes: &[u8],
+    trace: &Path,
+    profiled: &str,
+) -> Result<(HashMap<String, Vec<Cost>>, HashMap<u32, Cost>), Failure> {
+    let mut spent: HashMap<u32, Cost> = HashMap::new();
     let elf = Elf { bytes };
     let symbols = elf.symbols().ok_or("the program is no ELF file")?;
     let sections = elf.sections().ok_or("the program is no ELF file")?;
@@ -120,6 +159,7 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
     let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);
     let mut before: Option<(u32, Kind)> = None;
     let mut masked: Option<Meter> = None;
+    let mut last = 0;
     let file = File::open(trace).map_err(|error| format!("{}: {error}", trace.display()))?;
     let mut reader = BufReader::new(file);
     let mut line = String::new();
@@ -130,13 +170,21 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
         };
         line.clear();
         if let Some((behind, kind)) = before {
+            let so_far = open.as_ref().map(|(_, meter)| (meter.instructions, meter.cycles));
             for meter in open.iter_mut().map(|(_, meter)| meter).chain(&mut masked) {
                 meter.add(kind, at != behind);
             }
             if at != behind && matches!(kind, Kind::Plain | Kind::Float(_) | Kind::Store { .. } | Kind::Undefined) {
                 return Err(format!("the instruction before {behind:#010x} leads to {at:#010x}: not understood"));
             }
+            if let (Some(so_far), Some((_, meter))) = (so_far, &open)
+                && row.is_some_and(|row| row == profiled)
+            {
+                let sum = spent.entry(last).or_default();
+                *sum = (sum.0 + meter.instructions - so_far.0, sum.1 + meter.cycles - so_far.1);
+            }
         }
+        last = at;
         if let Some((end, meter)) = &open
             && *end == at
         {
@@ -175,7 +223,7 @@ fn measure(bytes: &[u8], trace: &Path) -> Result<HashMap<String, Vec<Cost>>, Fai
         }
         before = Some((at + size, kind));
     }
-    Ok(calls)
+    Ok((calls, spent))
 }
 
 /// The table as it stands in the book, and what exceeds its limit.

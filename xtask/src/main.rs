@@ -45,6 +45,7 @@ usage:
   cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
+  cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 
 /// What went wrong, for people.
@@ -70,6 +71,7 @@ fn main() -> ExitCode {
         ["mutants", ref names @ ..] => mutants::run(names),
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
+        ["count", "profile", row] => count::profile(row),
         ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));

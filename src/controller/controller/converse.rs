@@ -88,6 +88,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Takes a byte of the midst of a line, if nothing has happened for which it would be held or dropped.
+    #[inline]
+    pub(super) fn continues_line(&mut self, byte: LineByte) -> bool {
+        byte.epoch == self.epoch
+            && !byte.damaged
+            && !self.drop_rest
+            && (self.drop_bytes | self.jog_bytes) == 0
+            && self.line.push_plain(byte.byte)
+    }
+
     pub(super) fn line_byte(&mut self, byte: LineByte) {
         if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
             // The command that opened this epoch is still on its way through the other queue.
@@ -152,6 +162,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The jog that has waited for the end of the one before it.
+    #[inline(never)]
     pub(super) fn begin_waiting_jog(&mut self) {
         let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
         let _ = text.extend_from_slice(self.line.text());
@@ -195,21 +206,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        let checked = self.interpreter.check(line, self.dialect())?;
-        if let Some(error) = self.refuse_line(&checked) {
+        self.interpreter.check_into(line, dialect(&self.settings), &mut self.checked)?;
+        if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if self.leaves_travel(&checked) {
+        if self.leaves_travel() {
             self.motion.hold();
             self.task = Task::SoftLimit;
         } else {
-            self.begin(checked, answer, false);
+            self.begin(answer, false);
         }
         Ok(())
     }
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        let mut checked = self.interpreter.check_jog(line, self.dialect())?;
+        self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.checked)?;
         if self.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
@@ -217,20 +228,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let clipped = self.settings.is_on(Key::JogClip);
         if clipped {
-            self.clip_to_travel(&mut checked);
+            self.clip_to_travel();
         }
-        if let Some(error) = self.refuse_line(&checked) {
+        if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if !clipped && self.leaves_travel(&checked) {
+        if !clipped && self.leaves_travel() {
             return Err(Error::JogOutsideTravel);
         }
-        self.begin(checked, Answer::Host, true);
+        self.begin(Answer::Host, true);
         Ok(())
     }
 
     // Startup lines
 
+    #[inline(never)]
     pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
         let line = if self.mode.is_alarm() { None } else { self.startup_lines.get(index).cloned() };
         let Some(line) = line else {
@@ -425,7 +437,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if !same_steps {
                 self.lose_place();
             }
-            self.settings = settings;
+            self.settings.replace(settings);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.offsets_mut().clear_stored();
@@ -470,6 +482,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    #[inline(never)]
     pub(super) fn store_offset(&mut self, offset: StoredOffset) {
         let place = self.interpreter.offsets().stored(offset);
         let mut bytes: heapless::Vec<u8, 48> = heapless::Vec::new();
@@ -503,6 +516,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         .collect()
     }
 
+    #[inline(never)]
     pub(super) fn go_on_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.has_reply_room() {
             return false;

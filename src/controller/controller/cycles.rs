@@ -130,6 +130,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.initialise();
     }
 
+    #[inline(never)]
     pub(super) fn go_on_homing(&mut self, mut homing: Homing<N>, wait: HomingWait) -> bool {
         let over = match wait {
             HomingWait::Motion(_) => self.motion.is_idle(),
@@ -159,6 +160,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Probing
 
     /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
+    #[inline(never)]
     pub(super) fn begin_probe(
         &mut self,
         target: &PerAxis<Coordinate, N>,
@@ -195,6 +197,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Whether the probe is over; then it has been reported.
+    #[inline(never)]
     pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
         let touched = match self.probing {
             Some(Probing::Touched) => true,

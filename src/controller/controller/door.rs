@@ -110,6 +110,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Goes on with whatever phase has come to its end.
+    #[inline(never)]
     pub(super) fn settle_door(&mut self, door: Door) {
         match door {
             Door::Braking if self.motion.is_at_rest() => {

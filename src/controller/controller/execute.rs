@@ -6,7 +6,7 @@ use super::converse::Listing;
 use super::cycles::{HomingWait, Probing};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, ArcMove, Checked, Feed, Flow};
+use crate::gcode::{self, ArcMove, Feed, Flow};
 use crate::machine::homing::Homing;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
@@ -35,8 +35,8 @@ pub(super) enum Task<const N: usize> {
     Homing(Homing<N>, HomingWait),
     /// A jog whose text stands in the controller's line waits for the cancelled one before it to stop.
     JogWaits,
-    /// A line of G-code.
-    Job(Job<N>),
+    /// A line of G-code, which stands in the controller's `checked`.
+    Job(Job),
 }
 
 /// Who is waiting for `ok`.
@@ -53,10 +53,9 @@ pub(super) enum Answer {
 }
 
 /// A line under way.
-#[derive(Clone, Debug)]
-pub(super) struct Job<const N: usize> {
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Job {
     answer: Answer,
-    checked: Checked<N>,
     stage: Stage,
     jog: bool,
     /// How long the spindle takes to turn, or to stand, after this line has switched it.
@@ -64,6 +63,7 @@ pub(super) struct Job<const N: usize> {
 }
 
 #[derive(Clone, Copy, Debug)]
+#[repr(u8)]
 enum Stage {
     /// Motion that was queued before has to end first.
     Drain,
@@ -151,8 +151,9 @@ impl<const N: usize> Task<N> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
-    /// A checked line begins. Jogs have been allowed by the caller.
-    pub(super) fn begin(&mut self, checked: Checked<N>, answer: Answer, jog: bool) {
+    /// The checked line begins. Jogs have been allowed by the caller.
+    pub(super) fn begin(&mut self, answer: Answer, jog: bool) {
+        let checked = &self.checked;
         let checking = self.mode == Mode::Check;
         let drain = !checking
             && (checked.spindle.is_some()
@@ -161,24 +162,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.work_offset_changed
                 || checked.store.is_some()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
-                || self.speed_needs_rest(&checked));
+                || self.speed_needs_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
-        self.task = Task::Job(Job { answer, checked, stage, jog, spindle_delay: Duration::from_ticks(0) });
+        self.task = Task::Job(Job { answer, stage, jog, spindle_delay: Duration::from_ticks(0) });
     }
 
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
-    fn speed_needs_rest(&self, checked: &Checked<N>) -> bool {
-        self.settings.is_on(Key::Laser) && self.shows_speed(checked)
+    fn speed_needs_rest(&self) -> bool {
+        self.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
     /// Whether the accessories are reported anew because of S.
-    fn shows_speed(&self, checked: &Checked<N>) -> bool {
-        checked.speed_changed
+    fn shows_speed(&self) -> bool {
+        self.checked.speed_changed
             && self.spindle != SpindleDirection::Off
-            && !(self.settings.is_on(Key::Laser) && checked.motion != gcode::Motion::None)
+            && !(self.settings.is_on(Key::Laser) && self.checked.motion != gcode::Motion::None)
     }
 
     /// Does one bounded piece of the task. Whether something was done.
+    #[inline(never)]
     pub(super) fn go_on(&mut self) -> bool {
         if self.task.is_none() || self.stop.awaited.is_some() {
             return false;
@@ -188,6 +190,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.mode.is_suspended() {
             return false;
+        }
+        if let Task::Job(mut job) = self.task {
+            self.task = Task::None;
+            let progressed = self.go_on_job(&mut job);
+            match job.stage {
+                Stage::Done if progressed => self.finish(job.answer),
+                _ => self.task = Task::Job(job),
+            }
+            return progressed;
         }
         match core::mem::replace(&mut self.task, Task::None) {
             Task::Startup(index, then) if self.has_sensed => {
@@ -218,14 +229,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.finish(answer);
                 true
             }
-            Task::Job(mut job) => {
-                let progressed = self.go_on_job(&mut job);
-                match job.stage {
-                    Stage::Done if progressed => self.finish(job.answer),
-                    _ => self.task = Task::Job(job),
-                }
-                progressed
-            }
             other => {
                 self.task = other;
                 false
@@ -234,7 +237,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Goes on until something has to be waited for or put out first.
-    fn go_on_job(&mut self, job: &mut Job<N>) -> bool {
+    fn go_on_job(&mut self, job: &mut Job) -> bool {
         let checking = self.mode == Mode::Check;
         let mut progressed = false;
         loop {
@@ -245,30 +248,33 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     None
                 }
                 Stage::Apply => {
-                    job.spindle_delay = self.apply(&job.checked, checking);
+                    job.spindle_delay = self.apply(checking);
                     Some(Stage::Storing)
                 }
                 Stage::Storing if self.unstored > 0 => None,
                 Stage::Storing => {
-                    let dwell = job.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+                    let dwell = self.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
                     let wait = dwell + job.spindle_delay;
                     Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
                 }
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
-                Stage::Via => match job.checked.motion {
+                Stage::Via => match self.checked.motion {
                     gcode::Motion::Line { via: Some(via), .. } if !checking => {
                         self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
                     }
                     _ => Some(Stage::Target),
                 },
                 Stage::Target if checking => Some(Stage::Flow),
-                Stage::Target => match job.checked.motion {
-                    gcode::Motion::Line { ref target, feed, .. } => {
-                        self.queue(target, speed(feed), job).then_some(Stage::Flow)
+                Stage::Target => match self.checked.motion {
+                    gcode::Motion::Line { target, feed, .. } => {
+                        self.queue(&target, speed(feed), job).then_some(Stage::Flow)
                     }
-                    gcode::Motion::Arc(ref arc) => Some(self.begin_arc(arc)),
-                    gcode::Motion::Probe { ref target, feed, away, .. } => {
-                        if self.begin_probe(target, speed(feed), away, job.checked.line_number) {
+                    gcode::Motion::Arc(ref arc) => {
+                        let (geometry, feed) = (geometry(arc), arc.feed);
+                        Some(self.begin_arc(&geometry, feed))
+                    }
+                    gcode::Motion::Probe { target, feed, away, .. } => {
+                        if self.begin_probe(&target, speed(feed), away, self.checked.line_number) {
                             self.probing = Some(Probing::Seeking);
                             Some(Stage::Probing)
                         } else {
@@ -283,7 +289,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 Stage::Chords(feed) => match self.arc.as_mut().and_then(Arc::next_chord) {
                     Some(target) => {
-                        let mv = self.move_of(&target, Speed::Feed(feed), &job.checked, job.jog);
+                        let mv = self.move_of(&target, Speed::Feed(feed), job.jog);
                         if let Some(arc) = &self.arc {
                             // There is room for a block, so the move is taken.
                             self.motion.chord(&mv, arc);
@@ -293,11 +299,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     None => Some(Stage::Flow),
                 },
                 Stage::Probing => {
-                    let must_touch = matches!(job.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                    let must_touch = matches!(self.checked.motion, gcode::Motion::Probe { alarm: true, .. });
                     // A failed probe has locked the machine: no M0 may open it again.
                     self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
                 }
-                Stage::Flow => self.flow(job, checking),
+                Stage::Flow => self.flow(checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::DwellSuspended(_) => None,
                 Stage::Done => return true,
@@ -305,8 +311,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let Some(next) = next else { break };
             progressed = true;
             let shown_first = match job.stage {
-                Stage::Apply => job.checked.changes_outputs(),
-                Stage::Drain | Stage::Via | Stage::Probing => true,
+                Stage::Apply => self.checked.changes_outputs(),
+                Stage::Via => matches!(self.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
+                Stage::Drain | Stage::Probing => true,
                 _ => false,
             };
             job.stage = next;
@@ -318,11 +325,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
-    fn apply(&mut self, checked: &Checked<N>, checking: bool) -> Duration {
+    fn apply(&mut self, checking: bool) -> Duration {
+        let checked = &self.checked;
         let mut delay = Duration::from_ticks(0);
-        let before = self.interpreter.work_offset();
+        let before = checked.work_offset_changed.then(|| self.interpreter.work_offset());
         self.interpreter.commit(checked);
-        if self.interpreter.work_offset() != before {
+        if before.is_some_and(|before| self.interpreter.work_offset() != before) {
             self.rare_fields.offset_changed();
         }
         if let Some(offset) = checked.store {
@@ -331,11 +339,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if checking {
             return delay;
         }
-        self.spindle_speed = checked.speed;
-        if self.shows_speed(checked) {
+        self.spindle_speed = self.checked.speed;
+        if self.shows_speed() {
             self.rare_fields.overrides_changed();
         }
-        if let Some(spindle) = checked.spindle {
+        if let Some(spindle) = self.checked.spindle {
             if spindle != self.spindle && !self.settings.is_on(Key::Laser) {
                 let off = spindle == SpindleDirection::Off;
                 delay = self.settings.seconds(if off { Key::SpinDown } else { Key::SpinUp });
@@ -343,7 +351,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.spindle = spindle;
             self.rare_fields.overrides_changed();
         }
-        if let Some(coolant) = checked.coolant {
+        if let Some(coolant) = self.checked.coolant {
             self.coolant = coolant;
             self.rare_fields.overrides_changed();
         }
@@ -351,8 +359,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Program pause and end: both wait for the end of motion.
-    fn flow(&mut self, job: &Job<N>, checking: bool) -> Option<Stage> {
-        match job.checked.flow {
+    fn flow(&mut self, checking: bool) -> Option<Stage> {
+        match self.checked.flow {
             Flow::None | Flow::OptionalPause => Some(Stage::Done),
             Flow::Pause if checking => Some(Stage::Done),
             Flow::Pause | Flow::End if !self.motion.is_idle() => {
@@ -386,8 +394,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    fn queue(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, job: &Job<N>) -> bool {
-        let mv = self.move_of(target, speed, &job.checked, job.jog);
+    fn queue(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, job: &Job) -> bool {
+        let mv = self.move_of(target, speed, job.jog);
         let taken = self.motion.line(&mv);
         if !taken {
             self.start_queued();
@@ -398,7 +406,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         taken
     }
 
-    fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, checked: &Checked<N>, jog: bool) -> Move<N> {
+    fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, jog: bool) -> Move<N> {
         let laser = self.settings.is_on(Key::Laser);
         // A laser burns in feed motions only.
         let dark = laser && speed == Speed::Rapid;
@@ -406,21 +414,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             0
         } else {
             // The override is applied when its turn comes (`outputs`).
-            self.spindle_range().output(checked.speed, 100).0
+            self.spindle_range().output(self.checked.speed, 100).0
         };
         Move {
             target: *target,
             speed,
             power,
             scale_power: laser && self.spindle == SpindleDirection::CounterClockwise,
-            line_number: checked.line_number,
+            line_number: self.checked.line_number,
             no_feed_override: jog,
         }
     }
 
-    fn begin_arc(&mut self, arc: &ArcMove<N>) -> Stage {
-        let chords = Arc::new(&geometry(arc), self.settings.value(Key::ArcTolerance));
-        let feed = match arc.feed {
+    fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed) -> Stage {
+        let chords = Arc::new(geometry, self.settings.value(Key::ArcTolerance));
+        let feed = match feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => chords.length() / seconds,
             Feed::Rapid => f32::MAX,
@@ -429,14 +437,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Stage::Chords(feed)
     }
 
-    /// Why a line may not be carried out though it is correct, if so.
-    pub(super) fn refuse_line(&mut self, checked: &Checked<N>) -> Option<Error> {
-        if checked.motion != gcode::Motion::None
+    /// Why the line may not be carried out though it is correct, if so.
+    pub(super) fn refuse_line(&mut self) -> Option<Error> {
+        if self.checked.motion != gcode::Motion::None
             && let Some(error) = self.motion_locked()
         {
             return Some(error);
         }
-        if checked.uses_machine_place && self.must_home_first() {
+        if self.checked.uses_machine_place && self.must_home_first() {
             self.say(|out| report::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
@@ -444,8 +452,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
-    pub(super) fn clip_to_travel(&self, checked: &mut Checked<N>) {
-        if let gcode::Motion::Line { target, .. } = &checked.motion
+    pub(super) fn clip_to_travel(&mut self) {
+        if let gcode::Motion::Line { target, .. } = &self.checked.motion
             && self.limits_travel()
         {
             let travel = self.settings.axes(AxisKey::Travel).0.map(|mm| -Coordinate::from_mm_f32(mm));
@@ -453,7 +461,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let within = |place: Coordinate, (least, here): (Coordinate, Coordinate)| {
                 place.clamp(least, here.max(Coordinate::ZERO))
             };
-            checked.redirect(target.zip(&ends, within));
+            let end = target.zip(&ends, within);
+            self.checked.redirect(end);
         }
     }
 
@@ -464,13 +473,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the settings allow no motion at all; then the host has been told which.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        let setting = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor)?;
+        let revision = Some(self.settings.revision());
+        if self.runnable == revision {
+            return None;
+        }
+        let Some(setting) = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor) else {
+            self.runnable = revision;
+            return None;
+        };
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
         Some(Error::Locked)
     }
 
-    /// Whether any part of a motion lies outside of the travel, with soft limits on.
-    pub(super) fn leaves_travel(&self, checked: &Checked<N>) -> bool {
+    /// Whether any part of the line's motion lies outside of the travel, with soft limits on.
+    pub(super) fn leaves_travel(&self) -> bool {
+        if !self.limits_travel() {
+            return false;
+        }
         let travel = self.settings.axes(AxisKey::Travel);
         let outside = |place: &PerAxis<Coordinate, N>| {
             place
@@ -478,16 +497,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 .iter()
                 .any(|outside| *outside)
         };
-        self.limits_travel()
-            && match &checked.motion {
-                gcode::Motion::None => false,
-                gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
-                gcode::Motion::Arc(arc) => {
-                    let (least, greatest) = extent(&geometry(arc));
-                    outside(&least) || outside(&greatest)
-                }
-                gcode::Motion::Probe { target, .. } => outside(target),
+        match &self.checked.motion {
+            gcode::Motion::None => false,
+            gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Arc(arc) => {
+                let (least, greatest) = extent(&geometry(arc));
+                outside(&least) || outside(&greatest)
             }
+            gcode::Motion::Probe { target, .. } => outside(target),
+        }
     }
 
     /// Answers a line that has been carried out.

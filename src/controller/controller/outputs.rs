@@ -1,6 +1,6 @@
 //! Pins, answers and reports: what the outside gets to see.
 
-use super::{Controller, REPLY_RESERVE, motion_settings};
+use super::{Controller, REPLY_RESERVE, WiringSource, motion_settings};
 use crate::axes::AxisMask;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, MotionMode};
@@ -26,14 +26,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one
     /// with scaled power (M4) is off at no speed.
+    #[inline]
     pub(super) fn resting_power(&self) -> u16 {
-        let dark =
-            self.settings.is_on(Key::Laser) && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest());
-        if self.spindle == SpindleDirection::Off || self.spindle_stopped || dark {
-            0
-        } else {
-            self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
+        if self.spindle == SpindleDirection::Off || self.spindle_stopped { 0 } else { self.turning_power() }
+    }
+
+    #[inline(never)]
+    fn turning_power(&self) -> u16 {
+        let laser = self.settings.is_on(Key::Laser);
+        if laser && (self.spindle != SpindleDirection::Clockwise || !self.burns_at_rest()) {
+            return 0;
         }
+        self.spindle_range().output(self.programmed_speed(), self.overrides.spindle).0
     }
 
     /// S of the move under way. Without one, and for a laser, whose power the segments carry, that of the last line.
@@ -50,10 +54,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A segment's power under the override of this moment: queued moves feel it too.
     pub(super) fn overridden_power(&self, power: u16) -> u16 {
-        let range = self.spindle_range();
         match self.overrides.spindle {
             100 => power,
-            percent => range.output(range.speed_of(power), percent).0,
+            percent => {
+                let range = self.spindle_range();
+                range.output(range.speed_of(power), percent).0
+            }
         }
     }
 
@@ -87,7 +93,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         })
     }
 
+    #[inline]
     pub(super) fn changed_wiring(&mut self) -> Option<Wiring> {
+        let source = WiringSource {
+            settings: self.settings.revision(),
+            inputs: self.input_wiring,
+            homing: self.mode == Mode::Home,
+            ganged_motors: self.ganged_motors,
+        };
+        if self.wiring_source == Some(source) {
+            return None;
+        }
+        self.wiring_source = Some(source);
+        self.new_wiring()
+    }
+
+    #[inline(never)]
+    fn new_wiring(&mut self) -> Option<Wiring> {
         let s = &self.settings;
         let wiring = Wiring {
             pulse_us: s.whole(Key::StepPulse) as u8,
@@ -171,6 +193,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (chunk.len > 0).then_some(chunk)
     }
 
+    #[inline(never)]
     pub(super) fn report_status(&mut self) {
         let busy = self.running
             || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);

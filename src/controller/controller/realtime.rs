@@ -125,6 +125,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// A hold or a door is over: motion, a dwell or the lines that waited go on.
+    #[inline(never)]
     pub(super) fn leave_hold(&mut self) {
         self.restore_spindle();
         self.mode = Mode::Normal;
@@ -196,6 +197,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    #[inline(never)]
     pub(super) fn end_soft_stop(&mut self, locked: bool) {
         self.motion.discard();
         self.running = false;
@@ -239,6 +241,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.line_before_cancel = true;
     }
 
+    #[inline(never)]
     pub(super) fn end_jog(&mut self) {
         self.motion.discard();
         self.task.forget_jog();

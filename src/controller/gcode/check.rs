@@ -76,26 +76,49 @@ impl<const N: usize> Checked<N> {
         }
     }
 
-    /// What leaves everything as it is.
-    pub(super) fn of_state(state: &Interpreter<N>) -> Self {
-        Self {
-            line_number: 0,
-            spindle: None,
-            speed_changed: false,
-            speed: state.modal.speed,
-            coolant: None,
-            dwell: None,
-            work_offset_changed: false,
-            uses_machine_place: false,
-            store: None,
-            motion: Motion::None,
-            flow: Flow::None,
-            modal: state.modal,
-            g92: state.offsets.g92,
-            tool_length: state.offsets.tool_length,
-            stored: None,
-            position: state.position,
-        }
+    /// What asks for nothing and knows no state.
+    pub const NOTHING: Self = Self {
+        line_number: 0,
+        spindle: None,
+        speed_changed: false,
+        speed: 0.0,
+        coolant: None,
+        dwell: None,
+        work_offset_changed: false,
+        uses_machine_place: false,
+        store: None,
+        motion: Motion::None,
+        flow: Flow::None,
+        modal: Modal::INITIAL,
+        g92: PerAxis::all(Coordinate::ZERO),
+        tool_length: Coordinate::ZERO,
+        stored: None,
+        position: PerAxis::all(Coordinate::ZERO),
+    };
+
+    /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
+    pub(super) fn begin(&mut self, state: &Interpreter<N>) {
+        self.line_number = 0;
+        self.uses_machine_place = false;
+        self.motion = Motion::None;
+        self.position = state.position;
+        self.only_moves(state);
+    }
+
+    /// Of the state nothing but the position is changed.
+    pub(super) fn only_moves(&mut self, state: &Interpreter<N>) {
+        self.spindle = None;
+        self.speed_changed = false;
+        self.speed = state.modal.speed;
+        self.coolant = None;
+        self.dwell = None;
+        self.work_offset_changed = false;
+        self.store = None;
+        self.flow = Flow::None;
+        self.modal = state.modal;
+        self.g92 = state.offsets.g92;
+        self.tool_length = state.offsets.tool_length;
+        self.stored = None;
     }
 }
 
@@ -188,8 +211,9 @@ pub(super) fn check<const N: usize>(
     line: &Parsed<N>,
     dialect: Dialect,
     purpose: Purpose,
-) -> Result<Checked<N>, Error> {
-    let mut check = Check::begin(state, line, dialect, purpose);
+    checked: &mut Checked<N>,
+) -> Result<(), Error> {
+    let mut check = Check::begin(state, line, dialect, purpose, checked);
     check.line_number()?;
     check.feed()?;
     check.speed_and_tool();
@@ -200,7 +224,8 @@ pub(super) fn check<const N: usize>(
     check.non_modal()?;
     check.motion()?;
     check.unused_words()?;
-    Ok(check.finish())
+    check.finish();
+    Ok(())
 }
 
 /// A line half checked.
@@ -214,13 +239,19 @@ struct Check<'a, const N: usize> {
     /// Value words that no step has asked for yet.
     unused: Letters,
     /// The result so far; its modal state is the one that the line's own words have set.
-    checked: Checked<N>,
+    checked: &'a mut Checked<N>,
 }
 
 impl<'a, const N: usize> Check<'a, N> {
     /// The line's modal words over the modal state; axis words that no command asks for belong to the motion mode.
-    fn begin(state: &'a Interpreter<N>, line: &'a Parsed<N>, dialect: Dialect, purpose: Purpose) -> Self {
-        let mut checked = Checked::of_state(state);
+    fn begin(
+        state: &'a Interpreter<N>,
+        line: &'a Parsed<N>,
+        dialect: Dialect,
+        purpose: Purpose,
+        checked: &'a mut Checked<N>,
+    ) -> Self {
+        checked.begin(state);
         let modal = &mut checked.modal;
         if purpose == Purpose::Jog {
             modal.motion = MotionMode::Linear;
@@ -434,9 +465,12 @@ impl<'a, const N: usize> Check<'a, N> {
             let axes = self.line.axes;
             let target =
                 PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
-            (Some(reachable(self.target())?), target)
+            let via = self.target();
+            reachable(&via)?;
+            (Some(via), target)
         };
-        self.checked.motion = Motion::Line { via, target: reachable(target)?, feed: Feed::Rapid };
+        reachable(&target)?;
+        self.checked.motion = Motion::Line { via, target, feed: Feed::Rapid };
         self.checked.position = target;
         Ok(())
     }
@@ -467,7 +501,8 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.line.axes.is_empty() {
             return Ok(());
         }
-        let target = reachable(self.target())?;
+        let target = self.target();
+        reachable(&target)?;
         let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
         self.checked.motion = Motion::Line { via: None, target, feed };
         self.checked.position = target;
@@ -482,7 +517,7 @@ impl<'a, const N: usize> Check<'a, N> {
         if target == self.state.position {
             return Err(Error::InvalidTarget);
         }
-        let target = reachable(target)?;
+        reachable(&target)?;
         let feed = self.feed_of_motion();
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
         self.checked.position = target;
@@ -518,7 +553,7 @@ impl<'a, const N: usize> Check<'a, N> {
             }
             centre
         };
-        let target = reachable(target)?;
+        reachable(&target)?;
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
@@ -577,8 +612,8 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
     }
 
-    fn finish(self) -> Checked<N> {
-        let mut checked = self.checked;
+    fn finish(self) {
+        let checked = self.checked;
         checked.flow = match self.line.flow {
             Some(MWord::Pause) => Flow::Pause,
             Some(MWord::OptionalPause) => Flow::OptionalPause,
@@ -593,9 +628,9 @@ impl<'a, const N: usize> Check<'a, N> {
             checked.modal.end_program();
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
-        let system_changed = match (checked.store, checked.stored) {
+        let system_changed = match (checked.store, &checked.stored) {
             (Some(StoredOffset::System(system)), Some(value)) if system == after => {
-                value != self.state.offsets.system(system)
+                *value != self.state.offsets.system(system)
             }
             _ => false,
         };
@@ -603,7 +638,6 @@ impl<'a, const N: usize> Check<'a, N> {
             || before != after
             || checked.g92 != self.state.offsets.g92
             || checked.tool_length != self.state.offsets.tool_length;
-        checked
     }
 
     /// Where the line's axis words lead to, in machine coordinates.
@@ -692,7 +726,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) -> Coordina
     place.get(axis).unwrap_or(Coordinate::ZERO)
 }
 
-/// The place, if the controller may compute with it.
-fn reachable<const N: usize>(place: PerAxis<Coordinate, N>) -> Result<PerAxis<Coordinate, N>, Error> {
-    if place.iter().all(|coordinate| coordinate.in_range()) { Ok(place) } else { Err(Error::InvalidTarget) }
+/// An error unless the controller may compute with the place.
+fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+    if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }
 }

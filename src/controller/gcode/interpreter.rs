@@ -39,14 +39,29 @@ impl<const N: usize> Interpreter<N> {
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments.
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
-        let parsed = Parsed::read(line, dialect)?;
-        check::check(self, &parsed, dialect, Purpose::Program)
+        let mut checked = Checked::NOTHING;
+        self.check_into(line, dialect, &mut checked)?;
+        Ok(checked)
+    }
+
+    /// The same, with the result in its place; it is worth nothing after an error.
+    pub fn check_into(&self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
+        let mut parsed = Parsed::empty();
+        parsed.read(line, dialect)?;
+        check::check(self, &parsed, dialect, Purpose::Program, checked)
     }
 
     /// Checks what stands behind `$J=`. The motion of the result is a jog; of the state its commit changes the position
     /// only.
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
-        jog::check(self, line, dialect)
+        let mut checked = Checked::NOTHING;
+        self.check_jog_into(line, dialect, &mut checked)?;
+        Ok(checked)
+    }
+
+    /// The same, with the result in its place; it is worth nothing after an error.
+    pub fn check_jog_into(&self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
+        jog::check(self, line, dialect, checked)
     }
 
     /// Takes over what a line has changed. The position becomes the end of the line's motion; a probing move that ends

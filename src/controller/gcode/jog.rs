@@ -13,9 +13,11 @@ pub(super) fn check<const N: usize>(
     state: &Interpreter<N>,
     line: &[u8],
     dialect: Dialect,
-) -> Result<Checked<N>, Error> {
-    let parsed = Parsed::read(line, dialect)?;
-    let checked = check::check(state, &parsed, dialect, Purpose::Jog)?;
+    checked: &mut Checked<N>,
+) -> Result<(), Error> {
+    let mut parsed = Parsed::empty();
+    parsed.read(line, dialect)?;
+    check::check(state, &parsed, dialect, Purpose::Jog, checked)?;
     if !parsed.groups.within(Groups::OF_JOGS) {
         return Err(Error::InvalidJog);
     }
@@ -23,11 +25,6 @@ pub(super) fn check<const N: usize>(
         None | Some(NonModal::MachineCoordinates) => {}
         Some(_) => return Err(Error::InvalidJog),
     }
-    Ok(Checked {
-        line_number: checked.line_number,
-        motion: checked.motion,
-        position: checked.position,
-        uses_machine_place: checked.uses_machine_place,
-        ..Checked::of_state(state)
-    })
+    checked.only_moves(state);
+    Ok(())
 }

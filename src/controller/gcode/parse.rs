@@ -58,7 +58,8 @@ pub(super) struct Parsed<const N: usize> {
 }
 
 impl<const N: usize> Parsed<N> {
-    fn empty() -> Self {
+    /// No words.
+    pub fn empty() -> Self {
         let zero = Decimal::ZERO;
         Self {
             groups: Groups::default(),
@@ -92,19 +93,18 @@ impl<const N: usize> Parsed<N> {
         }
     }
 
-    /// Reads a line.
-    pub fn read(line: &[u8], dialect: Dialect) -> Result<Self, Error> {
+    /// Adds the words of a line.
+    pub fn read(&mut self, line: &[u8], dialect: Dialect) -> Result<(), Error> {
         let digits = if dialect == Dialect::Grbl { Digits::Eight } else { Digits::Exact };
-        let mut parsed = Self::empty();
         for word in Words::of(line, digits) {
             let Word { letter, value } = word?;
             match letter {
-                b'G' => parsed.take_g(Code::of(value), dialect)?,
-                b'M' => parsed.take_m(Code::of(value), dialect)?,
-                _ => parsed.take_value(letter, value)?,
+                b'G' => self.take_g(Code::of(value), dialect)?,
+                b'M' => self.take_m(Code::of(value), dialect)?,
+                _ => self.take_value(letter, value)?,
             }
         }
-        Ok(parsed)
+        Ok(())
     }
 
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {

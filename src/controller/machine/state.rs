@@ -47,6 +47,8 @@ pub enum Mode {
 
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// Else the moments inside make the tag of this and of `Mode` one of 64 bits.
+#[repr(u8)]
 pub enum Door {
     /// Braking; what follows begins once at rest.
     Braking,

@@ -4,7 +4,7 @@
 
 use super::profile::square_root;
 use crate::axes::{Axis, PerAxis};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, wide_to_f32};
 
 /// Fraction bits of the direction vector.
 const UNIT_BITS: u32 = 30;
@@ -70,7 +70,15 @@ fn integer_length(x: i64, y: i64) -> i64 {
 /// `value` × `unit`, rounded to nearest.
 #[inline]
 fn scale(value: i64, unit: i64) -> i64 {
-    ((i128::from(value) * i128::from(unit) + i128::from(UNIT / 2)) >> UNIT_BITS) as i64
+    // The upper half of the value by itself: 2^32 of it are whole multiples of what is cut off, and no product is wide.
+    let (upper, lower) = (value >> 32, value & i64::from(u32::MAX));
+    ((upper * unit) << (32 - UNIT_BITS)) + ((lower * unit + UNIT / 2) >> UNIT_BITS)
+}
+
+/// Cut towards zero. The machine converts to 32 bits in one instruction.
+#[inline]
+fn whole(value: f32) -> i64 {
+    if value.abs() < 2.0e9 { i64::from(value as i32) } else { value as i64 }
 }
 
 fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
@@ -183,7 +191,7 @@ impl<const N: usize> Arc<N> {
         self.unit = [x, y];
 
         let share = self.done as f32 / self.chords as f32;
-        let radius = self.start_radius + (self.radius_change * share) as i64;
+        let radius = self.start_radius + whole(self.radius_change * share);
         let mut point = self.geometry.start;
         for (axis, (place, target)) in Axis::of_machine::<N>().zip(point.iter_mut().zip(self.geometry.target.iter())) {
             *place = if axis == self.geometry.axis_0 {
@@ -193,7 +201,7 @@ impl<const N: usize> Arc<N> {
             } else if target == place {
                 *place
             } else {
-                *place + Coordinate(((*target - *place).0 as f32 * share) as i64)
+                *place + Coordinate(whole(wide_to_f32((*target - *place).0) * share))
             };
         }
         Some(point)
@@ -223,5 +231,20 @@ impl<const N: usize> Arc<N> {
     /// Radius at the start, in mm.
     pub fn radius(&self) -> f32 {
         Coordinate(self.start_radius).to_mm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn scaled_as_by_the_wide_product(value: i64, bits in 22_u32..64, unit in -UNIT..=UNIT) {
+            let value = value >> bits;
+            let wide = ((i128::from(value) * i128::from(unit) + i128::from(UNIT / 2)) >> UNIT_BITS) as i64;
+            prop_assert_eq!(scale(value, unit), wide);
+        }
     }
 }

@@ -192,7 +192,7 @@ impl<const N: usize> Chain<N> {
                 continue;
             }
             (path, blocks) = (span.path, span.blocks);
-            let way = place.zip(&span.knot, |to, from| super::in_mm(to - from));
+            let way = place.zip(&span.knot, |to, from| (to - from).to_mm());
             let mut square = 0.0;
             for part in way.iter() {
                 square += part * part;

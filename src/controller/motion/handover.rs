@@ -4,7 +4,7 @@ use super::block::{RAPID, SCALE_POWER};
 use super::flight::Record;
 use super::profile::{Curve, Pace, greater, lesser};
 use super::segment::{self, Cut};
-use super::{Announce, Far, Hold, Motion, Running};
+use super::{Announce, Far, Hold, Motion, Motors, Running};
 use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
 
 /// Step time handed to the step task in advance: enough for a control task that is late, and the latency of a hold.
@@ -21,6 +21,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
     pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
         self.observe(observed);
+        self.next_message()
+    }
+
+    /// The same with nothing observed anew.
+    #[inline]
+    pub fn next_message(&mut self) -> Option<ToStep> {
         if !self.started || self.hold == Hold::Held || self.flight.is_full() {
             return None;
         }
@@ -117,7 +123,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let wait_fixed = self.pacer.whole(wait);
             far.time -= u64::from(wait_fixed);
             self.rest = false;
-            return self.hand_over(&cut, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait);
+            let motors = self.prepared();
+            return self.hand_over(&cut, &motors, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait);
         }
         let time = far.time as u32;
         self.far = None;
@@ -169,7 +176,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
         let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0, acceleration: 0.0 };
         let interval = self.pacer.whole(clocks);
-        self.hand_over(&still, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
+        let motors = self.prepared();
+        self.hand_over(&still, &motors, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
 
     /// Hands over a cut with its time, and goes on to the next block after the last.
@@ -191,10 +199,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 self.hold = Hold::Held;
             }
         }
-        let segment =
-            self.hand_over(cut, flags, intervals.interval, intervals.ramp, cut.ticks as u16, intervals.clocks);
+        let motors = self.prepared();
+        let ticks = cut.ticks as u16;
+        let segment = self.hand_over(cut, &motors, flags, intervals.interval, intervals.ramp, ticks, intervals.clocks);
         if ends {
-            self.start = self.prepared();
+            self.start = motors;
             self.running.active = false;
             self.planner.pop();
             self.pace = self.pace.scaled(1.0 / self.running.scale);
@@ -209,14 +218,24 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     }
 
     /// Notes a segment that is on its way, and makes its message.
-    fn hand_over(&mut self, cut: &Cut, flags: u8, interval: u32, ramp: i32, ticks: u16, clocks: u32) -> Segment {
+    #[allow(clippy::too_many_arguments, reason = "what a segment and its record consist of")]
+    #[inline]
+    fn hand_over(
+        &mut self,
+        cut: &Cut,
+        motors: &Motors<N>,
+        flags: u8,
+        interval: u32,
+        ramp: i32,
+        ticks: u16,
+        clocks: u32,
+    ) -> Segment {
         let run = &self.running;
         let speed = cut.units as f32 / (cut.seconds * run.scale);
         let mut power = run.power;
         if run.flags & SCALE_POWER != 0 {
             power = (f32::from(power) * (speed / run.programmed)) as u16;
         }
-        let motors = self.prepared();
         let record =
             Record { position: motors.tool(), lead: motors.lead, speed, clocks, line_number: run.line_number, power };
         let rapid = if run.flags & RAPID != 0 { Segment::FLAG_RAPID } else { 0 };

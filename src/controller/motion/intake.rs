@@ -7,7 +7,7 @@ use super::curvature::{self, MOST_TURN, Piece};
 use super::planner::{self, DIGIT, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use super::{
-    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded, in_mm,
+    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded,
     signed_steps, unsigned_steps,
 };
 use crate::axes::{Axis, PerAxis};
@@ -103,7 +103,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {
-            let way = in_mm(*to - *from);
+            let way = (*to - *from).to_mm();
             square += way * way;
         }
         square_root(square)
@@ -111,7 +111,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32) {
-        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| in_mm(to - from));
+        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
         for part in way.iter() {
             square += part * part;
@@ -213,6 +213,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
         for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
+            if *part == 0.0 {
+                continue;
+            }
             let share = part.abs() / length;
             if share * acceleration > most {
                 acceleration = most / share;
@@ -250,7 +253,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return;
         }
         let distance = self.distance(&m.target);
-        let way = m.target.zip(&self.planned, |to, from| in_mm(to - from));
+        let way = m.target.zip(&self.planned, |to, from| (to - from).to_mm());
         let (acceleration, limit) = self.limits(&way, distance);
         let feed = match m.speed {
             Speed::Rapid => limit,

@@ -91,14 +91,14 @@ impl Curve {
         }
     }
 
-    /// Goes on by `distance` of the `left` units: seconds and the pace after it. Exact also from and to rest.
+    /// Goes on by `distance` of the `left` units, beginning in `phase`: seconds and the pace after it. Exact also from and to
+    /// rest.
     #[inline]
-    pub(super) fn advance(&self, from: Pace, mut left: f32, mut distance: f32) -> (f32, Pace) {
+    pub(super) fn advance(&self, from: Pace, mut phase: Phase, mut left: f32, mut distance: f32) -> (f32, Pace) {
         let slope = 2.0 * self.acceleration;
         let Pace { mut speed, mut speed2 } = from;
         let mut time = 0.0;
         for _ in 0..MOST_PHASES {
-            let phase = self.phase(speed2, left);
             let whole = phase.length <= distance;
             let piece = if whole { phase.length } else { distance };
             let end2 = if whole {
@@ -122,6 +122,7 @@ impl Curve {
             if !whole || distance <= 0.0 {
                 return (time, Pace { speed, speed2 });
             }
+            phase = self.phase(speed2, left);
         }
         if speed > 0.0 {
             time += distance / speed;

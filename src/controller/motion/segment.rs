@@ -35,7 +35,8 @@ pub(super) struct Cut {
 
 /// Speed in units/s above which `level` is not needed.
 fn level_speed(level: u8) -> f32 {
-    SMOOTH_RATE * UNITS_PER_STEP as f32 / (1_u32 << level) as f32
+    // The power of two by its exponent: no conversion and no division.
+    SMOOTH_RATE * UNITS_PER_STEP as f32 * f32::from_bits((127 - u32::from(level)) << 23)
 }
 
 /// The coarsest level whose ticks are fast enough.
@@ -150,7 +151,7 @@ pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
     let ticks = (units / grain).clamp(1, most);
     let units = ticks * grain;
 
-    let (seconds, end) = curve.advance(pace, left as f32, units as f32);
+    let (seconds, end) = curve.advance(pace, phase, left as f32, units as f32);
     let mut ramp = 0.0;
     if ticks > 1 && phase.sign != 0.0 && speed > 0.0 && end.speed > 0.0 {
         // The interval is grain / speed at either end of the segment.

@@ -81,6 +81,16 @@ impl Line {
         self.after_cr = false;
     }
 
+    /// Takes the next byte if it belongs to the text and the text has begun; what [`Line::push`] would do with it, in brief.
+    #[inline]
+    pub fn push_plain(&mut self, byte: u8) -> bool {
+        let of_text = byte > b' ' && !matches!(byte, b'(' | b';' | b'/');
+        let in_text = !self.text.is_empty() && self.text.len() < GRBL_LENGTH && self.comment == Comment::None;
+        let taken = of_text && in_text && self.text.push(byte.to_ascii_uppercase()).is_ok();
+        self.after_cr &= !taken;
+        taken
+    }
+
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
     #[inline]
     pub fn push(&mut self, byte: u8, rules: impl Fn() -> Rules) -> Pushed {

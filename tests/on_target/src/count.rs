@@ -12,7 +12,7 @@ use core::hint::black_box;
 use core::mem::MaybeUninit;
 use mps2_pac as _;
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
-use oxmill_controller::gcode::{Dialect, Interpreter};
+use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
@@ -353,9 +353,9 @@ fn planning(motion: &mut Planner) {
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
-fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8]) {
-    if let Ok(checked) = interpreter.check(line, Dialect::Oxmill) {
-        interpreter.commit(black_box(&checked));
+fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8], checked: &mut Checked<3>) {
+    if interpreter.check_into(line, Dialect::Oxmill, checked).is_ok() {
+        interpreter.commit(black_box(checked));
     }
 }
 
@@ -368,9 +368,10 @@ fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
 
 fn text_and_arcs() {
     let mut interpreter: Interpreter<3> = Interpreter::new();
+    let mut checked = Checked::NOTHING;
     row_text();
     for _ in 0..4 {
-        unit_text(black_box(&mut interpreter), black_box(b"G1X12.345Y-6.789F1200"));
+        unit_text(black_box(&mut interpreter), black_box(b"G1X12.345Y-6.789F1200"), black_box(&mut checked));
     }
     row_none();
     let mut geometry = ArcGeometry {
@@ -413,7 +414,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
         let segments_begun = begun.wrapping_add(segments).saturating_sub(WAITING);
         let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1 };
         controller.observe(observed);
-        match controller.output(now, Room { step: true, reply: true }) {
+        match &controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,
             Some(Output::Step(ToStep::Segment(_))) => segments += 1,
             Some(other) => _ = black_box(other),
