@@ -70,6 +70,7 @@ macro_rules! rows {
 rows! {
     row_tick_3 row_tick_1 row_tick_0 row_pulse_off row_worst_tick row_receive row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
+    row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far row_jerk_worst
 }
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
@@ -344,6 +345,76 @@ fn planning(motion: &mut Planner) {
     }
 }
 
+/// A look-ahead as on the large boards.
+type FarPlanner = Motion<3, 512>;
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_plan_far(motion: &mut FarPlanner, line: &Move<3>) -> bool {
+    motion.line(line)
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToStep> {
+    motion.next(observed)
+}
+
+/// The same with a jerk limit, on axes that are not alike.
+fn planning_with_jerk(motion: &mut FarPlanner) {
+    for k in 0..40 {
+        let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
+        if k == 4 {
+            row_jerk_plan();
+        }
+        black_box(unit_plan_far(motion, black_box(&line)));
+    }
+    row_jerk_prepare();
+    motion.start();
+    let mut observed = Observed::default();
+    for _ in 0..400 {
+        let message = unit_prepare_far(motion, black_box(&observed));
+        observed.segments_begun += u32::from(matches!(message, Some(ToStep::Segment(_))));
+    }
+    row_none();
+    while let Some(message) = motion.next(&observed) {
+        observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
+    }
+    observed.step_idle = true;
+    motion.observe(&observed);
+
+    // Blocks of a step on a wide curve: all of the queue is one ramp, and an ease-off goes over hundreds of them.
+    let far = 400_000;
+    let mut next = 0;
+    let mut line = || {
+        next += 1;
+        line_to(far + 10 * next, next * next / 2_000, 160.0)
+    };
+    for k in 0..512 {
+        match k {
+            80 => row_jerk_walk_near(),
+            81 => row_none(),
+            480 => row_jerk_walk_far(),
+            481 => row_none(),
+            _ => {}
+        }
+        black_box(unit_plan_far(motion, black_box(&line())));
+    }
+    motion.start();
+    observed.step_idle = false;
+    for _ in 0..12_000 {
+        while motion.free_blocks() > 0 {
+            motion.line(&line());
+        }
+        row_jerk_worst();
+        let message = unit_prepare_far(motion, black_box(&observed));
+        row_none();
+        observed.segments_begun += u32::from(matches!(message, Some(ToStep::Segment(_))));
+    }
+}
+
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -458,6 +529,9 @@ fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
     planning(motion.write(Motion::new(motion_settings())));
+    let far = cortex_m::singleton!(: MaybeUninit<FarPlanner> = MaybeUninit::uninit()).expect("main runs once");
+    let jerk = PerAxis([10_000.0, 8_000.0, 10_000.0]);
+    planning_with_jerk(far.write(Motion::new(MotionSettings { jerk, ..motion_settings() })));
     text_and_arcs();
     whole_line(cortex_m::singleton!(: MaybeUninit<Whole> = MaybeUninit::uninit()).expect("main runs once"));
     semihosting::process::exit(0)
