@@ -51,6 +51,7 @@ mod boards {
     pub const TIMER: usize = 0x2100_0000;
     pub const PWM: usize = 0x2100_0400;
     pub const GPIO: usize = 0x2110_0000;
+    pub const FAR_PLANNER: usize = 0x2120_0000;
     pub type StepPins = stm32f4_step::StepPins<GPIO, PWM, 1, 1, ()>;
     pub type StepTimer = stm32f4_step::StepTimer<TIMER, ()>;
 }
@@ -529,9 +530,12 @@ fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
     planning(motion.write(Motion::new(motion_settings())));
-    let far = cortex_m::singleton!(: MaybeUninit<FarPlanner> = MaybeUninit::uninit()).expect("main runs once");
-    let jerk = PerAxis([10_000.0, 8_000.0, 10_000.0]);
-    planning_with_jerk(far.write(Motion::new(MotionSettings { jerk, ..motion_settings() })));
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
+    let far = unsafe { (boards::FAR_PLANNER as *mut MaybeUninit<FarPlanner>).as_mut_unchecked() };
+    // Computed by the compiler: the stack has no room for it.
+    let far = far.write(const { Motion::unconfigured(boards::PROFILE.step_clock_hz) });
+    far.configure(MotionSettings { jerk: PerAxis([10_000.0, 8_000.0, 10_000.0]), ..motion_settings() });
+    planning_with_jerk(far);
     text_and_arcs();
     whole_line(cortex_m::singleton!(: MaybeUninit<Whole> = MaybeUninit::uninit()).expect("main runs once"));
     semihosting::process::exit(0)

@@ -229,7 +229,6 @@ fn a_crawl_knows_the_jerk_of_the_next_block() {
         course.run();
         // v·√(v / J) = 0.05 mm
         let most = (0.05_f64.powi(2) * 100.0).cbrt();
-        println!("{feed}: {} of {most} mm/s", course.entries[1]);
         assert!(course.entries[1] < most * 1.02, "{} of {most} mm/s", course.entries[1]);
         assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
     }
