@@ -405,7 +405,7 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
     }
     motion.start();
     observed.step_idle = false;
-    for _ in 0..12_000 {
+    for _ in 0..1_500 {
         while motion.free_blocks() > 0 {
             motion.line(&line());
         }
