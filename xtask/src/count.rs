@@ -70,9 +70,9 @@ const ROWS: [Row; 20] = [
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (3000, 5000)),
-    row("jerk_worst", "the worst on steps of 0.01 mm in a queue of 512", Figure::Worst, None, (9000, 15000)),
+    row("jerk_worst", "the worst of them, 256 blocks of 0.01 mm queued", Figure::Worst, None, (9000, 15000)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (4000, 6000)),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(400, "jerk_walk_near"), None, (200, 300)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (200, 300)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (2840, 4310))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (351, 495)).beside("138 / 241", "644 / 919"),

@@ -393,27 +393,24 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
         next += 1;
         line_to(far + 10 * next, next * next / 2_000, 160.0)
     };
-    for k in 0..512 {
+    for k in 0..256 {
         match k {
-            80 => row_jerk_walk_near(),
-            81 => row_none(),
-            480 => row_jerk_walk_far(),
-            481 => row_none(),
+            40 => row_jerk_walk_near(),
+            41 => row_none(),
+            240 => row_jerk_walk_far(),
+            241 => row_none(),
             _ => {}
         }
         black_box(unit_plan_far(motion, black_box(&line())));
     }
     motion.start();
     observed.step_idle = false;
-    for _ in 0..1_500 {
-        while motion.free_blocks() > 0 {
-            motion.line(&line());
-        }
-        row_jerk_worst();
+    row_jerk_worst();
+    for _ in 0..400 {
         let message = unit_prepare_far(motion, black_box(&observed));
-        row_none();
         observed.segments_begun += u32::from(matches!(message, Some(ToStep::Segment(_))));
     }
+    row_none();
 }
 
 #[unsafe(no_mangle)]
