@@ -365,8 +365,9 @@ fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToSt
 
 /// The same with a jerk limit, on axes that are not alike.
 fn planning_with_jerk(motion: &mut FarPlanner) {
+    // Shorter ones, for all of this is traced.
     for k in 0..40 {
-        let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
+        let line = line_to(2_000 * (k + 1), if k & 1 == 0 { 600 } else { 0 }, 60.0);
         if k == 4 {
             row_jerk_plan();
         }
