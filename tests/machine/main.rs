@@ -6,6 +6,7 @@ mod estimator;
 mod examples;
 mod host;
 mod jerk;
+mod jerk_in_use;
 mod kinematics;
 mod known_jobs;
 mod motion_properties;

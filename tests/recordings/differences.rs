@@ -38,6 +38,7 @@ const fn at_its_time(group: &'static str, n: u64, why: &'static str) -> Differen
 
 const CHECKED: &str =
     "whole-number settings and line numbers of $N are checked; Grbl cuts them to 8 bits or writes beyond its area";
+const PWM: &str = "$33, the frequency of the PWM, is a setting here and a constant in Grbl";
 const NUMBER: &str = "a setting that Grbl does not have; the reset input is inverted and so active at once";
 const HELD: &str =
     "the recording host's way out of a hold: the line is `!`, which holds here until the next `~` or reset";
@@ -83,6 +84,7 @@ pub fn is_stopped(group: &str, n: u64) -> bool {
 pub const DIFFERENCES: &[Difference] = &[
     differs("02_settings", 10, &["error:3"], CHECKED),
     differs("02_settings", 89, &["ok", "Grbl 1.1h ['$' for help]"], NUMBER),
+    differs("02_settings", 91, &["ok"], PWM),
     differs("03_startup_build", 9, &["error:3"], CHECKED),
     differs("03_startup_build", 11, &["error:3"], CHECKED),
     differs("07_modal_bad", 104, &[], HELD),

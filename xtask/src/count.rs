@@ -30,6 +30,9 @@ enum Figure {
     Base,
 }
 
+/// The costs of all calls of each row, and what each instruction of one row has cost, by its address.
+type Traced = (HashMap<String, Vec<Cost>>, HashMap<u32, Cost>);
+
 /// A row of the table.
 struct Row {
     key: &'static str,
@@ -52,9 +55,12 @@ impl Row {
     }
 }
 
+/// No limit: a row that is only printed, or not at all.
+const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
+
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
-const ROWS: [Row; 15] = [
+const ROWS: [Row; 20] = [
     row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
     row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
     row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
@@ -69,12 +75,17 @@ const ROWS: [Row; 15] = [
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
+    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, UNBOUNDED),
+    row("jerk_worst", "the worst of them, 256 blocks of 0.01 mm queued", Figure::Worst, None, UNBOUNDED),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, UNBOUNDED),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, UNBOUNDED),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_920, 14_350))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("walk_near", "", Figure::Base, None, (u64::MAX, u64::MAX)),
+    row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
+    row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
 
 /// Builds the program, runs it and judges the figures. With the profile of the small boards they are only printed.
@@ -114,7 +125,7 @@ pub fn profile(row: &str) -> Result<(), Failure> {
 }
 
 /// Builds the program, runs it, and measures: all calls, and what each instruction of one row has cost.
-fn traced(profile: &str, row: &str) -> Result<(HashMap<String, Vec<Cost>>, HashMap<u32, Cost>), Failure> {
+fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
     let mut build = cargo();
     build.args(["build", "--profile", profile, "--quiet", "--package", "oxmill-on-target", "--bin", "count"]);
@@ -136,11 +147,7 @@ fn address(line: &str) -> Option<u32> {
 }
 
 /// The costs of all calls of each row, and those of each instruction of the row `profiled`.
-fn measure(
-    bytes: &[u8],
-    trace: &Path,
-    profiled: &str,
-) -> Result<(HashMap<String, Vec<Cost>>, HashMap<u32, Cost>), Failure> {
+fn measure(bytes: &[u8], trace: &Path, profiled: &str) -> Result<Traced, Failure> {
     let mut spent: HashMap<u32, Cost> = HashMap::new();
     let elf = Elf { bytes };
     let symbols = elf.symbols().ok_or("the program is no ELF file")?;

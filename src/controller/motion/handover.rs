@@ -189,6 +189,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let ends = self.running.done >= self.running.total;
         let mut flags = 0;
         if ends && self.planner.len() < 2 {
+            // Never faster than what stops within a step, or the plan has been left.
+            debug_assert!(
+                cut.end.speed2 <= 2.0 * self.running.acceleration * UNITS_PER_STEP as f32,
+                "at the end of the queue at {} mm/s",
+                cut.end.speed / self.running.scale
+            );
             self.pace = Pace::REST;
         }
         self.rest = self.pace.speed2 <= 0.0;

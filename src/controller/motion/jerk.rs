@@ -127,8 +127,19 @@ impl State {
     /// Whether a braking machine can come down to `target` within `distance`, and be without acceleration there.
     pub(super) fn lands(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (valley, way) = self.valley(bounds.jerk);
+        if self.speed <= target {
+            return true;
+        }
+        if valley <= 0.0 {
+            // Too slow to ease off before it stands: the way to the target's speed while it does.
+            let change = self.speed - target;
+            let root = square_root(greater(self.acceleration * self.acceleration - 2.0 * bounds.jerk * change, 0.0));
+            let time = 2.0 * change / (root - self.acceleration);
+            return time * (self.speed + time * (0.5 * self.acceleration + time * bounds.jerk * (1.0 / 6.0)))
+                <= distance;
+        }
         if valley <= target {
-            return self.speed <= target || way <= distance;
+            return way <= distance;
         }
         self.falls(target, distance, bounds)
     }
@@ -239,6 +250,42 @@ mod tests {
             assert!(state.lands(to, whole - way + 0.01, BOUNDS));
             assert!(!state.lands(to, whole - way - 0.01, BOUNDS));
         }
+    }
+
+    /// Wherever a state is said to land below the speed at which it is eased off, doing just that comes down in time.
+    #[test]
+    fn easing_off_at_once_comes_down_in_time() {
+        let jerk = BOUNDS.jerk;
+        let mut found = [0; 3];
+        for k in 0..60_000_u32 {
+            let random = |salt: u32, most: f32| {
+                (k.wrapping_mul(2_654_435_761).wrapping_mul(salt) >> 8) as f32 / 16_777_216.0 * most
+            };
+            let state = State { speed: random(3, 30.0), acceleration: -random(5, 500.0) };
+            let (target, distance) = (if k % 3 == 0 { 0.0 } else { random(7, 15.0) }, random(11, 0.5));
+            let (valley, _) = state.valley(jerk);
+            if state.speed <= target || valley > target || state.acceleration == 0.0 {
+                continue;
+            }
+            let (mut v, mut a, mut way) = (state.speed, state.acceleration, 0.0);
+            while v > target && a < 0.0 && way <= distance {
+                let time = 1.0e-5;
+                way += v * time;
+                v += a * time;
+                a += jerk * time;
+            }
+            let lands = state.lands(target, distance, BOUNDS);
+            if lands {
+                assert!(
+                    v < target + 0.02 || (way - distance).abs() < 2.0e-3,
+                    "{state:?} {target} {distance}: {v} at {way}"
+                );
+            } else if valley <= 0.0 {
+                assert!(way > distance - 2.0e-3, "{state:?} {target} {distance}: {v} at {way}");
+            }
+            found[if valley <= 0.0 { 0 } else { 1 } + usize::from(lands && valley > 0.0)] += 1;
+        }
+        assert!(found.iter().all(|count| *count > 100), "{found:?}");
     }
 
     #[test]

@@ -116,6 +116,34 @@ impl Way {
     }
 }
 
+/// Groups of neighbouring places of the ring of which the planner keeps in mind what an ease-off across them must know: it
+/// may span hundreds of blocks and is looked at anew with each segment. With 512 blocks two groups of 16 are walked through
+/// at most, the first and the last, and 31 taken as a whole.
+const GROUPS: usize = 32;
+
+/// One or more blocks in a row, as a machine sees them that eases off its acceleration meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Stretch {
+    length: f32,
+    /// Speed² of the slowest anchor among the entries.
+    slowest2: f32,
+    bounds: Bounds,
+}
+
+impl Stretch {
+    const NONE: Self = Self { length: 0.0, slowest2: f32::INFINITY, bounds: Bounds::NONE };
+
+    #[inline]
+    fn and<const N: usize>(self, block: &Block<N>) -> Self {
+        let anchor2 = if block.ramp.distance == 0.0 { block.entry2 } else { f32::INFINITY };
+        Self {
+            length: self.length + block.length,
+            slowest2: lesser(self.slowest2, anchor2),
+            bounds: self.bounds.and(block.bounds()),
+        }
+    }
+}
+
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Clone, Debug)]
 pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
@@ -124,14 +152,20 @@ pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
     len: usize,
     /// Limits have changed from this place on.
     changed: usize,
+    /// Of the groups that are in the queue as a whole; with a jerk limit only.
+    groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
+    /// Places of a group; the last one may have fewer.
+    const GROUP: usize = BLOCKS.div_ceil(GROUPS);
+
     #[inline(always)]
     pub(super) const fn new() -> Self {
-        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0, jerk_limited: false }
+        let groups = [Stretch::NONE; GROUPS];
+        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0, groups, jerk_limited: false }
     }
 
     #[inline]
@@ -159,9 +193,9 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     pub(super) fn exit2(&self) -> f32 {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
-            // On the way to an anchor, in a crawl that knows no jerk.
-            let reach2 = next.entry2 + 2.0 * next.ramp.bounds().acceleration * next.ramp.distance;
-            return lesser(reach2, next.ramp.ceiling2);
+            // On the way to an anchor, in a crawl: the next block may lean on an axis of much less jerk.
+            let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
+            return lesser(reach * reach, next.ramp.ceiling2);
         }
         next.entry2
     }
@@ -215,7 +249,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// Brings the entries into line with what has been appended and limited.
     pub(super) fn plan(&mut self) {
         if self.jerk_limited {
-            self.reverse_pass_to_anchors();
+            let changed = self.reverse_pass_to_anchors();
+            self.sum_up(changed);
         } else {
             self.reverse_pass();
         }
@@ -223,7 +258,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// Applies new overrides to all blocks.
     pub(super) fn replan(&mut self, overrides: Overrides) {
-        let mut previous = 0.0;
+        let mut previous = f32::INFINITY;
         for place in 0..self.len {
             let slot = self.slot(place);
             if let Some(block) = self.blocks.get_mut(slot) {
@@ -256,27 +291,18 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     }
 
     /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
-    /// as anchors change.
+    /// as anchors change; gives the first place that was looked at.
     #[inline(never)]
-    fn reverse_pass_to_anchors(&mut self) {
+    fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);
         let mut place = self.len;
         while place > 1 {
             place -= 1;
             let slot = self.slot(place);
-            let Some(block) = self.blocks.get(slot) else { return };
+            self.end_at_border(place, &mut way);
+            let Some(block) = self.blocks.get(slot) else { break };
             let own = block.bounds().rounded_down();
             let (length, cap2) = (block.length, block.max_entry2);
-            if way.distance > 0.0
-                && way.differs(own)
-                && let Some(speed) = way.better_anchor(own, cap2)
-            {
-                way = Way::to(speed);
-                let slot = self.slot(place + 1);
-                if let Some(next) = self.blocks.get_mut(slot) {
-                    (next.entry2, next.ramp) = (speed * speed, Ramp::ANCHOR);
-                }
-            }
             way.distance += length;
             way.bounds = way.bounds.and(own);
             let reach2 = way.speed * way.speed + 2.0 * way.bounds.acceleration * way.distance;
@@ -287,17 +313,85 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
                     way = Way::to(ceiling);
                 }
             }
-            let Some(block) = self.blocks.get_mut(slot) else { return };
+            let Some(block) = self.blocks.get_mut(slot) else { break };
             let entry2 = way.speed * way.speed;
             if way.distance > 0.0 {
                 block.ramp = Ramp::new(way.distance, way.ceiling2, way.bounds);
             } else if place < self.changed && block.entry2 == entry2 && block.ramp == Ramp::ANCHOR {
-                return;
+                break;
             } else {
                 block.ramp = Ramp::ANCHOR;
             }
             block.entry2 = entry2;
         }
+        // The running block may have a border of this kind too.
+        self.end_at_border(place.saturating_sub(1), &mut way);
+        place
+    }
+
+    /// Begins a new way at the end of the block at a place, if that has tighter or looser bounds to which this is better.
+    #[inline]
+    fn end_at_border(&mut self, place: usize, way: &mut Way) {
+        let Some(block) = self.block(place) else { return };
+        let own = block.bounds().rounded_down();
+        if way.distance > 0.0
+            && way.differs(own)
+            && let Some(speed) = way.better_anchor(own, block.max_entry2)
+        {
+            *way = Way::to(speed);
+            let slot = self.slot(place + 1);
+            if let Some(next) = self.blocks.get_mut(slot) {
+                (next.entry2, next.ramp) = (speed * speed, Ramp::ANCHOR);
+            }
+        }
+    }
+
+    /// Brings the groups into line with the blocks from a place on.
+    fn sum_up(&mut self, from: usize) {
+        let within = self.slot(from) % Self::GROUP;
+        let mut place = from;
+        if let Some(start) = from.checked_sub(within) {
+            place = start;
+        } else {
+            // The first blocks of this group are gone, so nobody asks for it as a whole.
+            place += self.group_size(self.slot(from) - within) - within;
+        }
+        while place < self.len {
+            let slot = self.slot(place);
+            let size = self.group_size(slot);
+            let (Some(blocks), Some(group)) =
+                (self.blocks.get(slot..slot + size), self.groups.get_mut(slot / Self::GROUP))
+            else {
+                return;
+            };
+            if place + size > self.len {
+                return;
+            }
+            *group = blocks.iter().fold(Stretch::NONE, Stretch::and);
+            place += size;
+        }
+    }
+
+    /// Places of the group that begins at a slot.
+    #[inline]
+    fn group_size(&self, slot: usize) -> usize {
+        Self::GROUP.min(BLOCKS - slot)
+    }
+
+    /// What begins at a place, and how many blocks that are: a whole group if the distance leads out of it, else one.
+    #[inline]
+    fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
+        let slot = self.slot(place);
+        let size = self.group_size(slot);
+        if slot.is_multiple_of(Self::GROUP)
+            && size > 1
+            && place + size <= self.len
+            && let Some(group) = self.groups.get(slot / Self::GROUP)
+            && group.length < distance
+        {
+            return Some((*group, size));
+        }
+        self.block(place).map(|block| (Stretch::NONE.and(block), 1))
     }
 
     #[inline]
@@ -324,18 +418,18 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         let mut place = 0;
         let mut end = left;
         while ahead > end {
-            place += 1;
-            let block = self.block(place)?;
-            if block.ramp.distance == 0.0 && summit * summit > block.entry2 {
-                return None;
-            }
-            own = block.bounds();
+            let (stretch, blocks) = self.stretch(place + 1, ahead - end)?;
+            place += blocks;
+            own = stretch.bounds;
             acceleration = lesser(acceleration, own.acceleration);
             if own.jerk < jerk {
                 jerk = own.jerk;
                 (summit, ahead) = state.summit(jerk);
             }
-            end += block.length;
+            if summit * summit > stretch.slowest2 {
+                return None;
+            }
+            end += stretch.length;
         }
         let stands = State { speed: summit, acceleration: 0.0 };
         self.target(place, end - ahead, own).is_met(stands).then_some(acceleration)
@@ -360,10 +454,10 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         let mut bounds = self.first().map_or(Bounds::NONE, Block::bounds);
         let (mut place, mut end) = (0, left);
         while distance > end {
-            place += 1;
-            let Some(block) = self.block(place) else { break };
-            bounds = bounds.and(block.bounds());
-            end += block.length;
+            let Some((stretch, blocks)) = self.stretch(place + 1, distance - end) else { break };
+            place += blocks;
+            bounds = bounds.and(stretch.bounds);
+            end += stretch.length;
         }
         bounds
     }
@@ -391,5 +485,22 @@ impl Target {
     pub(super) fn is_met(&self, state: State) -> bool {
         let (speed, distance) = self.nearest(state.speed);
         state.lands(speed, distance, self.bounds)
+    }
+}
+
+#[cfg(test)]
+impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
+    /// Asserts that what has been planned step by step is what is planned at once, and what the groups say of it.
+    pub(super) fn assert_consistent(&self) {
+        let mut fresh = self.clone();
+        fresh.changed = 0;
+        fresh.plan();
+        for place in 1..self.len {
+            let (own, other) = (self.block(place).unwrap(), fresh.block(place).unwrap());
+            assert_eq!((own.entry2, own.ramp), (other.entry2, other.ramp), "entry {place} of {}", self.len);
+            let (stretch, blocks) = self.stretch(place, f32::INFINITY).unwrap();
+            let single = (place..place + blocks).map(|at| self.block(at).unwrap());
+            assert_eq!(stretch, single.fold(Stretch::NONE, Stretch::and), "{blocks} blocks at {place}");
+        }
     }
 }

@@ -55,6 +55,7 @@ mod boards {
     pub const TIMER: usize = 0x2100_0000;
     pub const PWM: usize = 0x2100_0400;
     pub const GPIO: usize = 0x2110_0000;
+    pub const FAR_PLANNER: usize = 0x2120_0000;
     pub type StepPins = stm32f4_step::StepPins<GPIO, PWM, 1, 1, ()>;
     pub type StepTimer = stm32f4_step::StepTimer<TIMER, ()>;
 }
@@ -74,6 +75,7 @@ macro_rules! rows {
 rows! {
     row_tick_3 row_tick_1 row_tick_0 row_pulse_off row_worst_tick row_receive row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
+    row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far row_jerk_worst
 }
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
@@ -350,6 +352,74 @@ fn planning(motion: &mut Planner) {
     }
 }
 
+/// A look-ahead as on the large boards.
+type FarPlanner = Motion<3, 512>;
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_plan_far(motion: &mut FarPlanner, line: &Move<3>) -> bool {
+    motion.line(line)
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToStep> {
+    motion.next(observed)
+}
+
+/// The same with a jerk limit, on axes that are not alike.
+fn planning_with_jerk(motion: &mut FarPlanner) {
+    // Shorter ones, for all of this is traced.
+    for k in 0..40 {
+        let line = line_to(2_000 * (k + 1), if k & 1 == 0 { 600 } else { 0 }, 60.0);
+        if k == 4 {
+            row_jerk_plan();
+        }
+        black_box(unit_plan_far(motion, black_box(&line)));
+    }
+    row_jerk_prepare();
+    motion.start();
+    let mut observed = Observed::default();
+    for _ in 0..400 {
+        let message = unit_prepare_far(motion, black_box(&observed));
+        observed.segments_begun += u32::from(matches!(message, Some(ToStep::Segment(_))));
+    }
+    row_none();
+    while let Some(message) = motion.next(&observed) {
+        observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
+    }
+    observed.step_idle = true;
+    motion.observe(&observed);
+
+    // Blocks of a step on a wide curve: all of the queue is one ramp, and an ease-off goes over hundreds of them.
+    let far = 400_000;
+    let mut next = 0;
+    let mut line = || {
+        next += 1;
+        line_to(far + 10 * next, next * next / 2_000, 160.0)
+    };
+    for k in 0..256 {
+        match k {
+            40 => row_jerk_walk_near(),
+            41 => row_none(),
+            240 => row_jerk_walk_far(),
+            241 => row_none(),
+            _ => {}
+        }
+        black_box(unit_plan_far(motion, black_box(&line())));
+    }
+    motion.start();
+    observed.step_idle = false;
+    row_jerk_worst();
+    for _ in 0..400 {
+        let message = unit_prepare_far(motion, black_box(&observed));
+        observed.segments_begun += u32::from(matches!(message, Some(ToStep::Segment(_))));
+    }
+    row_none();
+}
+
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -466,6 +536,12 @@ fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
     planning(motion.write(Motion::new(motion_settings())));
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
+    let far = unsafe { (boards::FAR_PLANNER as *mut MaybeUninit<FarPlanner>).as_mut_unchecked() };
+    // Computed by the compiler: the stack has no room for it.
+    let far = far.write(const { Motion::unconfigured(boards::PROFILE.step_clock_hz) });
+    far.configure(MotionSettings { jerk: PerAxis([10_000.0, 8_000.0, 10_000.0]), ..motion_settings() });
+    planning_with_jerk(far);
     text_and_arcs();
     whole_line(cortex_m::singleton!(: MaybeUninit<Whole> = MaybeUninit::uninit()).expect("main runs once"));
     semihosting::process::exit(0)

@@ -21,6 +21,8 @@ struct Point {
     corner: f64,
     block: usize,
     last: bool,
+    /// mm of the segment.
+    way: f64,
 }
 
 struct Course<const B: usize> {
@@ -32,6 +34,7 @@ struct Course<const B: usize> {
     time: f64,
     blocks: usize,
     pub entries: Vec<f64>,
+    fills: u32,
 }
 
 impl<const B: usize> Course<B> {
@@ -49,6 +52,7 @@ impl<const B: usize> Course<B> {
             time: 0.0,
             blocks: 0,
             entries: Vec::new(),
+            fills: 0,
         }
     }
 
@@ -60,6 +64,10 @@ impl<const B: usize> Course<B> {
                 break;
             }
             self.next = self.moves.next();
+        }
+        self.fills += 1;
+        if self.fills % 64 == 1 {
+            self.motion.planner.assert_consistent();
         }
         self.motion.start();
     }
@@ -107,6 +115,7 @@ impl<const B: usize> Course<B> {
             corner,
             block: self.blocks,
             last: segment.flags & Segment::FLAG_LAST != 0,
+            way: ticks * f64::from(16 >> segment.level) / scale,
         });
         true
     }
@@ -125,6 +134,13 @@ impl<const B: usize> Course<B> {
         let mut faults = Vec::new();
         for pair in self.points.windows(2) {
             let [a, b] = pair else { continue };
+            let jerk = a.jerk.max(b.jerk);
+            // Within a step ramps need not be smooth.
+            let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
+            if b.last && !a.last && a.speed > crawl && a.speed > 1.1 * (4.5 * jerk * b.way.powi(2)).cbrt() {
+                // From this speed an even jerk does not bring the machine to rest in the last segment.
+                faults.push(format!("end {a:?}\n  {b:?}"));
+            }
             if a.last || b.last {
                 continue;
             }
@@ -141,9 +157,6 @@ impl<const B: usize> Course<B> {
                 faults.push(format!("nominal {a:?}\n  {b:?}"));
             }
             let seen = (b.acceleration - a.acceleration).abs();
-            let jerk = a.jerk.max(b.jerk);
-            // Within a step ramps need not be smooth.
-            let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
             if b.speed > crawl
                 && seen
                     > jerk * b.seconds * 1.05
@@ -203,38 +216,56 @@ fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
 }
 
+/// A crawl into a block whose axis takes a hundredth of the jerk is as slow as that block's end asks for.
+#[test]
+fn a_crawl_knows_the_jerk_of_the_next_block() {
+    let mut config = machine(1.0e4);
+    config.acceleration.0[1] = 50.0;
+    config.jerk.0[1] = 100.0;
+    for feed in [0.8, 1.0] {
+        let moves = vec![to([1.0, 0.0, 0.0], Speed::Feed(feed)), to([1.0, 0.05, 0.0], Speed::Feed(feed))];
+        config.junction_deviation = 1.0;
+        let mut course = Course::<8>::new(config, moves);
+        course.run();
+        // v·√(v / J) = 0.05 mm
+        let most = (0.05_f64.powi(2) * 100.0).cbrt();
+        assert!(course.entries[1] < most * 1.02, "{} of {most} mm/s", course.entries[1]);
+        assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
+    }
+}
+
+/// Long and short moves, chains of blocks with gentle bends, and curves; some pieces lean on Z in all or a few blocks.
 fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     let piece = prop_oneof![
-        (0_u32..360, 1_u32..4000, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
-            f64::from(turn),
-            f64::from(length) * 0.01,
-            count,
-            feed,
-            0.0
-        )),
-        (0_u32..40, 1_u32..400, 1_u32..60, 1.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+        (0_u32..360, 1_u32..4000, 1_u32..60).prop_map(|(turn, length, count)| (f64::from(turn), length, count, 0.0)),
+        (0_u32..40, 1_u32..400, 1_u32..60).prop_map(|(turn, length, count)| (
             f64::from(turn) * 0.1,
-            f64::from(length) * 0.01,
+            length,
             count,
-            feed,
             0.0
         )),
-        (0_u32..40, 1_u32..100, 10_u32..200, 20.0_f32..200.0).prop_map(|(turn, length, count, feed)| (
+        (0_u32..40, 1_u32..100, 10_u32..200).prop_map(|(bend, length, count)| (
             0.0,
-            f64::from(length) * 0.01,
+            length,
             count,
-            feed,
-            f64::from(turn) * 0.1 - 2.0
+            f64::from(bend) * 0.1 - 2.0
         )),
     ];
-    prop::collection::vec(piece, 1..10).prop_map(|pieces| {
+    let leaning = prop::option::weighted(0.4, (1_u32..60, 1_u32..40, -40_i32..40));
+    prop::collection::vec((piece, 1.0_f32..200.0, leaning), 1..10).prop_map(|pieces| {
         let (mut at, mut angle, mut moves) = ([0.0, 0.0, 0.0], 0.0_f64, Vec::new());
-        for (turn, length, count, feed, bend) in pieces {
+        for ((turn, length, count, bend), feed, leaning) in pieces {
+            let length = f64::from(length) * 0.01;
             angle += turn;
-            for _ in 0..count {
+            for k in 0..count {
                 angle += bend;
                 at[0] += length * angle.to_radians().cos();
                 at[1] += length * angle.to_radians().sin();
+                if let Some((from, many, slope)) = leaning
+                    && (from..from + many).contains(&k)
+                {
+                    at[2] += length * f64::from(slope) * 0.001;
+                }
                 moves.push(to(at, Speed::Feed(feed)));
             }
         }
@@ -242,17 +273,25 @@ fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     })
 }
 
+/// A machine with unequal axes, the third slow.
+fn unequal(jerk: f32, share: f32, slow: f32) -> MotionSettings<3> {
+    let mut config = machine(jerk);
+    config.acceleration.0[1] *= share;
+    config.jerk.0[1] *= 1.3 - share;
+    config.acceleration.0[2] *= slow;
+    config.jerk.0[2] *= slow;
+    config
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 40, max_shrink_iters: 500, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 40, max_shrink_iters: 60, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
     fn disturbed(
-        moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0,
+        moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), share in 0.3_f32..1.0,
+        slow in 0.001_f32..0.1,
         events in prop::collection::vec((1_usize..600, 0_u8..8, 0_usize..6), 1..30),
     ) {
-        let mut config = machine(jerk);
-        config.acceleration.0[1] *= unequal;
-        config.jerk.0[1] *= 1.3 - unequal;
-        let mut course = Course::<600>::new(config, moves);
+        let mut course = Course::<600>::new(unequal(jerk, share, slow), moves);
         course.fill(3);
         for (messages, what, moves) in events {
             course.motion.start();
@@ -268,6 +307,7 @@ proptest! {
                 6 => course.motion.set_overrides(0.7, 1.0),
                 _ => course.fill(moves),
             }
+            course.motion.planner.assert_consistent();
         }
         course.motion.resume();
         course.run();
@@ -276,11 +316,10 @@ proptest! {
     }
 
     #[test]
-    fn courses(moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]), unequal in 0.3_f32..1.0) {
-        let mut config = machine(jerk);
-        config.acceleration.0[1] *= unequal;
-        config.jerk.0[1] *= 1.3 - unequal;
-        let mut course = Course::<600>::new(config, moves);
+    fn courses(moves in job(), jerk in prop::sample::select(vec![500.0_f32, 5.0e3, 3.0e4, 1.0e6]),
+        share in 0.3_f32..1.0, slow in 0.001_f32..0.1,
+    ) {
+        let mut course = Course::<600>::new(unequal(jerk, share, slow), moves);
         course.run();
         let faults = course.faults(false);
         prop_assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.iter().take(3).cloned().collect::<Vec<_>>().join("\n"));

@@ -1,0 +1,344 @@
+//! The jerk limit wherever the machine moves otherwise than along a program's lines: arcs, homing, jogs and their cancel,
+//! parking, slack that is taken up, belts, and holds.
+//!
+//! Each test looks at one number over time, the way along an arc or the place of an axis, as the steps tell it: between two
+//! steps by interpolation, so up to a step off ([`UNCERTAIN`]; the finer grid of slow moves is part of that). Its
+//! differences over a time h, of first, second and third order, are means of speed, acceleration and jerk times h, h², h³.
+//! They may exceed what the limits make of that by 1 % for each order, and by what uncertain places make of it: 2, 4 and 8
+//! times that of one.
+
+use super::estimator::TOLERANCE;
+use super::host::numbers;
+use super::oracle::AXES;
+use oxmill_simulator::{Fittings, Options, Simulator, boards};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use std::fmt::Write;
+use std::time::Duration;
+
+const HZ: f64 = boards::DESK.step_clock_hz as f64;
+const STEPS: f64 = 400.0;
+const RATE: f64 = 100.0;
+const ACCELERATION: f64 = 500.0;
+const JERK: f64 = 5000.0;
+const PITCH: f64 = 1.0 / STEPS;
+/// By how many steps a place may be off.
+const UNCERTAIN: f64 = 1.0;
+
+fn mill(description: &str, more: &str) -> Simulator {
+    let fittings = Fittings::parse(&format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n{description}")).unwrap();
+    let mut mill = Simulator::new(Options { keep_steps: true, fittings, ..Options::default() });
+    let mut text = String::from("$0=3\n$11=0.02\n");
+    for axis in 0..AXES {
+        writeln!(text, "$10{axis}={STEPS}\n$11{axis}={}\n$12{axis}={ACCELERATION}\n$22{axis}={JERK}", RATE * 60.0)
+            .unwrap();
+    }
+    run(&mut mill, &format!("{text}{more}"));
+    mill.trace_mut().restart();
+    mill
+}
+
+/// Line for line, each to its end.
+fn run(mill: &mut Simulator, text: &str) {
+    for line in text.lines() {
+        mill.send(format!("{line}\n"));
+        assert!(mill.run_until_idle(), "{line}");
+    }
+    let said = mill.take_output();
+    assert!(!said.contains("error") && !said.contains("ALARM"), "{text}: {said}");
+}
+
+/// Seconds and all axes in mm, at rest first.
+fn places(mill: &Simulator) -> Vec<(f64, [f64; AXES])> {
+    mill.trace().kept().iter().map(|r| (r.at as f64 / HZ, r.position.map(|steps| f64::from(steps) / STEPS))).collect()
+}
+
+/// A place on the way at any time.
+fn at(course: &[(f64, f64)], time: f64) -> f64 {
+    let next = course.partition_point(|p| p.0 <= time);
+    match (next.checked_sub(1).and_then(|k| course.get(k)), course.get(next)) {
+        (Some(a), Some(b)) => a.1 + (b.1 - a.1) * (time - a.0) / (b.0 - a.0),
+        (Some(a), None) => a.1,
+        (None, b) => b.map_or(0.0, |b| b.1),
+    }
+}
+
+/// Compares speed, acceleration and jerk with bounds, wherever none of the places compared is exempt.
+fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl Fn(f64) -> bool) -> Result<(), String> {
+    let (Some(first), Some(last)) = (course.first(), course.last()) else { return Err("nothing moves".into()) };
+    let mut compared = 0;
+    for (order, weights) in [[-1.0, 1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [-1.0, 3.0, -3.0, 1.0]].iter().enumerate() {
+        // So long that what is uncertain is a quarter of what the jerk makes of it, and the like for the others.
+        let h = [20.0 * PITCH / RATE, (64.0 * PITCH / ACCELERATION).sqrt(), (32.0 * PITCH / JERK).cbrt()][order];
+        let mut time = first.0 - 3.0 * h;
+        while time < last.0 {
+            let points = [0.0, 1.0, 2.0, 3.0].map(|k| at(course, time + k * h));
+            if !points.iter().any(|place| exempt(*place)) {
+                let seen: f64 = points.iter().zip(weights).map(|(place, weight)| place * weight).sum();
+                let most = points.iter().map(|place| bounds(*place)[order]).fold(0.0, f64::max);
+                let size = h.powi(order as i32 + 1);
+                let slack = f64::from(2_u32 << order) * UNCERTAIN * PITCH;
+                if seen.abs() > most * size * (1.0 + TOLERANCE * (order + 1) as f64) + slack {
+                    return Err(format!("order {}: {} of {most} at {time} s, over {h} s", order + 1, seen / size));
+                }
+                compared += 1;
+            }
+            time += h / 3.0;
+        }
+    }
+    if compared > 0 { Ok(()) } else { Err("nothing was compared".into()) }
+}
+
+/// Checks each axis that moves.
+#[track_caller]
+fn check_axes(places: &[(f64, [f64; AXES])], exempt: impl Fn(usize, f64) -> bool) {
+    for axis in 0..AXES {
+        let mut course: Vec<(f64, f64)> = Vec::new();
+        for (time, place) in places {
+            if course.last().is_none_or(|last| last.1 != place[axis]) {
+                course.push((*time, place[axis]));
+            }
+        }
+        if course.len() > 1 {
+            check(&course, |_| [RATE, ACCELERATION, JERK], |place| exempt(axis, place))
+                .unwrap_or_else(|why| panic!("axis {axis}: {why}"));
+        }
+    }
+}
+
+#[track_caller]
+fn assert_counted(mill: &Simulator) {
+    assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), mill.machine_position());
+}
+
+/// The measure itself: it sees a trapezoid, and a jerk that is a half too great.
+#[test]
+fn what_exceeds_the_jerk_limit_is_seen() {
+    for jerk in [0.0, 1.5 * JERK] {
+        let mut mill = mill("", &format!("$220={jerk}\n"));
+        run(&mut mill, "G1 X40 F6000");
+        let course: Vec<(f64, f64)> = places(&mill).iter().map(|(time, place)| (*time, place[0])).collect();
+        let fault = check(&course, |_| [RATE, ACCELERATION, JERK], |_| false).unwrap_err();
+        assert!(fault.starts_with("order 3"), "{fault}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 24, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+    })]
+
+    /// Circles and helices of any size and feed; their way is the angle.
+    #[test]
+    fn jerk_is_bounded_on_arcs(
+        radius in 1_u32..30, turns in 1_u32..4, depth in prop::sample::select(vec![0_i32, 0, -2, 9]), feed in 300_u32..6000,
+        clockwise in any::<bool>(), touches in prop::collection::vec((20_u64..600, prop::sample::select(&[0x90, 0x91, 0x92, b'!', b'~'][..])), 0..4),
+    ) {
+        let mut mill = mill("", "");
+        let radius = f64::from(radius);
+        let code = if clockwise { 2 } else { 3 };
+        mill.send(format!("G17 G21 G90\nG{code} X0 Y0 Z{depth} I{radius} J0 P{turns} F{feed}\n"));
+        let touched = !touches.is_empty();
+        for (milliseconds, touch) in touches {
+            mill.run_for(Duration::from_millis(milliseconds));
+            mill.send([touch]);
+        }
+        for _ in 0..2 {
+            mill.run_for(Duration::from_secs(2));
+            mill.send("~");
+        }
+        prop_assert!(mill.run_until_idle());
+        let said = mill.take_output();
+        prop_assert!(!said.contains("error") && !said.contains("ALARM"), "{said}");
+        let end = [0.0, 0.0, f64::from(depth)];
+        prop_assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), end);
+        // mm of path for each rad, and the shares of the plane and of Z in it.
+        let angle = f64::from(turns) * std::f64::consts::TAU;
+        let path = radius.hypot(f64::from(depth) / angle);
+        let (plane, across) = (radius / path, (f64::from(depth) / angle / path).abs());
+        let mut course = vec![(0.0, 0.0)];
+        let mut before = std::f64::consts::PI;
+        let mut whole = 0.0;
+        for (time, place) in places(&mill) {
+            let seen = place[1].atan2(place[0] - radius);
+            let turn = (seen - before + 3.0 * std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+            whole += if clockwise { -turn } else { turn };
+            before = seen;
+            course.push((time, whole * path));
+        }
+        course.remove(0);
+        prop_assert!((whole - angle).abs() < 2.0 * PITCH / radius, "{} of {} rad", whole, angle);
+        // Centripetal acceleration is the axes' own matter; along the path each gives what it can.
+        let most = |place: f64| {
+            let angle = place / path;
+            let share = angle.cos().abs().max(angle.sin().abs()) * plane;
+            1.0 / share.max(across)
+        };
+        let fastest = f64::from(feed) / 60.0 * if touched { 2.0 } else { 1.0 };
+        let checked = check(&course, |place| [fastest.min(RATE * most(place)), ACCELERATION * most(place), JERK * most(place)], |_| false);
+        prop_assert!(checked.is_ok(), "{checked:?}");
+    }
+
+    #[test]
+    fn jerk_is_bounded_in_jogs_and_their_cancel(
+        jogs in prop::collection::vec((0..AXES, -40_i32..40, 60_u32..6000), 1..5), cancel in prop::option::of(5_u64..900),
+    ) {
+        let mut mill = mill("", "");
+        for (axis, way, feed) in jogs {
+            let letter = ['X', 'Y', 'Z'][axis];
+            mill.send(format!("$J=G91 {letter}{way} F{feed}\n"));
+        }
+        if let Some(milliseconds) = cancel {
+            mill.run_for(Duration::from_millis(milliseconds));
+            mill.send([0x85]);
+        }
+        prop_assert!(mill.run_until_idle());
+        prop_assert!(!mill.take_output().contains("error:9"));
+        assert_counted(&mill);
+        if !mill.trace().kept().is_empty() {
+            // Round a corner of two jogs an axis begins and ends at speed.
+            let places = places(&mill);
+            let (whole, _) = straight(&places);
+            if whole {
+                check_axes(&places, |_, _| false);
+            }
+        }
+    }
+}
+
+/// Whether only one axis moves, and which.
+fn straight(places: &[(f64, [f64; AXES])]) -> (bool, usize) {
+    let moves = |axis: usize| places.iter().any(|p| p.1[axis] != places[0].1[axis]);
+    let axes: Vec<usize> = (0..AXES).filter(|axis| moves(*axis)).collect();
+    (axes.len() == 1, axes.first().copied().unwrap_or(0))
+}
+
+/// A jog along one axis is cancelled at any moment of its ramps.
+#[test]
+fn jerk_is_bounded_when_a_jog_is_cancelled() {
+    for milliseconds in (5..700).step_by(31) {
+        let mut mill = mill("", "");
+        mill.send("$J=G91 X50 F6000\n");
+        mill.run_for(Duration::from_millis(milliseconds));
+        mill.send([0x85]);
+        assert!(mill.run_until_idle());
+        assert_counted(&mill);
+        check_axes(&places(&mill), |_, _| false);
+    }
+}
+
+const SWITCHES: &str = r#"
+    [[switch]]
+    axis = "x"
+    at_mm = 4.0
+    side = "positive"
+    [[switch]]
+    axis = "y"
+    at_mm = 4.0
+    side = "positive"
+    [[switch]]
+    axis = "z"
+    at_mm = 4.0
+    side = "positive"
+"#;
+const CYCLE: &str = "$22=1\n$24=300\n$25=2400\n$27=3\n";
+
+/// Behind the switch the step task brakes by itself, with an even deceleration; everything else has bounded jerk.
+#[test]
+fn jerk_is_bounded_in_the_homing_cycle() {
+    let mut mill = mill(SWITCHES, CYCLE);
+    run(&mut mill, "$H");
+    assert_eq!(mill.machine_position(), [-3.0; AXES]);
+    let home = mill.machine().position();
+    assert!(home.iter().all(|steps| (f64::from(*steps) / STEPS - 1.0).abs() < 0.01), "{home:?}");
+    check_axes(&places(&mill), |_, place| place > 3.98);
+    run(&mut mill, "G53 G0 X-20 Y-10");
+    let there = mill.machine().position();
+    assert_eq!((there[0] - home[0], there[1] - home[1]), (-17 * 400, -7 * 400));
+}
+
+#[test]
+fn jerk_is_bounded_on_the_way_to_the_parking_place() {
+    for milliseconds in [30, 90, 170, 260, 400] {
+        let mut mill = mill(SWITCHES, &format!("{CYCLE}$41=1\n"));
+        run(&mut mill, "$H\nG53 G0 X-20 Z-30\nM3 S500");
+        mill.trace_mut().restart();
+        let before = mill.machine().position();
+        mill.send("G91 G1 X-12 F3000\n");
+        mill.run_for(Duration::from_millis(milliseconds));
+        mill.send([0x84]);
+        mill.run_for(Duration::from_secs(20));
+        let parked = mill.machine().position();
+        assert!(parked[2] > before[2] + 20 * 400, "not parked: {parked:?} {before:?}");
+        mill.send("~");
+        mill.run_for(Duration::from_secs(20));
+        assert!(mill.run_until_idle());
+        let after = mill.machine().position();
+        assert_eq!([after[0] - before[0], after[1] - before[1], after[2] - before[2]], [-12 * 400, 0, 0]);
+        check_axes(&places(&mill), |_, _| false);
+    }
+}
+
+/// While one axis takes up its slack, the other moves on along the path as smoothly as without it.
+#[test]
+fn jerk_is_bounded_while_slack_is_taken_up() {
+    let mut mill = mill("backlash_mm = [0.05, 0.0, 0.0]", "$160=0.05\n");
+    run(&mut mill, "G90 G1 X12 Y12 F4000\nX2 Y2\nX2.5 Y2.5\nX-7 Y-7\nX0 Y0");
+    mill.trace_mut().restart();
+    mill.send("G1 X12 Y12 F4000\nX2 Y2\nX2.5 Y2.5\nX-7 Y-7\nX9 Y9\n");
+    assert!(mill.run_until_idle());
+    let driven = mill.fittings().driven_mm();
+    assert!((0..AXES).all(|axis| (driven[axis] - [9.0, 9.0, 0.0][axis]).abs() < 1e-9), "{driven:?}");
+    let free: Vec<(f64, [f64; AXES])> =
+        places(&mill).into_iter().map(|(time, place)| (time, [0.0, place[1], 0.0])).collect();
+    check_axes(&free, |_, _| false);
+}
+
+/// Belts that pull two axes: the limits are those of the axes.
+#[test]
+fn jerk_is_bounded_on_belts() {
+    let mut mill = mill("kinematics = \"corexy\"", "$904=1\n");
+    // From rest to rest: a corner would be exempt.
+    run(&mut mill, "G90 G1 X30 F6000\nX0\nY25\nY0\nG0 X20 Y20\nX0 Y0\nG1 X10 Y5\nX0 Y0");
+    assert_eq!(mill.machine().position(), [0; AXES]);
+    let axes: Vec<(f64, [f64; AXES])> =
+        places(&mill).into_iter().map(|(time, [a, b, z])| (time, [0.5 * (a + b), 0.5 * (a - b), z])).collect();
+    check_axes(&axes, |_, _| false);
+}
+
+/// A ramp down with bounded jerk lasts v / A + A / J at least: a hold that is over so soon has begun in time.
+#[test]
+fn a_hold_with_jerk_limit_begins_within_25_ms() {
+    for (feed, milliseconds) in [(6000, 500), (6000, 611), (3000, 333), (3000, 402), (1500, 700)] {
+        let mut mill = mill("", "");
+        let speed = f64::from(feed) / 60.0;
+        mill.send(format!("G1 X100 F{feed}\n"));
+        mill.run_for(Duration::from_millis(milliseconds));
+        let asked = mill.clock().now() as f64 / HZ;
+        mill.send("!");
+        mill.run_for(Duration::from_secs(2));
+        mill.send("?");
+        let report = mill.take_output();
+        assert!(report.contains("Hold:0"), "{report}");
+        let course: Vec<(f64, f64)> = places(&mill).iter().map(|(time, place)| (*time, place[0])).collect();
+        let (end, place) = course[course.len() - 1];
+        assert_eq!(
+            numbers(report.lines().find(|l| l.starts_with('<')).unwrap(), "MPos").unwrap()[0],
+            (place * 1000.0).round() / 1000.0
+        );
+        let ramp = if speed * JERK > ACCELERATION * ACCELERATION {
+            speed / ACCELERATION + ACCELERATION / JERK
+        } else {
+            2.0 * (speed / JERK).sqrt()
+        };
+        // The machine rests half a step after the last one at least.
+        let rest = end + (6.0 * 0.5 * PITCH / JERK).cbrt();
+        let begins = rest - ramp - asked;
+        println!("F{feed}: the hold acts after {:.1} ms", begins * 1000.0);
+        assert!(begins < 0.025 && begins > -0.003, "{begins} s");
+        mill.send("~");
+        assert!(mill.run_until_idle());
+        assert_eq!(mill.machine().position(), [100 * 400, 0, 0]);
+        check_axes(&places(&mill), |_, _| false);
+    }
+}
