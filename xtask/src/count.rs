@@ -75,10 +75,10 @@ const ROWS: [Row; 20] = [
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
-    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, UNBOUNDED),
-    row("jerk_worst", "the worst of them, 256 blocks of 0.01 mm queued", Figure::Worst, None, UNBOUNDED),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, UNBOUNDED),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, UNBOUNDED),
+    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_490)),
+    row("jerk_worst", "the same at worst, 256 blocks of 0.01 mm queued", Figure::Worst, None, (1_070, 2_140)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (1_900, 3_460)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (97, 123)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
