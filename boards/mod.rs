@@ -174,4 +174,6 @@ pub mod input_bits {
     pub const RESET: u32 = 12;
     /// Fault output of the motor drivers.
     pub const DRIVER_FAULT: u32 = 14;
+    /// Output of a spindle's drive: up to speed.
+    pub const AT_SPEED: u32 = 15;
 }

@@ -52,6 +52,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
     // Drivers' fault outputs are open drains and may be joined.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
+        .with(input_bits::AT_SPEED, c.pc11.into_pull_up_input().erase())
         .with(input_bits::SECOND_LIMIT, b.pb15.into_pull_up_input().erase());
     let _pwm = a.pa7.into_alternate::<2>();
     let steps = each!([a.pa10, b.pb3, b.pb5, b.pb13].into_push_pull_output().speed(Speed::Medium));

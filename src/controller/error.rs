@@ -148,6 +148,8 @@ pub enum Alarm {
     HomingPullOff = 8,
     HomingNoSwitch = 9,
     HomingSquaring = 10,
+    /// The spindle did not tell in time that it is up to speed (`$915`, `$916`). Not in Grbl; grblHAL's number.
+    SpindleSpeed = 14,
     /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
     /// 11 on are taken by other controllers, so one above theirs.
     Underrun = 100,
@@ -175,6 +177,7 @@ impl Alarm {
             Alarm::HomingPullOff => "homing could not clear the switch by pulling off",
             Alarm::HomingNoSwitch => "homing found no switch within its travel",
             Alarm::HomingSquaring => "squaring found only one of the two switches of an axis",
+            Alarm::SpindleSpeed => "the spindle did not come up to speed in time; the position is kept",
             Alarm::Underrun => "motion data ran out at speed; the position may be lost",
             Alarm::EmergencyStop => "the emergency stop was pressed; the position may be lost if something moved",
             Alarm::DriverFault => "a motor driver reported a fault; the position may be lost",

@@ -206,8 +206,10 @@ pub mod input {
     pub const EMERGENCY_STOP: u32 = 13;
     /// Fault output of a motor driver.
     pub const DRIVER_FAULT: u32 = 14;
+    /// The spindle is up to speed.
+    pub const AT_SPEED: u32 = 15;
     /// How many bits are in use.
-    pub const COUNT: usize = 15;
+    pub const COUNT: usize = 16;
 }
 
 /// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
@@ -229,6 +231,8 @@ pub struct Signals {
     pub emergency_stop: bool,
     /// A motor driver reports a fault.
     pub driver_fault: bool,
+    /// The input for a spindle that tells its speed (`$915`).
+    pub at_speed: bool,
 }
 
 impl Signals {
@@ -242,6 +246,7 @@ impl Signals {
         reset: false,
         emergency_stop: false,
         driver_fault: false,
+        at_speed: false,
     };
 
     /// The inputs of a word, see [`input`].
@@ -256,6 +261,7 @@ impl Signals {
             reset: bit(input::RESET),
             emergency_stop: bit(input::EMERGENCY_STOP),
             driver_fault: bit(input::DRIVER_FAULT),
+            at_speed: bit(input::AT_SPEED),
         }
     }
 
@@ -270,6 +276,7 @@ impl Signals {
             | bit(self.reset, input::RESET)
             | bit(self.emergency_stop, input::EMERGENCY_STOP)
             | bit(self.driver_fault, input::DRIVER_FAULT)
+            | bit(self.at_speed, input::AT_SPEED)
     }
 }
 

@@ -119,6 +119,8 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false),
     entry(913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false),
     entry(914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false),
+    entry(915, "Spindle at-speed input (0 none, 1 low at speed, 2 high at speed)", "", Kind::Whole(0, 2), 0.0, false),
+    entry(916, "Longest time from spindle on to at speed", "s", Kind::Real, 10.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -197,11 +199,13 @@ pub enum Key {
     ResetIsEmergencyStop,
     EmergencyDriversOff,
     HoldWithoutHost,
+    AtSpeed,
+    AtSpeedWithin,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 58;
+    pub const COUNT: usize = 60;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -581,6 +585,7 @@ mod tests {
             (Key::ProbeNoPullUp, 19),
             (Key::EmergencyDriversOff, 913),
             (Key::HoldWithoutHost, 914),
+            (Key::AtSpeedWithin, 916),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

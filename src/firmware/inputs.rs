@@ -24,6 +24,7 @@ const _: () = assert!(
         && input_bits::START == input::START
         && input_bits::RESET == input::RESET
         && input_bits::DRIVER_FAULT == input::DRIVER_FAULT
+        && input_bits::AT_SPEED == input::AT_SPEED
 );
 
 /// Everything the task owns.

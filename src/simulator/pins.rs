@@ -31,10 +31,11 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
         ["reset", value] => after.reset = level(value)?,
         ["estop", value] => after.emergency_stop = level(value)?,
         ["fault", value] => after.driver_fault = level(value)?,
+        ["at_speed", value] => after.at_speed = level(value)?,
         _ => {
             return Err(format!(
                 "`{}` is not understood; pins are set by `limit AXIS 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start`, \
-                 `reset`, `estop` or `fault` with 0 or 1, and disturbed by `noise PIN`",
+                 `reset`, `estop`, `fault` or `at_speed` with 0 or 1, and disturbed by `noise PIN`",
                 line.trim()
             ));
         }
@@ -57,6 +58,7 @@ pub fn disturbed(axes: usize, line: &str) -> Option<Result<u32, String>> {
         ["reset"] => Ok(input::RESET),
         ["estop"] => Ok(input::EMERGENCY_STOP),
         ["fault"] => Ok(input::DRIVER_FAULT),
+        ["at_speed"] => Ok(input::AT_SPEED),
         _ => Err(format!("`{}` names no pin", line.trim())),
     })
 }

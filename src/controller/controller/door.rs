@@ -135,7 +135,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             Door::Returning if self.detour_ended() => self.restore_spindle_for_door(),
-            Door::SpindleRestoring(until) if self.now >= until => {
+            Door::SpindleRestoring(until) => {
+                if !self.has_spun_up(until) {
+                    return;
+                }
                 self.coolant = self.door.coolant.unwrap_or_default();
                 self.rare_fields.overrides_changed();
                 let delay = if self.coolant == Coolant::default() {

@@ -73,6 +73,8 @@ enum Stage {
     Storing,
     /// G4 until a moment.
     Dwell(Instant),
+    /// Spindle on: it has turned long enough at this moment, and tells that it is up to speed.
+    SpinningUp(Instant),
     /// G4 with this much left when the hold ends.
     DwellSuspended(Duration),
     /// G28, G30: the intermediate point.
@@ -106,8 +108,10 @@ impl<const N: usize> Task<N> {
         }
     }
 
-    pub(super) fn wakeup(&self) -> Option<Instant> {
+    /// `late`: when a spindle is too late that should have turned long enough at a moment.
+    pub(super) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
+            Task::Job(Job { stage: Stage::SpinningUp(until), .. }) => Some(late(*until)),
             Task::Job(Job { stage: Stage::Dwell(until), .. }) | Task::Homing(_, HomingWait::Until(until)) => {
                 Some(*until)
             }
@@ -255,9 +259,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Storing => {
                     let dwell = self.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
                     let wait = dwell + job.spindle_delay;
-                    Some(if wait.is_zero() { Stage::Via } else { Stage::Dwell(self.now + wait) })
+                    Some(if self.must_tell_speed() && self.checked.spindle.is_some() && !checking {
+                        Stage::SpinningUp(self.now + wait)
+                    } else if wait.is_zero() {
+                        Stage::Via
+                    } else {
+                        Stage::Dwell(self.now + wait)
+                    })
                 }
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
+                Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
                 Stage::Via => match self.checked.motion {
                     gcode::Motion::Line { via: Some(via), .. } if !checking => {
                         self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)

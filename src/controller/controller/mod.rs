@@ -382,12 +382,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             !self.motion.is_at_rest() || !self.detour.is_at_rest() || self.running && !self.mode.is_suspended();
         let moving = moving.then(|| self.now + self.refill_delay());
         let door = match self.mode {
-            Mode::Door(Door::SpindleRestoring(until) | Door::CoolantRestoring(until)) => Some(until),
+            Mode::Door(Door::SpindleRestoring(until)) => Some(self.next_look_at_spindle(until)),
+            Mode::Door(Door::CoolantRestoring(until)) => Some(until),
             _ => None,
         };
         // Nor does a dwell that something has ended: its moment would be past for ever.
-        let task = if self.mode.is_suspended() { None } else { self.task.wakeup() };
-        [moving, door, task, self.drivers_off_at, self.spinning_up].into_iter().flatten().min()
+        let task =
+            if self.mode.is_suspended() { None } else { self.task.wakeup(|until| self.next_look_at_spindle(until)) };
+        let spinning_up = self.spinning_up.map(|until| self.next_look_at_spindle(until));
+        [moving, door, task, self.drivers_off_at, spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -575,9 +578,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Stopping { locked } if self.motion.is_at_rest() => self.end_soft_stop(locked),
             Mode::Door(door) => self.settle_door(door),
-            Mode::Hold if self.spinning_up.is_some_and(|until| self.now >= until) => {
-                self.spinning_up = None;
-                self.leave_hold();
+            Mode::Hold => {
+                if let Some(until) = self.spinning_up
+                    && self.has_spun_up(until)
+                {
+                    self.spinning_up = None;
+                    self.leave_hold();
+                }
             }
             _ => {}
         }

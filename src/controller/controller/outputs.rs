@@ -1,6 +1,6 @@
 //! Pins, answers and reports: what the outside gets to see.
 
-use super::{Controller, REPLY_RESERVE, WiringSource, motion_settings};
+use super::{Controller, REPLY_RESERVE, StopReason, WiringSource, motion_settings};
 use crate::axes::AxisMask;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, MotionMode};
@@ -10,7 +10,7 @@ use crate::messages::{Chunk, InputWiring, SECOND_SWITCH, Signals, SlowOutputs, S
 use crate::protocol::report;
 use crate::protocol::text::Text;
 use crate::settings::{Key, Settings};
-use crate::units::per_minute;
+use crate::units::{Instant, per_minute};
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn dialect(&self) -> Dialect {
@@ -22,6 +22,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             maximum: self.settings.value(Key::SpindleMaximum),
             minimum: self.settings.value(Key::SpindleMinimum),
         }
+    }
+
+    /// Whether a cut has to wait for the input that tells of the spindle's speed (`$915`).
+    pub(super) fn must_tell_speed(&self) -> bool {
+        self.settings.whole(Key::AtSpeed) != 0
+            && !self.settings.is_on(Key::Laser)
+            && self.spindle != SpindleDirection::Off
+    }
+
+    /// Whether the spindle turns as it should, as far as anybody can tell.
+    pub(super) fn is_at_speed(&self) -> bool {
+        !self.must_tell_speed() || self.signals.at_speed == (self.settings.whole(Key::AtSpeed) == 1)
+    }
+
+    /// Whether a spindle that should have turned long enough at a moment has, and is up to speed. If it is not within
+    /// `$916` after that moment, an alarm is on its way.
+    pub(super) fn has_spun_up(&mut self, until: Instant) -> bool {
+        if self.now < until {
+            return false;
+        }
+        let at_speed = self.is_at_speed();
+        if !at_speed && self.now >= until + self.settings.seconds(Key::AtSpeedWithin) {
+            self.order_stop(StopReason::Alarm(Alarm::SpindleSpeed));
+        }
+        at_speed
+    }
+
+    /// When [`Controller::has_spun_up`] has to be asked again, if no input changes.
+    pub(super) fn next_look_at_spindle(&self, until: Instant) -> Instant {
+        if self.now < until { until } else { until + self.settings.seconds(Key::AtSpeedWithin) }
     }
 
     /// Power of the spindle while nothing moves. A laser with constant power (M3) stays on between feed motions; one

@@ -113,7 +113,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let delay = self.settings.seconds(Key::SpinUp);
                 let spin_up = self.spindle_stopped && self.spindle != SpindleDirection::Off;
                 self.restore_spindle();
-                if spin_up && !self.settings.is_on(Key::Laser) && delay > Duration::from_ticks(0) {
+                if spin_up
+                    && !self.settings.is_on(Key::Laser)
+                    && (delay > Duration::from_ticks(0) || !self.is_at_speed())
+                {
                     self.spinning_up = Some(self.now + delay);
                 } else {
                     self.leave_hold();

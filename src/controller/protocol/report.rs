@@ -166,6 +166,7 @@ const fn input_name(bit: usize) -> &'static str {
         input::RESET => "reset",
         input::EMERGENCY_STOP => "emergency stop",
         input::DRIVER_FAULT => "driver fault",
+        input::AT_SPEED => "at speed",
         _ => "unused",
     }
 }
