@@ -44,9 +44,9 @@ mod panic {
 struct Wire(&'static str, &'static str, &'static str);
 
 /// The wires in the order of the recorder's lines.
-#[cfg(feature = "usb")]
+#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
 const WIRES: [Wire; 3] = [Wire("STEP X", "A1", "B6"), Wire("DIR X", "A4", "B7"), Wire("STEP Y", "A2", "B8")];
-#[cfg(not(feature = "usb"))]
+#[cfg(not(any(feature = "blackpill_f411", feature = "blackpill_f401")))]
 const WIRES: [Wire; 3] =
     [Wire("STEP X", "D2", "D10"), Wire("DIR X", "D5", "PB7 (CN7, pin 21)"), Wire("STEP Y", "D3", "D15")];
 const STEP_X: usize = 0;
