@@ -27,7 +27,7 @@ from .models.otg import OtgFs
 from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pwr import Pwr
 from .models.rcc import Rcc
-from .models.timer import Timer
+from .models.timer import FUNCTION, INPUTS, Timer
 from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
@@ -36,6 +36,10 @@ FILL = b"\xa5"
 """What RAM holds at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
 """Words that mean an unused piece of stack: the emulation's, and the firmware's own."""
+
+
+BREAKPOINT = 7
+"""What unicorn calls a BKPT instruction."""
 
 
 class Failure(Exception):
@@ -95,6 +99,10 @@ class Board:
         self._reset_asked = None
         self._fixes = []
         self._vectors = {}
+        self.has_debugger = False
+        """A probe is there, which hears a program that ends itself by semihosting."""
+        self.ended = None
+        """The status that it has ended with."""
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt; nothing preempts it."""
         self._asleep = False
@@ -145,7 +153,7 @@ class Board:
             ("TIM4", 0x4000_0800, 2, 30, False),
             ("TIM5", 0x4000_0C00, 3, 50, True),
         ):
-            fit(base, Timer(name, self, bit, irq, wide))
+            fit(base, Timer(name, self, bit, irq, wide, base))
         for name, base, clock, irq, bus in (
             ("USART1", 0x4001_1000, (0x44, 4), 37, "pclk2"),
             ("USART2", 0x4000_4400, (0x40, 17), 38, "pclk1"),
@@ -383,7 +391,11 @@ class Board:
 
     def drive(self, name, level):
         gpio, pin = self.pin(name)
+        before = gpio.level(pin)
         gpio.drive(pin, level)
+        timer, channel = INPUTS.get((name[0], pin), (None, None))
+        if timer and gpio.function(pin) == FUNCTION and gpio.level(pin) != before:
+            self.peripherals[timer].edge(channel)
 
     # Running.
 
@@ -393,7 +405,7 @@ class Board:
         seconds = limit if seconds is None else seconds
         stop = None if seconds is None else self.seconds() + seconds
         end, clocks = self.now + (cycles or 0), None
-        while self.powered:
+        while self.powered and self.ended is None:
             if until is not None and until():
                 return True
             if stop is not None and clocks != len(self.clocks):
@@ -437,7 +449,9 @@ class Board:
             self._fixes.clear()
         if self.failure:
             return
-        if error or state.reason == FAULT:
+        if state.reason == FAULT and state.fault == BREAKPOINT and self.has_debugger:
+            self._end()
+        elif error or state.reason == FAULT:
             self._fault(error)
         elif state.reason == ASLEEP:
             self._asleep = True
@@ -496,6 +510,16 @@ class Board:
         state.now += RETURN_CYCLES
         running = nvic.active[-1][0] if nvic.active else None
         state.margin = HOT if running == 16 + self.wiring.step_irq else COLD
+
+    def _end(self):
+        """A breakpoint with a probe: the end by SYS_EXIT_EXTENDED of Arm's semihosting, and nothing else."""
+        code, = struct.unpack("<H", self.read_memory(self.state.at, 2))
+        operation, block = self.core.read("r0"), self.core.read("r1")
+        if code != 0xBEAB or operation != 0x20:
+            self.failure = f"breakpoint {code:#x}, operation {operation:#x}"
+            return
+        reason, status = struct.unpack("<II", self.read_memory(block, 8))
+        self.ended = status if reason == 0x20026 else -1
 
     def _fault(self, error):
         state = self.state

@@ -325,6 +325,45 @@ class TimerTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             model.write(timer.CCR1, 0x1_0000)
 
+    def test_capture_of_both_edges_by_dma(self):
+        bench = Bench(NUCLEO_F446RE, 180_000_000, 45_000_000)
+        controller = dma.Dma("DMA1", bench, 21)
+        bench.dma = [controller]
+        stream = 0x10 + 0x18 * 3
+        controller.write(stream + dma.PAR, 0x4000_0838)
+        controller.write(stream + dma.M0AR, 0x2000_0100)
+        controller.write(stream + dma.NDTR, 2)
+        controller.write(stream + dma.CR, 2 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1)
+        model = timer.Timer("TIM4", bench, 2, 30, False, 0x4000_0800)
+        flags = lambda: model.read(timer.SR) & (4 | 1 << 10)  # noqa: E731: the others have compared meanwhile
+        model.write(timer.CCMR1, 0x2121)
+        model.write(timer.CR1, 1)
+        bench.until(model, 1000)
+        model.edge(2)
+        self.assertEqual((flags(), controller.read(stream + dma.NDTR)), (0, 2), "the channel is off")
+        model.write(timer.CCER, 0x00B0)
+        model.write(timer.DIER, 1 << 10)
+        # A count is two cycles; the second edge comes after the counter has come round.
+        for cycles in (2000, 2 * (0x1_0000 + 7) + 1):
+            bench.until(model, cycles)
+            model.edge(2)
+        self.assertEqual(bench.read_memory(0x2000_0100, 4), bytes([0xE8, 3, 7, 0]))
+        self.assertEqual((flags(), controller.read(dma.LISR)), (0, 1 << 27))
+        # Nobody fetches any more: CC2IF, and with the next edge CC2OF. Reading the count clears the first only.
+        model.edge(2)
+        self.assertEqual(flags(), 4)
+        model.edge(2)
+        self.assertEqual(flags(), 1 << 10 | 4)
+        model.read(timer.CCR2)
+        self.assertEqual(flags(), 1 << 10)
+        with self.assertRaises(Unmodelled):
+            # One edge only.
+            model.write(timer.CCER, 0x0010)
+            model.edge(2)
+        with self.assertRaises(Unmodelled):
+            # The DMA request of a compare event.
+            model.write(timer.DIER, 1 << 11)
+
     def test_pwm_duty(self):
         bench = Bench()
         model = self.fresh(bench, wide=False)

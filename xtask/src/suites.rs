@@ -1,24 +1,22 @@
-//! The defmt-test suites of `tests/on_target`, on QEMU or on a board.
+//! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the bench with its loop-back wires.
 
 use crate::{Failure, QEMU_BOARD, TARGET, boards, cargo, exists, qemu, root, run};
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 
 /// Where a runner for the ARM target is configured.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
+/// The suites that need nothing but the processor, memory and flash.
+const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];
+/// The suite that needs wires on a board: docs/bench.md.
+const LOOPBACK: &str = "loopback";
 
-fn suites(board: &str, runner: &str) -> std::process::Command {
+fn cargo_test(board: &str, suites: &[&str]) -> Command {
     let mut cargo = cargo();
-    cargo.env(RUNNER, runner);
-    cargo.args([
-        "test",
-        "--profile",
-        boards::profile(board),
-        "--package",
-        "oxmill-on-target",
-        "--target",
-        TARGET,
-        "--features",
-        board,
-    ]);
+    cargo.args(["test", "--profile", boards::profile(board), "--package", "oxmill-on-target", "--target", TARGET]);
+    cargo.args(["--features", board, "--no-fail-fast"]);
+    cargo.args(suites.iter().flat_map(|suite| ["--test", suite]));
     cargo
 }
 
@@ -26,30 +24,149 @@ fn suites(board: &str, runner: &str) -> std::process::Command {
 pub fn on_qemu() -> Result<(), Failure> {
     require_qemu_tools()?;
     let runner = root().join(".cargo/qemu-runner.sh");
-    run(suites(QEMU_BOARD, &runner.to_string_lossy()).args(["--tests", "--no-fail-fast"]))
+    run(cargo_test(QEMU_BOARD, &SUITES).env(RUNNER, runner))?;
+    println!("suite `{LOOPBACK}` is not for QEMU, which has no pins: it is for boards, see docs/bench.md");
+    Ok(())
 }
 
-/// The same suites on a board.
-pub fn on_board(board: &str) -> Result<(), Failure> {
-    if !exists("probe-rs") {
-        return Err("probe-rs is missing: `cargo install --locked probe-rs-tools`".into());
+/// Builds all suites of a board, so that they are known to link.
+pub fn build(board: &str) -> Result<(), Failure> {
+    if board == QEMU_BOARD {
+        return run(cargo_test(board, &SUITES).arg("--no-run"));
     }
-    let chip = match board {
-        "blackpill_f411" => "STM32F411CEUx",
-        "blackpill_f401" => return Err("the suites need a stack of 80 KiB, and blackpill_f401 has 64 of RAM".into()),
-        "nucleo_f446re" => "STM32F446RETx",
-        "nucleo_f411re" => "STM32F411RETx",
-        "nucleo_f401re" => "STM32F401RETx",
-        _ => return Err(format!("{board} has no probe")),
-    };
-    run(suites(board, &format!("probe-rs run --chip {chip}")).args(["--tests", "--no-fail-fast"]))
+    chip(board)?;
+    run(cargo_test(board, &SUITES).args(["--test", LOOPBACK, "--no-run"]))
 }
 
-fn require_qemu_tools() -> Result<(), Failure> {
-    qemu::require()?;
+/// The suites on a board, without the one that needs wires.
+pub fn on_board(board: &str) -> Result<(), Failure> {
+    require_probe()?;
+    run(cargo_test(board, &SUITES).env(RUNNER, runner(board)?))?;
+    println!("suite `{LOOPBACK}` needs wires and was not run: `cargo xtask bench-board {board}`, docs/bench.md");
+    Ok(())
+}
+
+/// The suites on a board, then what its wires bring back; prints the table of what was measured, also after a failure.
+pub fn bench(board: &str) -> Result<(), Failure> {
+    let runner = runner(board)?;
+    require_probe()?;
+    let suites = run(cargo_test(board, &SUITES).env(RUNNER, &runner));
+    let mut running = cargo_test(board, &[LOOPBACK])
+        .env(RUNNER, &runner)
+        .stdout(Stdio::piped())
+        .spawn()
+        .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    let mut table = Vec::new();
+    for line in running.stdout.take().into_iter().flat_map(|log| BufReader::new(log).lines()) {
+        let line = line.map_err(|error| error.to_string())?;
+        println!("{line}");
+        table.extend(row(&line).map(str::to_owned));
+    }
+    let status = running.wait().map_err(|error| error.to_string())?;
+    if !table.is_empty() {
+        println!("\n{board}\n\n| rate, settings | figure | measured | bound | |\n|---|---|---|---|---|");
+        println!("{}\n", table.join("\n"));
+    }
+    suites.map_err(|why| format!("{why}: a suite has failed, see above"))?;
+    if status.success() { Ok(()) } else { Err("the loop-back has failed, see above".into()) }
+}
+
+/// A row of the table of measured figures, without what the log puts around it.
+fn row(line: &str) -> Option<&str> {
+    let row = line.get(line.find('|')?..=line.rfind('|')?)?;
+    (row.matches('|').count() == 6).then_some(row)
+}
+
+/// The loop-back suite of a board, built.
+pub fn loopback(board: &str) -> Result<PathBuf, Failure> {
+    let mut cargo = cargo_test(board, &[LOOPBACK]);
+    cargo.args(["--no-run", "--message-format=json-render-diagnostics"]).stderr(Stdio::inherit());
+    let built = cargo.output().map_err(|error| format!("cargo cannot be started: {error}"))?;
+    if !built.status.success() {
+        return Err(format!("the suite `{LOOPBACK}` of {board} is not built"));
+    }
+    let messages = String::from_utf8_lossy(&built.stdout);
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .ok_or_else(|| format!("cargo does not say where the suite `{LOOPBACK}` of {board} is"))
+}
+
+/// The command that flashes a suite and runs it.
+fn runner(board: &str) -> Result<String, Failure> {
+    Ok(format!("probe-rs run --chip {}", chip(board)?))
+}
+
+/// What probe-rs calls the chip of a board that has room for the suites.
+fn chip(board: &str) -> Result<&'static str, Failure> {
+    match board {
+        "blackpill_f411" => Ok("STM32F411CEUx"),
+        "blackpill_f401" => Err("the suites need a stack of 80 KiB, and blackpill_f401 has 64 of RAM".into()),
+        "nucleo_f446re" => Ok("STM32F446RETx"),
+        "nucleo_f411re" => Ok("STM32F411RETx"),
+        "nucleo_f401re" => Ok("STM32F401RETx"),
+        _ => Err(format!("{board} has no probe")),
+    }
+}
+
+fn require_probe() -> Result<(), Failure> {
+    let Ok(list) = Command::new("probe-rs").arg("list").output() else {
+        return Err("probe-rs is missing: `cargo install --locked probe-rs-tools`".into());
+    };
+    let said = [list.stdout, list.stderr].concat();
+    if String::from_utf8_lossy(&said).contains("No debug probes were found") {
+        return Err("probe-rs finds no probe: is the ST-LINK or other SWD probe plugged in, and may you use it? \
+            (`probe-rs list`; https://probe.rs/docs/getting-started/probe-setup)"
+            .into());
+    }
+    Ok(())
+}
+
+/// What the log of a program on the target needs to be read.
+pub fn require_defmt_print() -> Result<(), Failure> {
     if exists("defmt-print") {
         Ok(())
     } else {
         Err("defmt-print is missing: `cargo install --locked defmt-print`".into())
+    }
+}
+
+fn require_qemu_tools() -> Result<(), Failure> {
+    qemu::require()?;
+    require_defmt_print()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_suite_is_run_somewhere() {
+        let folder = std::fs::read_dir(root().join("tests/on_target/tests")).unwrap();
+        let mut found: Vec<String> =
+            folder.map(|file| file.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+        found.sort();
+        let mut listed = [SUITES.as_slice(), &[LOOPBACK]].concat();
+        listed.sort_unstable();
+        assert_eq!(found, listed);
+    }
+
+    #[test]
+    fn rows_are_found_in_any_log() {
+        let plain = "| 1000 Hz, $0=10, $29=10 | pulse of X | 10.49 to 10.58 us | 10.00 to 15.00 us | ok |";
+        assert_eq!(row(plain), Some(plain));
+        let log = format!("12:00:00.1: [INFO ] {plain} (loopback tests/on_target/tests/loopback.rs:200)");
+        assert_eq!(row(&log), Some(plain));
+        assert_eq!(row("(3/7) running `slow_train`..."), None);
+        assert_eq!(row("a | b | c"), None);
+        assert_eq!(row("|"), None);
+    }
+
+    #[test]
+    fn a_board_without_room_or_probe_is_refused() {
+        assert!(chip("blackpill_f401").is_err_and(|why| why.contains("64")));
+        assert!(chip(QEMU_BOARD).is_err());
+        assert!(boards::BOARDS.iter().filter(|board| chip(board).is_ok()).count() == 4);
     }
 }

@@ -1,7 +1,7 @@
 //! Runs the unmodified STM32 images on the virtual board of `tests/virtual_board`, a Python program in an environment of its
 //! own under `target/tools`.
 
-use crate::{Failure, cargo, image, root, run};
+use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -30,7 +30,10 @@ const SIBLING: &[&str] = &[
     "fault",
 ];
 
-/// The cases of one board, or of all of them, two at a time; or the cases named.
+/// Boards of these that have room for the loop-back suite.
+const LOOPBACK: [&str; 2] = ["blackpill_f411", "nucleo_f446re"];
+
+/// The cases of one board, or of all of them, two at a time, and the loop-back suite; or the cases named.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let boards: Vec<(&str, &[&str])> =
         BOARDS.into_iter().filter(|(name, _)| board.is_none_or(|board| board == *name)).collect();
@@ -39,17 +42,26 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         return Err(format!("there is no such virtual board; there are {}", all.join(", ")));
     }
     let python = environment()?;
+    suites::require_defmt_print()?;
     run(cargo().args(["build", "--quiet", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
-    let mut images = Vec::new();
-    for (board, own) in boards {
-        images.push((board, image::build(board)?.path, if cases.is_empty() { own } else { cases }));
+    let mut runs = Vec::new();
+    for (board, own) in &boards {
+        let mut command = module(&python, "virtual_board");
+        command.arg(board).arg(image::build(board)?.path).arg(root().join("target/debug/oxmill"));
+        command.args(if cases.is_empty() { own } else { cases });
+        runs.push((*board, command));
+    }
+    let has_loopback = |board: &&str| cases.is_empty() && boards.iter().any(|(name, _)| name == board);
+    for board in LOOPBACK.into_iter().filter(has_loopback) {
+        let mut command = module(&python, "virtual_board.loopback");
+        command.arg(board).arg(suites::loopback(board)?);
+        runs.push((board, command));
     }
     let mut failed = Vec::new();
-    for pair in images.chunks(2) {
-        let running: Vec<Result<Child, Failure>> =
-            pair.iter().map(|(board, elf, cases)| start(&python, board, elf, cases)).collect();
-        for ((board, ..), child) in pair.iter().zip(running) {
+    for pair in runs.chunks_mut(2) {
+        let running: Vec<Result<Child, Failure>> = pair.iter_mut().map(|(_, command)| start(command)).collect();
+        for ((board, _), child) in pair.iter().zip(running) {
             let output = child?.wait_with_output().map_err(|error| error.to_string())?;
             print!("{}", String::from_utf8_lossy(&output.stdout));
             if !output.status.success() {
@@ -61,11 +73,9 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed: {}", failed.join(", "))) }
 }
 
-fn start(python: &Path, board: &str, elf: &Path, names: &[&str]) -> Result<Child, Failure> {
-    let mut cases = module(python, "virtual_board");
-    cases.arg(board).arg(elf).arg(root().join("target/debug/oxmill")).args(names);
+fn start(cases: &mut Command) -> Result<Child, Failure> {
     let child = cases.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
-    child.map_err(|error| format!("{}: {error}", python.display()))
+    child.map_err(|error| format!("{}: {error}", cases.get_program().to_string_lossy()))
 }
 
 fn module(python: &Path, name: &str) -> Command {

@@ -15,6 +15,8 @@ use mps2_pac as _;
 #[cfg(not(feature = "qemu_mps2"))]
 use stm32f4xx_hal as _;
 
+#[cfg(feature = "stm32f4")]
+pub mod capture;
 pub mod rig;
 
 /// The board's settings sectors.

@@ -1,7 +1,7 @@
-"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives through them.
+"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives and a timer captures through them.
 
-Modelled: streams from a peripheral to memory, bytes, memory address counting up, once; number of data, end of a transfer
-with its flag, clearing of flags, switching off. A transfer is done at the moment of the request.
+Modelled: streams from a peripheral to memory, bytes or half-words on both sides, memory address counting up, once; number
+of data, end of a transfer with its flag, clearing of flags, switching off. A transfer is done at the moment of the request.
 Not modelled: all other directions and sizes, circular and double-buffer mode, FIFO, priorities, bus load, interrupts.
 """
 
@@ -9,10 +9,13 @@ from .peripheral import Misuse, Peripheral, Unmodelled
 
 LISR, HISR, LIFCR, HIFCR = 0x00, 0x04, 0x08, 0x0C
 CR, NDTR, PAR, M0AR, M1AR, FCR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
-EN, MINC, CHANNEL = 1 << 0, 1 << 10, 7 << 25
+EN, MINC, PSIZE, MSIZE, CHANNEL = 1 << 0, 1 << 10, 1 << 11, 1 << 13, 7 << 25
 TCIF = 1 << 5
-REQUESTS = {("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2"}
-"""Receivers by (controller, stream, channel)."""
+REQUESTS = {
+    ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2",
+    ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3",
+}  # fmt: skip
+"""Who asks, by (controller, stream, channel)."""
 
 
 class Dma(Peripheral):
@@ -20,7 +23,7 @@ class Dma(Peripheral):
         0x10 + 0x18 * stream + offset: (f"S{stream}{name}", 0, bits)
         for stream in range(8)
         for offset, name, bits in (
-            (CR, "CR", EN | MINC | CHANNEL),
+            (CR, "CR", EN | MINC | PSIZE | MSIZE | CHANNEL),
             (NDTR, "NDTR", 0xFFFF),
             (PAR, "PAR", 0xFFFF_FFFF),
             (M0AR, "M0AR", 0xFFFF_FFFF),
@@ -58,20 +61,23 @@ class Dma(Peripheral):
                     raise Misuse(f"{self.name}: stream {stream} is switched on with flags of an earlier use")
                 if not value & MINC:
                     raise Unmodelled(f"{self.name}: stream {stream} without MINC")
+                if bool(value & PSIZE) != bool(value & MSIZE):
+                    raise Unmodelled(f"{self.name}: stream {stream} with two sizes")
                 self.next[stream] = self.values[base + M0AR]
         super().write(offset, value)
 
-    def request(self, usart, data_address, datum):
-        """A receiver has a byte. Whether some stream has taken it."""
+    def request(self, asks, data_address, datum):
+        """A peripheral has a datum. Whether some stream has taken it."""
         for (name, stream, channel), who in REQUESTS.items():
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
-            if name != self.name or who != usart or not cr & EN or (cr & CHANNEL) >> 25 != channel:
+            if name != self.name or who != asks or not cr & EN or (cr & CHANNEL) >> 25 != channel:
                 continue
             if self.values[base + PAR] != data_address:
                 raise Misuse(f"{self.name}: stream {stream} fetches from {self.values[base + PAR]:#x}")
-            self.board.write_memory(self.next[stream], bytes([datum]))
-            self.next[stream] += 1
+            size = 2 if cr & PSIZE else 1
+            self.board.write_memory(self.next[stream], datum.to_bytes(size, "little"))
+            self.next[stream] += size
             self.values[base + NDTR] -= 1
             if self.values[base + NDTR] == 0:
                 self.values[base + CR] &= ~EN

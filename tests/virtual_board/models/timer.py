@@ -1,9 +1,12 @@
-"""General-purpose timers TIM2, TIM3, TIM5 (RM0390 chapter 17, RM0383 chapter 13).
+"""General-purpose timers TIM2 to TIM5 (RM0390 chapter 17, RM0383 chapter 13).
 
 Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
 1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
-writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output.
-Not modelled: capture, slave and one-pulse mode, preload of compare registers, DMA, counting down, edges of PWM outputs.
+writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output; capture of both edges of a channel's own pin, with
+its DMA request, and overcapture.
+Not modelled: capture of one edge or of another channel's pin, the delay of synchronizer and filter (the same for every
+edge) and what the filter removes, slave and one-pulse mode, preload of compare registers, DMA of compare and update
+events, counting down, edges of PWM outputs.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
@@ -11,17 +14,22 @@ from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
 CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
+OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
+"""CCxS, the values of ICxF that are taken for nothing, and CCxNP, CCxP and CCxE."""
+INPUTS = {("B", 6): ("TIM4", 1), ("B", 7): ("TIM4", 2), ("B", 8): ("TIM4", 3)}
+"""Timer and channel by pin, as alternate function 2 (data sheets, table of alternate functions)."""
+FUNCTION = 2
 
 
 class Timer(Peripheral):
     REGISTERS = {
         CR1: ("CR1", 0, 1),
-        DIER: ("DIER", 0, 0x1F),
-        SR: ("SR", 0, 0x1F),
+        DIER: ("DIER", 0, 0x1E1F),
+        SR: ("SR", 0, 0x1E1F),
         EGR: ("EGR", 0, 0x1F),
-        CCMR1: ("CCMR1", 0, 0x7070),
-        CCMR2: ("CCMR2", 0, 0x7070),
-        CCER: ("CCER", 0, 0x3333),
+        CCMR1: ("CCMR1", 0, 0x7373),
+        CCMR2: ("CCMR2", 0, 0x7373),
+        CCER: ("CCER", 0, 0xBBBB),
         CNT: ("CNT", 0, 0xFFFF_FFFF),
         PSC: ("PSC", 0, 0xFFFF),
         ARR: ("ARR", 0xFFFF_FFFF, 0xFFFF_FFFF),
@@ -31,8 +39,9 @@ class Timer(Peripheral):
         CCR4: ("CCR4", 0, 0xFFFF_FFFF),
     }
 
-    def __init__(self, name, board, bit, irq, wide):
+    def __init__(self, name, board, bit, irq, wide, base=0):
         self.CLOCK = (0x40, bit)
+        self.base = base
         self.irq = irq
         self.top = 0xFFFF_FFFF if wide else 0xFFFF
         super().__init__(name, board)
@@ -87,11 +96,37 @@ class Timer(Peripheral):
             return self.count()
         if offset == EGR:
             return 0
+        if offset in COMPARE and self.captures(COMPARE.index(offset) + 1):
+            self.values[SR] &= ~(2 << COMPARE.index(offset))
+            self._call()
         return super().read(offset)
+
+    def captures(self, channel):
+        """Whether a channel is an input."""
+        return self.values[CCMR1 if channel <= 2 else CCMR2] >> 8 * (channel - 1 & 1) & 3
+
+    def edge(self, channel):
+        """The level of a channel's pin has changed."""
+        mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> 8 * (channel - 1 & 1) & 0xFF
+        enable = self.values[CCER] >> 4 * (channel - 1) & 0xF
+        if not mode & 3 or not enable & 1:
+            return
+        if mode & 3 != OWN_PIN or mode >> 4 not in FILTERS or enable != BOTH_EDGES:
+            raise Unmodelled(f"{self.name}: capture with CCMR {mode:#x}, CCER {enable:#x} in channel {channel}")
+        flag, offset = 1 << channel, COMPARE[channel - 1]
+        if self.values[SR] & flag:
+            self.values[SR] |= 1 << 8 + channel
+        self.values[offset] = self.count()
+        self.values[SR] |= flag
+        if self.values[DIER] >> 8 + channel & 1:
+            who = f"{self.name}_CH{channel}"
+            if any(dma.request(who, self.base + offset, self.values[offset]) for dma in self.board.dma):
+                self.values[SR] &= ~flag
+        self._call()
 
     def write(self, offset, value):
         if offset == SR:
-            self.values[SR] &= value | ~0x1F
+            self.values[SR] &= value | ~0x1E1F
             self._call()
             return
         if offset == EGR:
@@ -118,8 +153,10 @@ class Timer(Peripheral):
             self._take_prescaler()
             self.since = self.board.now
         if offset == DIER:
+            if any(value >> 8 + channel & 1 and not self.captures(channel) for channel in range(1, 5)):
+                raise Unmodelled(f"{self.name}: DMA of a compare event")
             self._call()
-        if offset in (CR1, CNT, ARR):
+        if offset in (CR1, CNT, ARR, CCMR1, CCMR2):
             self._schedule()
         elif offset in COMPARE:
             self._schedule_flag(COMPARE.index(offset) + 1, self.board.now)
@@ -131,6 +168,9 @@ class Timer(Peripheral):
     def _schedule_flag(self, flag, now):
         """When the counter next arrives at a value, after this moment."""
         if not self.running:
+            self.matched[flag] = NEVER
+            return
+        if flag and self.captures(flag):
             self.matched[flag] = NEVER
             return
         goal = 0 if flag == 0 else self.values[COMPARE[flag - 1]]

@@ -1,0 +1,132 @@
+//! Time-stamps every edge at three input pins, without the processor: a timer captures its count, DMA writes it to memory.
+//!
+//! ```text
+//!  PB6 ── TIM4 channel 1 ── DMA1 stream 0 ──▶ first line
+//!  PB7 ── TIM4 channel 2 ── DMA1 stream 3 ──▶ second line
+//!  PB8 ── TIM4 channel 3 ── DMA1 stream 7 ──▶ third line
+//! ```
+//! TIM4 counts the same clock as the step timer, so a count is a tick of the step clock (10 to 12 ns) and nothing here sees
+//! an error of that clock. It has 16 bits and comes round every 650 to 780 us: differences of counts hold modulo 2^16.
+//! An input takes on a level once it has been the same at four ticks, for rising and falling edges alike.
+//!
+//! Every STM32F4 of these boards has these pins, channels and streams (RM0383, RM0368, RM0390: DMA request mapping, and
+//! the data sheets' tables of alternate functions).
+
+use core::sync::atomic::{AtomicU16, Ordering, fence};
+use stm32f4xx_hal::pac;
+
+/// Edges of a line that are kept; those after them are counted as lost.
+pub const DEPTH: usize = 2048;
+/// Pins on port B, of the lines in their order.
+const PINS: [u32; 3] = [6, 7, 8];
+const STREAMS: [usize; 3] = [0, 3, 7];
+/// TIM4's number as the alternate function of these pins.
+const FUNCTION: u32 = 2;
+
+static EDGES: [[AtomicU16; DEPTH]; 3] = [const { [const { AtomicU16::new(0) }; DEPTH] }; 3];
+
+/// A whole register as a number.
+macro_rules! raw {
+    ($register:expr, $bits:expr) => {{
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each is explained
+        // where it is written, and the one address among them is that of a static that is large enough.
+        unsafe { $register.bits($bits) }
+    }};
+}
+
+/// The recorder of the three lines.
+pub struct Capture {
+    timer: pac::TIM4,
+    dma: pac::DMA1,
+}
+
+/// What a line has recorded.
+#[derive(Clone, Copy)]
+pub struct Edges(&'static [AtomicU16]);
+
+impl Edges {
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Count of the timer at an edge.
+    pub fn at(&self, edge: usize) -> u16 {
+        self.0[edge].load(Ordering::Relaxed)
+    }
+}
+
+impl Capture {
+    /// Turns the pins into inputs of the timer, with pull-downs, and starts it.
+    pub fn new(timer: pac::TIM4, dma: pac::DMA1, port: &pac::GPIOB, rcc: &pac::RCC) -> Capture {
+        rcc.apb1enr().modify(|_, w| w.tim4en().set_bit());
+        rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
+        // An enabled clock takes two bus cycles to arrive; reading back waits for them.
+        let _ = rcc.ahb1enr().read();
+        for pin in PINS {
+            let two = 2 * pin;
+            port.pupdr().modify(|r, w| raw!(w, r.bits() & !(0b11 << two) | 0b10 << two));
+            let four = 4 * (pin % 8);
+            if pin < 8 {
+                port.afrl().modify(|r, w| raw!(w, r.bits() & !(0xF << four) | FUNCTION << four));
+            } else {
+                port.afrh().modify(|r, w| raw!(w, r.bits() & !(0xF << four) | FUNCTION << four));
+            }
+            port.moder().modify(|r, w| raw!(w, r.bits() & !(0b11 << two) | 0b10 << two));
+        }
+        timer.arr().write(|w| raw!(w, 0xFFFF));
+        // CCxS = 1: the channel's own pin. ICxF = 2: four equal samples.
+        timer.ccmr1_input().write(|w| raw!(w, 0x2121));
+        timer.ccmr2_input().write(|w| raw!(w, 0x0021));
+        // CCxE with CCxP and CCxNP: both edges.
+        timer.ccer().write(|w| raw!(w, 0x0BBB));
+        timer.cr1().write(|w| w.cen().set_bit());
+        Capture { timer, dma }
+    }
+
+    /// The timer's count.
+    pub fn now(&self) -> u16 {
+        self.timer.cnt().read().bits() as u16
+    }
+
+    /// Forgets what was recorded, and records.
+    pub fn start(&mut self) {
+        self.timer.dier().write(|w| raw!(w, 0));
+        let sources = [self.timer.ccr1().as_ptr(), self.timer.ccr2().as_ptr(), self.timer.ccr3().as_ptr()];
+        for stream in STREAMS {
+            let stream = self.dma.st(stream);
+            stream.cr().write(|w| raw!(w, 0));
+            while stream.cr().read().bits() & 1 != 0 {}
+        }
+        // All flags of all streams.
+        self.dma.lifcr().write(|w| raw!(w, 0x0F7D_0F7D));
+        self.dma.hifcr().write(|w| raw!(w, 0x0F7D_0F7D));
+        for ((stream, source), edges) in STREAMS.into_iter().zip(sources).zip(&EDGES) {
+            let stream = self.dma.st(stream);
+            stream.par().write(|w| raw!(w, source as u32));
+            stream.m0ar().write(|w| raw!(w, edges.as_ptr() as u32));
+            stream.ndtr().write(|w| raw!(w, DEPTH as u32));
+            // Channel 2; 16 bits from the register to 16 bits of memory, whose address counts up; on.
+            stream.cr().write(|w| raw!(w, 2 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1));
+        }
+        // Flags of captures that nobody has fetched.
+        self.timer.sr().write(|w| raw!(w, 0));
+        // DMA requests of channels 1 to 3.
+        self.timer.dier().write(|w| raw!(w, 0b111 << 9));
+    }
+
+    /// Ends the record: the edges of the three lines. `None` if one came before the one before it had been fetched, or if
+    /// there were too many.
+    pub fn stop(&mut self) -> Option<[Edges; 3]> {
+        let flags = self.timer.sr().read().bits();
+        self.timer.dier().write(|w| raw!(w, 0));
+        fence(Ordering::SeqCst);
+        let mut lines = [Edges(&[]); 3];
+        for ((line, stream), edges) in lines.iter_mut().zip(STREAMS).zip(&EDGES) {
+            let left = self.dma.st(stream).ndtr().read().bits() as usize;
+            *line = Edges(&edges[..DEPTH - left.min(DEPTH)]);
+        }
+        // CCxOF; and CCxIF, which stays only when DMA has come to its end.
+        (flags & (0b111 << 9 | 0b111 << 1) == 0).then_some(lines)
+    }
+}
