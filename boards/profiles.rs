@@ -42,10 +42,10 @@ pub const BLACKPILL_F411: Board =
     Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 120_000, ..DESK };
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, so the worst tick takes
-/// 505 cycles, the fetching 431 and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): 1806 in all.
-/// That is what the step task can follow; `control` is slower (docs/how-it-works.md, "Small parts").
+/// 331 cycles and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): with the entry 988 in all
+/// (docs/how-it-works.md, "Small parts").
 pub const BLACKPILL_F401: Board =
-    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 46_000, blocks: 256, ..DESK };
+    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 85_000, blocks: 256, ..DESK };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. A tick, with 5 cycles more for a second
 /// port, the end of its pulse and half a message would allow 288 kHz; the shortest pulse and the time after it, 3.9 us, do

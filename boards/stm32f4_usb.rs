@@ -23,6 +23,7 @@ use usb_device::prelude::*;
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
 use super::super::{Incoming, Port};
+use super::clock_ticks;
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
@@ -77,6 +78,9 @@ fn write(offset: usize, word: u32) {
     unsafe { address.write_volatile(word) }
 }
 
+/// How long after its end a host's bytes may still come: much longer than an operating system takes to call them back.
+const CLOSING_TICKS: u32 = 200_000 * super::super::CLOCK_TICKS_PER_US;
+
 /// The receiving half: what has been fetched of the last packet.
 struct Received {
     packet: [u8; PACKET],
@@ -92,8 +96,11 @@ pub struct UsbPort {
     class: CdcAcmClass<'static, UsbBusType>,
     received: Received,
     outgoing: heapless::Vec<u8, SENT>,
-    /// The host has sent something since it set the device up: some never raise DTR.
+    /// The host has sent something since it set the device up or closed its port: some never raise DTR.
     spoken: bool,
+    /// When DTR fell, while what comes may still be of the host that has gone: it closes its port first and calls back what
+    /// it was about to send afterwards.
+    closing: Option<u32>,
     /// As they were at the last look.
     dtr: bool,
     configured: bool,
@@ -137,6 +144,7 @@ impl UsbPort {
             received,
             outgoing: heapless::Vec::new(),
             spoken: false,
+            closing: None,
             dtr: false,
             configured: false,
             resetting: false,
@@ -214,14 +222,24 @@ impl Port for UsbPort {
         let dtr = self.class.dtr();
         // DTR falls when the port is closed, the bus goes idle when the cable is pulled.
         let configured = self.is_configured();
-        if self.dtr && !dtr || self.configured && !configured {
+        let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
+        // Whoever opens the port is another host than one that has spoken without.
+        let opened = !self.dtr && dtr;
+        let changes_hands = opened && self.spoken;
+        if closed || unplugged || changes_hands {
             self.spoken = false;
             self.outgoing.clear();
             self.forget_received();
         }
-        self.dtr = dtr;
+        if closed {
+            self.closing = Some(clock_ticks());
+        } else if opened || unplugged {
+            self.closing = None;
+        }
+        // One that has gone for a moment is seen to go: the next look finds the other.
+        self.dtr = dtr && !changes_hands;
         self.configured = configured;
-        configured && (dtr || self.spoken)
+        configured && (self.dtr || self.spoken)
     }
 
     fn receive(&mut self) -> Incoming {
@@ -229,6 +247,15 @@ impl Port for UsbPort {
         if received.next >= received.length {
             received.next = 0;
             received.length = self.class.read_packet(&mut received.packet).unwrap_or(0);
+            if received.length > 0
+                && let Some(since) = self.closing
+            {
+                if clock_ticks().wrapping_sub(since) < CLOSING_TICKS {
+                    received.length = 0;
+                } else {
+                    self.closing = None;
+                }
+            }
             self.spoken |= received.length > 0;
         }
         let Some(byte) = received.packet.get(received.next).filter(|_| received.next < received.length) else {

@@ -90,18 +90,23 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
     fn look<const O: usize>(&mut self, entrance: &mut Entrance, other: &mut Link<O>, queues: &ToControl) -> bool {
-        let open = self.port.poll();
-        if open == core::mem::replace(&mut self.open, open) {
-            return false;
-        }
-        if open {
-            if self.link.came(entrance, other, queues) {
-                HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
+        let mut news = false;
+        // One host may go and another come at the same moment.
+        for _ in 0..2 {
+            let open = self.port.poll();
+            if open == core::mem::replace(&mut self.open, open) {
+                break;
             }
-        } else if self.link.went(entrance) {
-            HOSTS_WENT.fetch_add(1, Ordering::Relaxed);
+            news = true;
+            if open {
+                if self.link.came(entrance, other, queues) {
+                    HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
+                }
+            } else if self.link.went(entrance) {
+                HOSTS_WENT.fetch_add(1, Ordering::Relaxed);
+            }
         }
-        true
+        news
     }
 
     /// Fetches what has come, as far as there is room. Whether there is news for `control`.
@@ -140,6 +145,8 @@ pub struct Serial {
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
     sending: Chunk,
     sent: usize,
+    /// Whom it is for.
+    sending_to: usize,
     wake: Wake,
 }
 
@@ -161,6 +168,7 @@ impl Serial {
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
             sent: 0,
+            sending_to: UART,
             wake,
         }
     }
@@ -175,7 +183,8 @@ impl Serial {
         news |= usb.look(entrance, &mut uart.link, queues);
         news |= usb.receive(entrance, &mut uart.link, queues);
         RX_HELD.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
-        let held = (uart.link.held() + usb.link.held()) as u32;
+        let held = uart.link.held() + usb.link.held();
+        let held = (held + usize::from(held > 0 && entrance.owes_cut())) as u32;
         LINE_BYTES_RECEIVED.store(LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {
@@ -187,7 +196,12 @@ impl Serial {
     fn send(&mut self) -> bool {
         let mut room = false;
         let (uart, usb) = (self.uart.refuse(), self.usb.refuse());
-        let to_usb = self.entrance.holder() == USB;
+        let holder = self.entrance.holder();
+        let to_usb = holder == USB;
+        if self.sending_to != holder {
+            // The rest of a line that another host has begun to get is nothing to this one.
+            self.sent = self.sending.as_bytes().len();
+        }
         let mut more = false;
         // A refusal is not torn by an answer.
         let clear = if to_usb { usb } else { uart };
@@ -199,6 +213,7 @@ impl Serial {
                 let Ok(chunk) = self.replies.try_recv() else { break };
                 self.sending = chunk;
                 self.sent = 0;
+                self.sending_to = holder;
                 room = true;
                 continue;
             };

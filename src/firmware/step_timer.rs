@@ -344,7 +344,8 @@ impl Step {
                     StepTimer::call();
                 }
             } else if self.receive() {
-                // Everything else comes with the second half.
+                // Everything else comes with the second half. What has left the queue is not at rest.
+                STEP_AT_REST.store(false, Ordering::Relaxed);
                 StepTimer::call();
                 return;
             }

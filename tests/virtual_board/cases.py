@@ -1104,6 +1104,25 @@ def usb_unread(bench):
     if host.has_said("error", after) or step.steps():
         raise Failure(f"the next host was told {bytes(host.text[after:])!r}")
     yield "closed with half a line unfetched: the next host begins a line of its own"
+    # A program that pours a file in is ended: its port is closed first, and what it had under way is called back later.
+    bench.settings(s914=0)
+    host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
+    board.run(seconds=0.3)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.15)
+    host.packets.clear()
+    board.run(seconds=3)
+    after = len(host.text)
+    host.order("open")
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    bench.ask("G4P0")
+    bench.wait_state("Idle", 1)
+    if host.has_said("error", after) or step.steps():
+        raise Failure(f"what came after the port was closed was read; the next host was told {bytes(host.text[after:])!r}")
+    yield "closed while it waited: what was still under way is thrown away, and the next host is greeted"
     # Twice the driver has enabled the endpoint before the end of a packet was seen: one packet is with the driver, and one
     # stays in the FIFO and keeps the interrupt pending.
     hang(bench)

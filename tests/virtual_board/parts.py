@@ -93,7 +93,7 @@ BLACKPILL_F411 = Wiring(
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
     second_limit="A0", usart="USART1", safe_step_hz=120_000, usb=True,
 )  # fmt: skip
-BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=46_000)
+BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=85_000)
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),

@@ -113,12 +113,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
             return;
         }
+        let before_cancel = self.jog_bytes > 0;
+        self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if byte.byte == CUT {
             self.line = Line::new();
             return;
         }
-        let before_cancel = self.jog_bytes > 0;
-        self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if byte.damaged {
             self.line.damage();
             self.say(|out| report::message(out, "Received bytes lost"));

@@ -4,7 +4,9 @@
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and gone on with
 //! in a later call, so `?`, `!` and a reset are never late. Time is an argument.
 //!
-//! * this file: what comes in and what goes out, realtime commands
+//! * this file: what comes in and what goes out
+//! * [`realtime`]: commands that no line holds back
+//! * [`inputs`]: buttons, switches, emergencies
 //! * [`execute`]: a checked line of G-code is carried out, step by step
 //! * [`stops`]: stops, alarms and resets
 //! * [`outputs`]: pins, answers, reports

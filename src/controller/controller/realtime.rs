@@ -19,6 +19,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.epoch = self.epoch.wrapping_add(1);
                 self.drop_older_bytes();
                 self.jog_epoch = self.epoch;
+                self.line.clear();
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }

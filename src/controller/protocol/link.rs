@@ -53,6 +53,11 @@ impl Entrance {
         self.floor.holder()
     }
 
+    /// Whether a [`CUT`] goes before the next byte, which is a byte received like others.
+    pub fn owes_cut(&self) -> bool {
+        self.cut
+    }
+
     fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
@@ -154,8 +159,11 @@ impl<const HELD: usize> Link<HELD> {
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     other.void_line(entrance);
                 }
-                let free = queues.is_free();
-                entrance.turn_to(other, |floor| floor.claim(self.number, free, false));
+                // A bare command cuts nobody short: the answer to a `?` goes to who is in the midst of a line.
+                if !other.mid_line || other.refusing {
+                    let free = queues.is_free();
+                    entrance.turn_to(other, |floor| floor.claim(self.number, free, false));
+                }
                 self.command(command, entrance, queues)
             }
             Received::Line(byte) => {
@@ -605,11 +613,14 @@ mod tests {
         both.uart(b"0 Z-9\n");
         both.uart(b"G4\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
-        // A question takes the floor of an idle machine as well.
+        // A question takes the floor of an idle machine as well, but cuts nobody short.
         both.uart(b"G1 X1");
         both.usb(b"?");
         both.uart(b"0\nG5\n");
-        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X1|G5\n", (2, 0)));
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X10\nG5\n", (1, 0)));
+        assert_eq!(both.entrance.holder(), 0);
+        both.usb(b"?");
+        assert_eq!(both.entrance.holder(), 1);
     }
 
     #[test]
