@@ -35,31 +35,29 @@ pub const DESK: Board = Board {
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
-/// `cargo xtask count` gives 282 cycles for the worst tick, `cargo xtask virtual` 306 for the longest masked time, which is the
-/// USB driver's; with 24 for the entry and 1.3 for flash wait states they take 796 cycles. A tick, the end of its pulse and
-/// half a message after it would allow 155 kHz (docs/how-it-works.md, "What it costs").
+/// `cargo xtask count` gives 289 cycles for the worst tick, `cargo xtask virtual` 306 for the longest masked time, which is the
+/// USB driver's; with 24 for the entry and 1.3 for flash wait states they take 805 cycles. A tick, the end of its pulse and
+/// half a message after it would allow 120 kHz (docs/how-it-works.md, "What it costs").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 120_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 119_000, ..DESK };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, so the worst tick takes
-/// 331 cycles and the masked time 405 (`cargo xtask count small`, `cargo xtask virtual`): with the entry 988 in all
-/// (docs/how-it-works.md, "Small parts").
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size (`cargo xtask count
+/// small`): a tick, the end of its pulse and half a message take 993 cycles.
 pub const BLACKPILL_F401: Board =
-    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 85_000, blocks: 256, ..DESK };
+    Board { name: "blackpill_f401", step_clock_hz: 84_000_000, safe_step_hz: 84_000, blocks: 256, ..DESK };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. A tick, with 5 cycles more for a second
-/// port, the end of its pulse and half a message would allow 288 kHz; the shortest pulse and the time after it, 3.9 us, do
-/// not.
+/// port, the end of its pulse and half a message take 802 cycles.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 256_000, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 224_000, ..DESK };
 
-/// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. Half a message bounds it: 624 cycles.
+/// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 160_000, ..DESK };
+    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 124_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. The step rate as above.
 pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 134_000, ..DESK };
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 104_000, ..DESK };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };

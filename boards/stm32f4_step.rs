@@ -327,10 +327,13 @@ impl<const AT: usize, O> StepTimer<AT, O> {
         read(AT + CCR2)
     }
 
-    /// Calls the step task at a moment that lies ahead, independent of ticks.
+    /// Calls the step task at a moment, independent of ticks; at once if it has passed.
     #[inline(always)]
     pub fn settled_at(&mut self, when: u32) {
         write(AT + CCR3, when);
+        if self.now().wrapping_sub(when) as i32 >= 0 {
+            write(AT + EGR, Due::SETTLED.0);
+        }
     }
 
     /// Calls the step task, from any task: the call waits as a flag of the timer until it is taken.

@@ -131,6 +131,8 @@ impl Control {
         let now = self.clock.now();
         self.observe();
         while let Ok(event) = self.ends.events.try_recv() {
+            // A segment may have begun before what it tells of.
+            self.observe();
             self.controller.event(now, Event::Step(event));
         }
         let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));

@@ -15,10 +15,10 @@
 //! What is not urgent (messages, power, reports) comes while the next edge is far: during a long pulse, or after a short one.
 //! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes after the pulse of
 //! that one, which is an ordinary one and leaves the most time. It may make the tick after it late, but no later than
-//! [`FAR_US`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
+//! [`FAR_CYCLES`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
 //! another.
 
-use crate::boards::{AXES, Due, PROFILE, SecondMotor, StepPins, StepTimer};
+use crate::boards::{AXES, CORE_HZ, Due, PROFILE, SecondMotor, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
@@ -34,10 +34,10 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// An edge is far if it leaves time for what is not urgent: half a message takes 342 cycles (`cargo xtask count`), with 24
-/// for entry and exit 3.8 us at 96 MHz.
-const FAR_US: u32 = 4;
-const FAR_TICKS: u32 = FAR_US * TICKS_PER_US;
+/// An edge is far if it leaves time for what is not urgent: half a message takes 346 cycles (`cargo xtask count`), with 24
+/// for entry and exit. Wait states of the flash come on top, but waiting longer leaves less time after the next pulse.
+const FAR_CYCLES: u32 = 384;
+const FAR_TICKS: u32 = FAR_CYCLES * (PROFILE.step_clock_hz / 1000) / (CORE_HZ / 1000);
 /// From the moment a tick is due to the edge that it makes, and what is left of its handler.
 const EDGE_TICKS: u32 = TICKS_PER_US * 3 / 2;
 /// From a moment that may be near to one that surely lies ahead.
@@ -279,13 +279,34 @@ impl Step {
         }
     }
 
-    /// The pulse before has ended: time for another direction.
+    /// The pulse before has ended: time for another direction. Or it has not, for the moment was set for something else and
+    /// has passed before it was set anew.
     #[cold]
     fn settle(&mut self) {
-        if self.running && self.stepper.directions() != self.directions_shown {
+        let turns = self.running && self.stepper.directions() != self.directions_shown;
+        if !turns && !self.settling {
+            return;
+        }
+        let (now, end) = (self.timer.now(), self.timer.pulse_end());
+        let to_end = end.wrapping_sub(now);
+        if to_end.wrapping_sub(1) < self.pulse_ticks {
+            self.timer.settled_at(end);
+            return;
+        }
+        if self.ends_now(to_end) {
+            self.timer.settled_at(now.wrapping_add(BEHIND_TICKS));
+            return;
+        }
+        if turns {
             self.turn();
         }
         self.settling = false;
+    }
+
+    /// Whether a pulse has ended since this entry began, a moment ago, and is still out.
+    #[inline]
+    fn ends_now(&self, to_end: u32) -> bool {
+        to_end.wrapping_neg() < FAR_TICKS && self.timer.is_due(Due::PULSE_END)
     }
 
     /// Writes the directions of the next step.
@@ -376,8 +397,7 @@ impl Step {
         let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
         let to_end = self.timer.pulse_end().wrapping_sub(now);
         let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
-        if to_end.wrapping_neg() < FAR_TICKS && self.timer.is_due(Due::PULSE_END) {
-            // It has ended since this call was taken, a moment ago.
+        if self.ends_now(to_end) {
             StepTimer::call();
             return true;
         }

@@ -78,6 +78,7 @@ class Wiring:
     second_step: str
     second_direction: str
     second_limit: str
+    at_speed: str | None
     usart: str
     safe_step_hz: int
     step_irq: int = 28
@@ -91,17 +92,17 @@ BLACKPILL_F411 = Wiring(
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", usart="USART1", safe_step_hz=120_000, usb=True,
+    second_limit="A0", at_speed=None, usart="USART1", safe_step_hz=119_000, usb=True,
 )  # fmt: skip
-BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=85_000)
+BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=84_000)
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
     enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
     probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", second_step="B13", second_direction="B14",
-    second_limit="B15", usart="USART2", safe_step_hz=256_000,
+    second_limit="B15", at_speed="C11", usart="USART2", safe_step_hz=224_000,
 )  # fmt: skip
-NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=160_000)
-NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=134_000)
+NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=124_000)
+NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=104_000)
 
 BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE)}

@@ -67,6 +67,7 @@ const ROWS: [Row; 20] = [
     row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (177, 290))
         .beside("147 / 206", "209 / 304"),
     row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (225, 353)),
+    row("wait", "a call that comes too near an edge", Figure::Worst, None, (85, 141)),
     row("stop", "stop, with its report", Figure::Worst, None, (380, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
@@ -76,9 +77,8 @@ const ROWS: [Row; 20] = [
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (21, 28))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_490)),
-    row("jerk_worst", "the same at worst, 256 blocks of 0.01 mm queued", Figure::Worst, None, (1_070, 2_140)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (1_900, 3_460)),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (97, 123)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (113, 135)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),

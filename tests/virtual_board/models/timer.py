@@ -199,6 +199,11 @@ class Timer(Peripheral):
         self._call()
         self._plan()
 
+    def until_tick(self):
+        """Core cycles until the counter comes to CCR1; None while its interrupt is off or it is long past."""
+        counts = (self.values[CCR1] - self.count()) & 0xFFFF_FFFF
+        return counts * self.cycles if self.values[DIER] & 2 and counts < 1 << 20 else None
+
     def frequency(self):
         """Overflows in a second."""
         return self.board.rcc.hclk / (self.cycles * (self.values[ARR] + 1))
