@@ -6,7 +6,7 @@ Run by `cargo xtask virtual` before the boards.
 import unittest
 from types import SimpleNamespace
 
-from .models import dma, exti, flash, gpio, iwdg, nvic, pwr, rcc, timer, usart
+from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
 
@@ -512,6 +512,82 @@ class IwdgTraces(unittest.TestCase):
         self.assertEqual(model.due, 89_152_000)
         with self.assertRaises(Misuse):
             model.write(iwdg.KR, 0x1234)
+
+
+class OtgTraces(unittest.TestCase):
+    """RM0383, 22.16: GRXSTSR and GRXSTSP hold EPNUM in bits 3:0, BCNT in 14:4, PKTSTS in 20:17 (2 data received, 3 transfer
+    completed, 4 SETUP completed, 6 SETUP received)."""
+
+    def fresh(self):
+        bench = Bench()
+        model = otg.OtgFs("OTG_FS", bench)
+        # The global interrupt on, and that of the receive FIFO and of IN endpoints.
+        model.write(0x008, 1)
+        model.write(0x018, 1 << 4 | 1 << 18)
+        return bench, model
+
+    def test_a_setup_packet_and_its_end(self):
+        bench, model = self.fresh()
+        self.assertFalse(bench.lines.get(67))
+        self.assertEqual(model.read(0x014) & 1 << 4, 0)
+        with self.assertRaises(Misuse):
+            model.read(0x01C)
+        # GET_DESCRIPTOR, device, 64 bytes: eight bytes for endpoint 0.
+        model.setup(bytes.fromhex("8006000100004000"))
+        self.assertTrue(bench.lines[67])
+        self.assertEqual(model.read(0x01C), 6 << 17 | 8 << 4)
+        self.assertEqual(model.read(0x020), 0x000C_0080)
+        with self.assertRaises(Misuse):
+            model.read(0x020)
+        self.assertEqual([model.read(0x1000), model.read(0x1000)], [0x0100_0680, 0x0040_0000])
+        # Its end comes half a microsecond later.
+        self.assertEqual(model.read(0x014) & 1 << 4, 0)
+        bench.now += 48
+        model.call()
+        self.assertEqual(model.read(0x020), 0x0008_0000)
+        model.call()
+        self.assertFalse(bench.lines[67])
+
+    def test_a_packet_for_an_endpoint_that_then_answers_nak(self):
+        bench, model = self.fresh()
+        # Endpoint 1 is not active, then active and not enabled, then enabled with its NAK cleared.
+        self.assertIs(model.out(1, b"G0"), False)
+        model.write(0xB20, 1 << 15)
+        self.assertIs(model.out(1, b"G0"), False)
+        model.write(0xB20, 1 << 31 | 1 << 26 | 1 << 15)
+        self.assertEqual(model.read(0xB20), 1 << 31 | 1 << 15)
+        self.assertIs(model.out(1, b"G0X1\n"), True)
+        self.assertEqual(model.read(0xB20), 1 << 17 | 1 << 15)
+        self.assertIs(model.out(1, b"?"), False)
+        bench.now += 48
+        self.assertEqual(model.read(0x020), 0x0004_0051)
+        self.assertEqual([model.read(0x1000), model.read(0x1000)], [0x3158_3047, 0x0000_000A])
+        self.assertEqual(model.read(0x020), 0x0006_0001)
+        model.write(0xB20, 1 << 31 | 1 << 26 | 1 << 15)
+        self.assertIs(model.out(1, b"?"), True)
+        # STALL answers for itself.
+        model.write(0xB20, 1 << 21 | 1 << 15)
+        self.assertIsNone(model.out(1, b"?"))
+
+    def test_a_packet_to_the_host(self):
+        bench, model = self.fresh()
+        model.write(0x810, 1)
+        model.write(0x81C, 1 << 1)
+        self.assertIs(model.in_(1), False)
+        # One packet of three bytes; the FIFO has room for 16 words.
+        model.write(0x930, 1 << 19 | 3)
+        model.write(0x920, 1 << 31 | 1 << 26 | 1 << 15)
+        self.assertEqual(model.read(0x938), 16)
+        self.assertIs(model.in_(1), False, "nothing has been written yet")
+        model.write(0x2000, 0x000A_6B6F)
+        self.assertEqual(model.read(0x938), 15)
+        self.assertEqual(model.in_(1), b"ok\n")
+        # Transfer complete: IEPINT in GINTSTS, bit 0 in DIEPINT1, cleared by writing 1.
+        self.assertTrue(model.read(0x014) & 1 << 18 and bench.lines[67])
+        self.assertEqual(model.read(0x928), 1)
+        model.write(0x928, 1)
+        self.assertEqual(model.read(0x014) & 1 << 18, 0)
+        self.assertFalse(bench.lines[67])
 
 
 class NvicTraces(unittest.TestCase):
