@@ -93,7 +93,7 @@ pub fn setup(mut device: pac::Peripherals) -> Parts {
     // another vector.
     unsafe { NVIC::unmask(Interrupt::UART0_TX) };
     Parts {
-        step_timer: StepTimer { timer: device.TIMER0, moments: [None; 3], next_tick: 0 },
+        step_timer: StepTimer { timer: device.TIMER0, moments: [None; 3], next_tick: 0, pulse_end: 0 },
         step_pins: StepPins,
         serial: SerialPort(device.UART0),
         usb: NoPort,
@@ -156,8 +156,9 @@ pub struct StepTimer {
     timer: Timer0,
     /// Of tick, end of pulse, settling.
     moments: [Option<u32>; 3],
-    /// Moment of the next tick, also once it has come.
+    /// Moment of the next tick, and that of the end of the last pulse, also once they have come.
     next_tick: u32,
+    pulse_end: u32,
 }
 
 impl StepTimer {
@@ -217,12 +218,13 @@ impl StepTimer {
 
     /// Calls the step task at the end of a pulse.
     pub fn pulse_end_at(&mut self, when: u32) {
+        self.pulse_end = when;
         self.set(Self::PULSE_END, Some(when));
     }
 
-    /// The moment at which the pulse ends; now, if none is out.
+    /// The moment at which the last pulse ends or has ended.
     pub fn pulse_end(&self) -> u32 {
-        self.moments[Self::PULSE_END].unwrap_or_else(|| self.now())
+        self.pulse_end
     }
 
     /// Calls the step task at a moment, independent of ticks.
