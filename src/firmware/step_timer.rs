@@ -46,6 +46,10 @@ const BEHIND_TICKS: u32 = TICKS_PER_US / 2;
 /// take 0.29 us at 180 MHz. An output stays low for that much longer.
 const LEAST_EDGE_TICKS: u32 = TICKS_PER_US / 4;
 
+/// From the first segment after a rest to its first tick: the first segments of a hard start last some 50 us each, less than
+/// it takes to prepare the next, so that some must be there before the first begins.
+const START_TICKS: u32 = 2_000 * TICKS_PER_US;
+
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
 
@@ -439,10 +443,10 @@ impl Step {
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
         }
         if !self.stepper.is_idle() {
-            let now = self.timer.now();
-            self.stepper.begin_at(now);
+            let begin = self.timer.now().wrapping_add(START_TICKS);
+            self.stepper.begin_at(begin);
             self.running = true;
-            self.timer.tick_at(now);
+            self.timer.tick_at(begin);
         }
     }
 
