@@ -1182,6 +1182,7 @@ def usb_unread(bench):
 
 
 KNOWN = {
+    ("blackpill_f401", "called at turns"): "built for size, control is too slow for moves of seven steps at 50 mm/s beside a call at each tick: the step task runs dry",
     ("blackpill_f401", "tight pulses"): "built for size, half a message takes longer than the time between pulses of 7 us: ticks are late by up to 5.7 us",
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
