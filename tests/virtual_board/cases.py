@@ -15,7 +15,7 @@ from .scope import Scope, steady
 from .usb import UsbHost
 
 US = 1e-6
-LATEST_TICK_S = 2 * US
+LATEST_TICK_S = 3 * US
 """How late a tick may be: what masks interrupts, and a pulse end that is being handled."""
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US

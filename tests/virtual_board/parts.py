@@ -103,6 +103,6 @@ NUCLEO_F446RE = Wiring(
     second_limit="B15", at_speed="C11", usart="USART2", safe_step_hz=224_000,
 )  # fmt: skip
 NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=124_000)
-NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=104_000)
+NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=84_000)
 
 BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE)}
