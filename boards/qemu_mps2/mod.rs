@@ -14,11 +14,15 @@
 //!   │ SSRAM    in place of flash, settings sectors too  │
 //!   │ PSRAM 0x2100_0000  "JOB!", length, text: optional │
 //!   │                    "HOST", length, script         │
+//!   │                    "BUSY": never asleep           │
 //!   └───────────────────────────────────────────────────┘
 //! ```
 //! A job that QEMU's loader has put into PSRAM runs without the UART: its bytes are always there when the controller
 //! wants one, so the step stream is the same in every run. At its end the report goes to UART1 and QEMU ends. A script
 //! there takes the place of a host at UART0 (see `script`).
+//!
+//! With counted instructions (`-icount`), virtual time follows the host's clock only while the processor sleeps: if it
+//! never does, whatever holds QEMU up, no time goes by without the instructions that belong to it.
 //!
 //! Everything with an address here is QEMU's: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
@@ -388,6 +392,7 @@ pub fn safe_state() {}
 const JOB: usize = 0x2100_0000;
 const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
 const SCRIPT_MARK: u32 = u32::from_le_bytes(*b"HOST");
+const BUSY_MARK: u32 = u32::from_le_bytes(*b"BUSY");
 /// What PSRAM can hold behind the two words.
 const JOB_MAXIMUM: usize = 16 * 1024 * 1024 - 8;
 
@@ -398,16 +403,21 @@ pub fn preloaded_job() -> Option<&'static [u8]> {
 
 /// What lies in PSRAM with this mark.
 fn preloaded(mark: u32) -> Option<&'static [u8]> {
-    // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
-    // the program, and nobody writes to it after the reset.
+    if !is_marked(mark) {
+        return None;
+    }
+    // SAFETY: as in `is_marked`.
     unsafe {
-        let header = JOB as *const u32;
-        if header.read_volatile() != mark {
-            return None;
-        }
-        let length = header.add(1).read_volatile() as usize;
+        let length = (JOB as *const u32).add(1).read_volatile() as usize;
         (length <= JOB_MAXIMUM).then(|| core::slice::from_raw_parts((JOB + 8) as *const u8, length))
     }
+}
+
+/// Whether PSRAM begins with this mark.
+fn is_marked(mark: u32) -> bool {
+    // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
+    // the program, and nobody writes to it after the reset.
+    unsafe { (JOB as *const u32).read_volatile() == mark }
 }
 
 static REPORTER: Mutex<RefCell<Option<Uart1>>> = Mutex::new(RefCell::new(None));
@@ -473,7 +483,9 @@ pub fn idle() {
         Some(_) => send_record(),
         None => {}
     }
-    cortex_m::asm::wfi();
+    if !is_marked(BUSY_MARK) {
+        cortex_m::asm::wfi();
+    }
 }
 
 /// Lets the host inside the machine do what it can.

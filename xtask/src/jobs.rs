@@ -107,7 +107,7 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
     stream(&mut host, &text)?;
     let status = wait_until_idle(&mut host)?;
     stand.write_all(b"r").map_err(|error| error.to_string())?;
-    let report = read_until(&mut stand, Duration::from_secs(5), |text| text.ends_with('\n'))?;
+    let report = read_until(&mut stand, Duration::from_secs(60), |text| text.ends_with('\n'))?;
     let steps = parse_report(&report)?;
     // Where one axis moves at a time no smoothing can change the order.
     if file.file_stem().is_some_and(|stem| stem == ONE_AXIS_AT_A_TIME) && steps.order != expected.order {
@@ -224,7 +224,7 @@ pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
     let mut idle_before = false;
     loop {
         host.write_all(b"?").map_err(|error| error.to_string())?;
-        let status = read_until(host, Duration::from_secs(5), |text| text.ends_with(">\r\n"))?;
+        let status = read_until(host, Duration::from_secs(60), |text| text.ends_with(">\r\n"))?;
         let idle = status.contains("<Idle|");
         if idle && idle_before {
             return Ok(status.trim().to_owned());

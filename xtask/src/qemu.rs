@@ -91,7 +91,7 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
     loop {
         match TcpStream::connect(("127.0.0.1", port)) {
             Ok(stream) => return Ok(stream),
-            Err(error) if begin.elapsed() > Duration::from_secs(10) => {
+            Err(error) if begin.elapsed() > Duration::from_secs(60) => {
                 return Err(format!("QEMU does not listen: {error}"));
             }
             Err(_) => thread::sleep(Duration::from_millis(20)),
@@ -105,9 +105,13 @@ pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
 
-/// The same with time as on a wall clock, so that a host can intervene in a motion.
+/// The same with a processor that never sleeps, so that a host can intervene in a motion: time goes by with the
+/// instructions executed, about as on a wall clock, and stands still while the host has no time for QEMU.
 pub fn live(elf: &Path) -> Result<Running, Failure> {
-    running(machine(elf, false))
+    let mut qemu = machine(elf, true);
+    let mark = u32::from_le_bytes(*b"BUSY");
+    qemu.args(["-device", &format!("loader,addr={JOB:#x},data={mark:#x},data-len=4")]);
+    running(qemu)
 }
 
 /// The board, the host's line, the test stand's line.
