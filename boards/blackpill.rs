@@ -55,8 +55,8 @@ use stm32f4xx_hal::{
 use super::input_bits;
 use super::stm32f4::{self, each};
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
-    reset_cause, restart, safe_state,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
+    preloaded_job, reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
 pub use stm32f4xx_hal::pac;

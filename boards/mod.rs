@@ -70,14 +70,14 @@ mod second_motor;
 pub use chosen::*;
 pub use second_motor::SecondMotor;
 
-use oxmill_controller::Profile;
+use oxmill_controller::{Profile, StepRates};
 
 /// What the controller must know of a board.
 const fn profile(board: &profiles::Board, has_second_motor: bool) -> Profile {
     Profile {
         name: board.name,
         step_clock_hz: board.step_clock_hz,
-        safe_step_hz: board.safe_step_hz,
+        rates: StepRates { safe_hz: board.safe_step_hz, attention_ns: board.attention_ns },
         has_second_motor,
         has_store: true,
     }

@@ -12,8 +12,8 @@ use stm32f4xx_hal::{
 
 use super::stm32f4::each;
 pub use super::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job,
-    reset_cause, restart, safe_state,
+    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
+    preloaded_job, reset_cause, restart, safe_state,
 };
 pub use super::stm32f4_step::Due;
 use super::{NoPort, input_bits, stm32f4};

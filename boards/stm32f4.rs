@@ -79,6 +79,15 @@ pub fn call_step() {
     StepTimer::call();
 }
 
+/// A call of the step task that finds no time for what it is for takes less than this.
+const NEAR_CYCLES: u32 = 192;
+
+/// Calls the step task for what is not urgent: not so shortly before an edge that the call delays it.
+pub fn ask_step() {
+    let near = NEAR_CYCLES * (super::PROFILE.step_clock_hz / 1000) / (super::CORE_HZ / 1000);
+    while !critical_section::with(|_| StepTimer::call_if_far(near)) {}
+}
+
 /// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
 macro_rules! each {
     ([$($pin:expr),+].$turn:ident $how:tt) => {

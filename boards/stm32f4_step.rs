@@ -341,4 +341,16 @@ impl<const AT: usize, O> StepTimer<AT, O> {
     pub fn call() {
         write(AT + EGR, Due::CALLED.0);
     }
+
+    /// The same if the next tick and the end of a pulse are not closer than `near`, so that the call is not in their way;
+    /// `false` otherwise. To be called with interrupts masked.
+    pub fn call_if_far(near: u32) -> bool {
+        let now = read(AT + CNT);
+        let far = read(AT + DIER) & Due::TICK.0 == 0
+            || (read(AT + CCR1).wrapping_sub(now) as i32 >= near as i32 && read(AT + CCR2).wrapping_sub(now) >= near);
+        if far {
+            Self::call();
+        }
+        far
+    }
 }

@@ -37,8 +37,10 @@ pub mod motion;
 pub mod protocol;
 
 mod controller;
+mod step_rates;
 pub use controller::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
 pub use protocol::link::{Entrance, Link, Owed, Queues};
 pub use protocol::realtime::Received;
+pub use step_rates::StepRates;

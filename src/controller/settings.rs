@@ -5,6 +5,7 @@
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::error::Error;
+use crate::step_rates::StepRates;
 use crate::units::{Decimal, Duration, StepsPerMm};
 
 /// How a value is checked and printed.
@@ -459,15 +460,11 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond `safe_step_hz` or
-    /// beyond what the step pulse (`$0`) leaves room for; a second motor that the board does not have or that CoreXY leaves
+    /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board
+    /// can keep with this step pulse (`$0`); a second motor that the board does not have or that CoreXY leaves
     /// no place for.
-    pub fn unrunnable(&self, safe_step_hz: u32, has_second_motor: bool) -> Option<u16> {
-        // A pulse and the shortest pause after it must fit between two steps.
-        let pulse = self.value(Key::StepPulse);
-        let low = if pulse < LONGEST_LOW_US { pulse } else { LONGEST_LOW_US };
-        let pulses_hz = 1.0e6 / (pulse + low + LATEST_PULSE_END_US);
-        let greatest_hz = if pulses_hz < safe_step_hz as f32 { pulses_hz } else { safe_step_hz as f32 };
+    pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
+        let greatest_hz = rates.greatest_hz(self.value(Key::StepPulse));
         let core_xy = self.arrangement() == Arrangement::CoreXy;
         let resolution = self.axes(AxisKey::Resolution);
         let rate = self.axes(AxisKey::MaxRate);
@@ -536,11 +533,6 @@ const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_TOLERANCE: f32 = 1.0e-4;
-/// Time that a step output stays low between two pulses, microseconds: as long as the pulse, but not longer than the slowest
-/// common driver (DRV8825) asks for.
-const LONGEST_LOW_US: f32 = 1.9;
-/// How much later than due a pulse may end, and the next one begin, because another interrupt is in the way, microseconds.
-const LATEST_PULSE_END_US: f32 = 1.9;
 /// Number of the setting that switches soft limits on.
 const SOFT_LIMITS: u16 = 20;
 /// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
@@ -556,6 +548,10 @@ const GANGED_AXIS: u16 = 905;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn rates(safe_hz: u32) -> StepRates {
+        StepRates { safe_hz, attention_ns: 0 }
+    }
 
     fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
         settings.set(number, Decimal(thousandths * 10_000))
@@ -629,21 +625,21 @@ mod tests {
     #[test]
     fn a_set_that_cannot_run_names_its_setting() {
         let mut s = Settings::<3>::default();
-        assert_eq!(s.unrunnable(100_000, true), None);
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
         set(&mut s, 101, 0).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), Some(101));
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(101));
         set(&mut s, 101, 250_000).unwrap();
         set(&mut s, 112, 30_000_000).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), Some(112));
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(112));
         set(&mut s, 112, 500_000).unwrap();
         set(&mut s, 120, 0).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), Some(120));
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(120));
         set(&mut s, 120, 10_000).unwrap();
         set(&mut s, 222, 500).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), Some(222));
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(222));
         assert_eq!(set(&mut s, 222, -1), Err(Error::NegativeValue));
         set(&mut s, 222, 0).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), None);
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
     }
 
     #[test]
@@ -653,21 +649,21 @@ mod tests {
             set(&mut s, number, value * 1000).unwrap();
         }
         // 250 steps/mm: 50,000 and 37,500 steps/s, and along the diagonal of a CoreXY machine 87,500.
-        assert_eq!(s.unrunnable(83_000, true), None);
+        assert_eq!(s.unrunnable(rates(83_000), true), None);
         set(&mut s, 904, 1000).unwrap();
-        assert_eq!(s.unrunnable(83_000, true), Some(110));
+        assert_eq!(s.unrunnable(rates(83_000), true), Some(110));
         set(&mut s, 0, 3000).unwrap();
-        assert_eq!(s.unrunnable(88_000, true), None);
+        assert_eq!(s.unrunnable(rates(88_000), true), None);
     }
 
     #[test]
     fn a_second_motor_needs_its_pins() {
         let mut s = Settings::<3>::default();
         set(&mut s, 905, 2000).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), None);
-        assert_eq!(s.unrunnable(100_000, false), Some(905));
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
+        assert_eq!(s.unrunnable(rates(100_000), false), Some(905));
         set(&mut s, 904, 1000).unwrap();
-        assert_eq!(s.unrunnable(100_000, true), Some(905));
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(905));
     }
 
     #[test]

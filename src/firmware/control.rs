@@ -14,7 +14,7 @@ use crate::crossing::{
 };
 use crate::flash::Settings;
 use crate::outputs::Outputs;
-use crate::{pend_serial, pend_step};
+use crate::{ask_step, pend_serial, pend_step};
 use core::sync::atomic::Ordering;
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
@@ -183,7 +183,7 @@ impl Control {
                     // There is room, and nobody else sends.
                     let _ = self.ends.segments.try_send(message);
                     if STEP_WANTS.load(Ordering::Relaxed) != 0 {
-                        pend_step();
+                        ask_step();
                     }
                     return true;
                 }
@@ -194,7 +194,7 @@ impl Control {
                 Output::Pins(levels) => {
                     self.outputs.show(levels);
                     Power { level: levels.power, from_segments: levels.power_from_segments }.want();
-                    pend_step();
+                    ask_step();
                 }
                 Output::Wiring(wiring) => {
                     self.outputs.set_enable_invert(wiring.enable_invert);
@@ -264,7 +264,7 @@ impl Control {
             let _ = self.ends.step_wiring.try_send(wiring);
             let _ = self.ends.input_wiring.try_send(wiring);
             self.unsent_wiring = None;
-            pend_step();
+            ask_step();
         }
     }
 

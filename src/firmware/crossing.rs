@@ -24,7 +24,7 @@ pub static SERIAL_ASKED: AtomicBool = AtomicBool::new(false);
 pub static CONTROL_ASKED: AtomicBool = AtomicBool::new(false);
 /// `serial`: bytes put into the line queue since power-up (wrapping).
 pub static LINE_BYTES_IN: AtomicU32 = AtomicU32::new(0);
-/// `serial`: commands and line bytes received since power-up (wrapping).
+/// `serial`: commands received and line bytes queued since power-up (wrapping).
 pub static HEARD: AtomicU32 = AtomicU32::new(0);
 /// `control`: the value of [`HEARD`] up to which everything has been done and answered.
 static FREE_AT: AtomicU32 = AtomicU32::new(u32::MAX);

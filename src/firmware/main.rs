@@ -43,6 +43,11 @@ macro_rules! firmware {
             boards::call_step();
         }
 
+        /// Calls the step task for what is not urgent, when no edge is near.
+        pub fn ask_step() {
+            boards::ask_step();
+        }
+
         /// Calls the serial task.
         pub fn pend_serial() {
             rtic::pend(boards::pac::Interrupt::$serial);

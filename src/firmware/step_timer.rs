@@ -13,10 +13,9 @@
 //! the stepper.
 //!
 //! What is not urgent (messages, power, reports) comes while the next edge is far: during a long pulse, or after a short one.
-//! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes after the pulse of
-//! that one, which is an ordinary one and leaves the most time. It may make the tick after it late, but no later than
-//! [`FAR_CYCLES`] after the end of that pulse. So that this is not long, a message is received in one entry and taken in in
-//! another.
+//! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes in or after the pulse
+//! of that one, which is an ordinary one and leaves the most time: enough at all rates that the settings allow (see
+//! `oxmill_controller::StepRates`). So that this is not long, a message is received in one entry and taken in in another.
 
 use crate::boards::{AXES, CORE_HZ, Due, PROFILE, SecondMotor, StepPins, StepTimer};
 use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
@@ -27,6 +26,12 @@ use rtic_sync::channel::{Receiver, Sender};
 
 /// Step-clock ticks in a microsecond.
 const TICKS_PER_US: u32 = PROFILE.step_clock_hz / 1_000_000;
+
+/// Cycles of the core in step-clock ticks, rounded down.
+const fn in_ticks(cycles: u32) -> u32 {
+    cycles * (PROFILE.step_clock_hz / 1000) / (CORE_HZ / 1000)
+}
+
 /// Longest time that a driver needs between the end of a pulse and the next one: the slowest of the common drivers (DRV8825)
 /// asks for 1.9 us, and for as much of the pulse itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of
 /// both, TMC2209 0.1 us. So a pause need not be longer than the pulse.
@@ -34,17 +39,21 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// An edge is far if it leaves time for what is not urgent: half a message takes 346 cycles (`cargo xtask count`), with 24
-/// for entry and exit. Wait states of the flash come on top, but waiting longer leaves less time after the next pulse.
-const FAR_CYCLES: u32 = 384;
-const FAR_TICKS: u32 = FAR_CYCLES * (PROFILE.step_clock_hz / 1000) / (CORE_HZ / 1000);
-/// From the moment a tick is due to the edge that it makes, and what is left of its handler.
-const EDGE_TICKS: u32 = TICKS_PER_US * 3 / 2;
+/// What it takes to be called, up to the look at the time.
+const AGAIN_CYCLES: u32 = 160;
+/// What half a message takes, from the call on.
+const ATTENTION_TICKS: u32 = PROFILE.rates.attention_ns * TICKS_PER_US / 1000;
+/// An edge is far if it leaves time for half a message.
+const FAR_TICKS: u32 = ATTENTION_TICKS.saturating_sub(in_ticks(AGAIN_CYCLES));
+/// More than it takes from the moment a tick is due to the edge that it makes.
+const EDGE_CYCLES: u32 = 150;
+const EDGE_TICKS: u32 = in_ticks(EDGE_CYCLES);
 /// From a moment that may be near to one that surely lies ahead.
 const BEHIND_TICKS: u32 = TICKS_PER_US / 2;
-/// A part of the time from the moment a tick is due to its edge that it always takes: 12 cycles of entry and 40 instructions
-/// take 0.29 us at 180 MHz. An output stays low for that much longer.
-const LEAST_EDGE_TICKS: u32 = TICKS_PER_US / 4;
+/// A part of the time from the moment a tick is due to its edge that it always takes: 6 cycles of an entry that follows
+/// another, and 54 instructions. An output stays low for that much longer.
+const LEAST_EDGE_CYCLES: u32 = 60;
+const LEAST_EDGE_TICKS: u32 = in_ticks(LEAST_EDGE_CYCLES);
 
 /// From the first segment after a rest to its first tick: the first segments of a hard start last some 50 us each, less than
 /// it takes to prepare the next, so that some must be there before the first begins.
@@ -152,7 +161,11 @@ impl Step {
     #[inline(always)]
     fn tick(&mut self) {
         match self.stepper.plain_tick() {
-            Some(tick) => _ = self.show(&tick, true),
+            Some(tick) => {
+                let edge = self.raise(tick.steps);
+                let least = if tick.steps == 0 { SHORTEST_TICKS } else { self.gap_ticks };
+                self.go_on(&tick, edge, least);
+            }
             None => self.rare_tick(),
         }
     }
@@ -160,14 +173,17 @@ impl Step {
     /// None of the two usual things.
     #[inline(never)]
     fn others(&mut self, due: Due) {
-        if due == Due::CALLED && crossing::stops_asked() == self.stops_done {
+        if due == Due::SETTLED {
+            self.settle();
+            self.attend();
+        } else if due == Due::CALLED && crossing::stops_asked() == self.stops_done {
             self.attend();
         } else {
             self.several(due);
         }
     }
 
-    /// More than one thing at a time, or none of the two usual ones. A call may be one for a stop, so it comes first.
+    /// More than one thing at a time, or a stop. A call may be one for a stop, so it comes first.
     #[inline(never)]
     fn several(&mut self, due: Due) {
         if due.has(Due::CALLED) && crossing::stops_asked() != self.stops_done {
@@ -182,8 +198,7 @@ impl Step {
             is_called = true;
         }
         // The end of a pulse or a turn may have put the tick off.
-        let still_due = self.timer.next_tick().wrapping_sub(self.timer.now()) as i32 <= 0;
-        if due.has(Due::TICK) && still_due {
+        if due.has(Due::TICK) && self.timer.next_tick().wrapping_sub(self.timer.now()) as i32 <= 0 {
             self.tick();
             if is_called {
                 // One thing at a time: what else the call was for comes after whatever the timer wants by then.
@@ -194,53 +209,60 @@ impl Step {
         }
     }
 
-    /// Writes a tick to the pins, and sets the timer for the end of its pulse and for the next tick; the moment of the
-    /// pulse's end.
+    /// Writes the steps of a tick to the pins, and sets the timer for the end of their pulse: the moment of their edge, or
+    /// now.
+    #[inline(always)]
+    fn raise(&mut self, steps: u8) -> u32 {
+        if steps == 0 {
+            return self.timer.now();
+        }
+        self.pins.raise(steps);
+        let edge = self.timer.now();
+        self.timer.pulse_end_at(edge.wrapping_add(self.pulse_ticks));
+        edge
+    }
+
+    /// Sets the timer for the next tick, no sooner than `least` from `now`.
     ///
     /// A pulse must have ended, and the pin have been low for a while, before the next one begins: a tick that comes late
     /// puts the next one off, and those after it stay where they were.
     #[inline(always)]
-    fn show(&mut self, tick: &Tick, goes_on: bool) -> u32 {
+    fn go_on(&mut self, tick: &Tick, now: u32, least: u32) {
         let due = self.stepper.moment();
-        let mut least = SHORTEST_TICKS;
-        if tick.steps != 0 {
-            self.pins.raise(tick.steps);
-            least = self.gap_ticks;
+        self.pins.pass(tick.interval);
+        if due.wrapping_sub(now) as i32 >= least as i32 {
+            self.timer.next_tick_at(due);
+        } else {
+            self.put_off(now.wrapping_add(least));
         }
-        let now = self.timer.now();
-        let pulse_end = now.wrapping_add(self.pulse_ticks);
-        if tick.steps != 0 {
-            self.timer.pulse_end_at(pulse_end);
-        }
-        if goes_on {
-            self.pins.pass(tick.interval);
-            if due.wrapping_sub(now) as i32 >= least as i32 {
-                self.timer.next_tick_at(due);
-            } else {
-                self.put_off(now.wrapping_add(least));
-            }
-        }
-        pulse_end
     }
 
-    /// A tick with more to do than to step: a segment ends, motion begins or ends, the probe is looked at.
+    /// A tick with more to do than to step: a segment ends, motion begins or ends, the probe is looked at. The edges come
+    /// first, so that they are no later than those of other ticks.
     #[inline(never)]
     fn rare_tick(&mut self) {
         if !self.running {
             return;
         }
+        let steps = self.stepper.rare_steps();
+        let edge = self.raise(steps);
         // Segments of a tick or two may leave no time to fetch ahead.
         if self.stepper.wants() && self.stepper.ends_segment() {
             self.fetch_at_last();
         }
-        let tick = self.stepper.rare_tick();
-        let pulse_end = self.show(&tick, tick.interval != 0);
+        let tick = self.stepper.rare_tick(steps);
+        let pulse_end = edge.wrapping_add(self.pulse_ticks);
+        if tick.interval != 0 {
+            let now = self.timer.now();
+            let gap = if steps == 0 { 0 } else { edge.wrapping_add(self.gap_ticks).wrapping_sub(now) as i32 };
+            self.go_on(&tick, now, gap.max(SHORTEST_TICKS as i32) as u32);
+        }
         if tick.begins {
             // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
             if tick.steps == 0 {
                 self.settle();
                 StepTimer::call();
-            } else if self.pulse_ticks < FAR_TICKS || tick.directions != self.directions_shown {
+            } else if self.pulse_ticks < ATTENTION_TICKS || tick.directions != self.directions_shown {
                 self.timer.settled_at(pulse_end);
             } else {
                 StepTimer::call();
@@ -277,20 +299,24 @@ impl Step {
     #[inline(always)]
     fn end_pulse(&mut self) {
         self.pins.lower();
-        let low = self.timer.next_tick().wrapping_sub(self.timer.now());
-        if (low as i32) < self.low_ticks as i32 {
-            self.postpone(self.low_ticks);
+        let soonest = self.timer.now().wrapping_add(self.low_ticks);
+        if (self.timer.next_tick().wrapping_sub(soonest) as i32) < 0 {
+            self.delay_until(soonest);
         }
     }
 
     /// The pulse before has ended: time for another direction. Or it has not, for the moment was set for something else and
     /// has passed before it was set anew.
-    #[cold]
+    #[inline(always)]
     fn settle(&mut self) {
         let turns = self.running && self.stepper.directions() != self.directions_shown;
-        if !turns && !self.settling {
-            return;
+        if turns || self.settling {
+            self.settle_now(turns);
         }
+    }
+
+    #[cold]
+    fn settle_now(&mut self, turns: bool) {
         let (now, end) = (self.timer.now(), self.timer.pulse_end());
         let to_end = end.wrapping_sub(now);
         if to_end.wrapping_sub(1) < self.pulse_ticks {
@@ -323,11 +349,16 @@ impl Step {
     /// Lets the next tick come no sooner than `least` from now. The ticks after it stay where they were.
     #[cold]
     fn postpone(&mut self, least: u32) {
+        let soonest = self.timer.now().wrapping_add(least);
+        if (self.timer.next_tick().wrapping_sub(soonest) as i32) < 0 {
+            self.delay_until(soonest);
+        }
+    }
+
+    #[cold]
+    fn delay_until(&mut self, soonest: u32) {
         if self.running {
-            let soonest = self.timer.now().wrapping_add(least);
-            if (self.timer.next_tick().wrapping_sub(soonest) as i32) < 0 {
-                self.timer.tick_at(soonest);
-            }
+            self.timer.tick_at(soonest);
         }
     }
 
@@ -355,26 +386,41 @@ impl Step {
         self.held.is_some()
     }
 
-    /// What is not as urgent as a tick, half a message at a time.
+    /// What is not as urgent as a tick: half a message, or everything else once there are no more.
     #[inline(never)]
     fn attend(&mut self) {
         if self.running && self.wait() {
             return;
         }
         self.waited = false;
-        if self.stepper.wants() {
-            if let Some(message) = self.held.take() {
-                self.stepper.load(message);
-                if self.stepper.wants() {
-                    StepTimer::call();
-                }
-            } else if self.receive() {
-                // Everything else comes with the second half. What has left the queue is not at rest.
-                STEP_AT_REST.store(false, Ordering::Relaxed);
+        if self.stepper.wants() && self.half_a_message() {
+            // To be called only to wait takes longer than to wait at once.
+            if !(self.running && self.wait()) {
                 StepTimer::call();
-                return;
             }
+            return;
         }
+        self.tell();
+    }
+
+    /// Takes a message in or receives one; `false` if there is none.
+    #[inline(always)]
+    fn half_a_message(&mut self) -> bool {
+        if let Some(message) = self.held.take() {
+            self.stepper.load(message);
+            return true;
+        }
+        let received = self.receive();
+        if received {
+            // What has left the queue is not at rest.
+            STEP_AT_REST.store(false, Ordering::Relaxed);
+        }
+        received
+    }
+
+    /// Begins to move if there is what to do, and lets the other tasks know how it goes.
+    #[inline(never)]
+    fn tell(&mut self) {
         if !self.running && !self.settling {
             self.start();
         }
@@ -394,24 +440,29 @@ impl Step {
         }
     }
 
-    /// If the next edge is near, calls again after it: after the end of this pulse, or after the next tick.
-    #[inline]
+    /// If the next edge is near, calls again where there is time: after the end of this pulse, or after the next tick.
+    #[inline(never)]
     fn wait(&mut self) -> bool {
         let now = self.timer.now();
         let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
         let to_end = self.timer.pulse_end().wrapping_sub(now);
-        let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
         if self.ends_now(to_end) {
             StepTimer::call();
             return true;
         }
-        let until = if in_pulse && to_end < FAR_TICKS {
-            to_end + BEHIND_TICKS
-        } else if !self.waited && to_tick < FAR_TICKS as i32 {
+        let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
+        if in_pulse && to_end >= FAR_TICKS {
+            return false;
+        }
+        let (low, least) =
+            if in_pulse { (to_tick.wrapping_sub(to_end as i32), ATTENTION_TICKS) } else { (to_tick, FAR_TICKS) };
+        let until = if !self.waited && low < least as i32 {
             self.waited = true;
             // A long pulse leaves time while it is out.
-            let pulse = if self.pulse_ticks < FAR_TICKS { self.pulse_ticks } else { 0 };
+            let pulse = if self.pulse_ticks < ATTENTION_TICKS { self.pulse_ticks } else { 0 };
             to_tick.max(0) as u32 + pulse + EDGE_TICKS
+        } else if in_pulse {
+            to_end + BEHIND_TICKS
         } else {
             return false;
         };

@@ -12,7 +12,7 @@
 
 use crate::boards::{SAMPLE_HZ, Watchdog};
 use crate::crossing::{CONTROL_ASKED, SERIAL_ASKED, STEP_ASKED, STEP_WANTS, Wake};
-use crate::{panic, pend_serial, pend_step};
+use crate::{ask_step, panic, pend_serial};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::CrashKind;
 
@@ -68,7 +68,7 @@ impl Supervisor {
             }
         }
         STEP_WANTS.store(STEP_ASKED, Ordering::Relaxed);
-        pend_step();
+        ask_step();
         SERIAL_ASKED.store(true, Ordering::Relaxed);
         pend_serial();
         CONTROL_ASKED.store(true, Ordering::Relaxed);

@@ -27,7 +27,7 @@ use oxmill_controller::messages::{
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
-use oxmill_controller::{Controller, Profile, Received, Stepper};
+use oxmill_controller::{Controller, Profile, Received, StepRates, Stepper};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -116,7 +116,7 @@ impl Simulator {
         let mut controller = Box::new(Controller::new(Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
-            safe_step_hz: board.safe_step_hz,
+            rates: StepRates { safe_hz: board.safe_step_hz, attention_ns: board.attention_ns },
             has_second_motor: true,
             has_store: true,
         }));

@@ -10,7 +10,7 @@ mod programs;
 
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, SEGMENTS_DEPTH, Sensed};
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, Stepper};
+use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 use std::collections::VecDeque;
 use std::process::ExitCode;
 
@@ -37,7 +37,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
     let profile = Profile {
         name: "bench",
         step_clock_hz: STEP_CLOCK_HZ,
-        safe_step_hz: 200_000,
+        rates: StepRates { safe_hz: 200_000, attention_ns: 0 },
         has_store: false,
         has_second_motor: false,
     };

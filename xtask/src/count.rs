@@ -64,13 +64,13 @@ const ROWS: [Row; 20] = [
     row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
     row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
     row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (177, 290))
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (193, 313))
         .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (225, 353)),
-    row("wait", "a call that comes too near an edge", Figure::Worst, None, (85, 141)),
+    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (208, 348)),
+    row("wait", "a call that comes too near an edge", Figure::Worst, None, (85, 148)),
     row("stop", "stop, with its report", Figure::Worst, None, (380, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (26, 48)).beside("11 / 14", "35 / 50"),
+    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (790, 1375)).beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1435, 2510))
         .beside("723 / 1210", "727 / 1200"),

@@ -488,7 +488,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.runnable == revision {
             return None;
         }
-        let Some(setting) = self.settings.unrunnable(self.profile.safe_step_hz, self.profile.has_second_motor) else {
+        let Some(setting) = self.settings.unrunnable(self.profile.rates, self.profile.has_second_motor) else {
             self.runnable = revision;
             return None;
         };

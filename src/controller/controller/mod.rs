@@ -37,6 +37,7 @@ use crate::protocol::line::Line;
 use crate::protocol::report::{self, RareFields};
 use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
+use crate::step_rates::StepRates;
 use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
 use door::DoorState;
@@ -66,8 +67,8 @@ pub struct Profile {
     pub name: &'static str,
     /// Ticks of the step timer in a second.
     pub step_clock_hz: u32,
-    /// Greatest step rate that the step task can follow, steps/s of one axis.
-    pub safe_step_hz: u32,
+    /// Step rates that the step task can follow.
+    pub rates: StepRates,
     /// Whether there are pins for a motor more than there are axes.
     pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.

@@ -134,6 +134,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.tell_trip(line);
                 }
                 if alarm == Alarm::Underrun {
+                    if matches!(self.task, Task::JogWaits) {
+                        self.line.clear();
+                    }
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));
                     }

@@ -302,12 +302,15 @@ impl<const N: usize> Stepper<N> {
     pub fn tick(&mut self) -> Tick {
         match self.plain_tick() {
             Some(tick) => tick,
-            None => self.rare_tick(),
+            None => {
+                let steps = self.rare_steps();
+                self.rare_tick(steps)
+            }
         }
     }
 
-    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_tick`]
-    /// is to be called.
+    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_steps`]
+    /// and [`Stepper::rare_tick`] are to be called.
     #[inline(always)]
     pub fn plain_tick(&mut self) -> Option<Tick> {
         self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
@@ -315,13 +318,19 @@ impl<const N: usize> Stepper<N> {
         Some(self.set_out(steps))
     }
 
-    /// A tick with which a segment may end or motion begin or end, or at which the probe is waited for.
+    /// The steps of a tick with which a segment may end or motion begin or end, or at which the probe is waited for; for
+    /// what else it does there is time after their edges.
     #[inline(always)]
-    pub fn rare_tick(&mut self) -> Tick {
+    pub fn rare_steps(&mut self) -> u8 {
         if self.unnoted {
             self.note_touch();
         }
-        let steps = self.step_axes();
+        self.step_axes()
+    }
+
+    /// What else such a tick does, after its steps; a message may be loaded in between.
+    #[inline(always)]
+    pub fn rare_tick(&mut self, steps: u8) -> Tick {
         if self.piece.rare_ticks > 1 {
             self.piece.rare_ticks = self.piece.rare_ticks.wrapping_sub(1);
             return self.set_out(steps);

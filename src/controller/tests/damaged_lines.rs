@@ -2,13 +2,13 @@
 
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile};
+use oxmill_controller::{Controller, Profile, StepRates};
 
 fn answers(bytes: &[(u8, bool)]) -> String {
     let profile = Profile {
         name: "test",
         step_clock_hz: 1_000_000,
-        safe_step_hz: 100_000,
+        rates: StepRates { safe_hz: 100_000, attention_ns: 0 },
         has_second_motor: false,
         has_store: false,
     };

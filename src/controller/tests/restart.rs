@@ -5,12 +5,12 @@ use oxmill_controller::messages::{
     StepEvent,
 };
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile};
+use oxmill_controller::{Controller, Profile, StepRates};
 
 const PROFILE: Profile = Profile {
     name: "test",
     step_clock_hz: 1_000_000,
-    safe_step_hz: 100_000,
+    rates: StepRates { safe_hz: 100_000, attention_ns: 0 },
     has_second_motor: false,
     has_store: false,
 };
@@ -36,8 +36,12 @@ impl Board {
     }
 
     fn pump(&mut self) -> String {
+        self.pump_while(true)
+    }
+
+    fn pump_while(&mut self, step_idle: bool) -> String {
         let mut said = String::new();
-        self.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 255, received: 0 });
+        self.controller.observe(Observed { segments_begun: 0, step_idle, rx_free: 255, received: 0 });
         while let Some(output) = self.controller.output(NOW, Room { step: true, reply: true }) {
             if let Output::Reply(chunk) = output {
                 said.push_str(&String::from_utf8_lossy(chunk.as_bytes()));
@@ -157,4 +161,24 @@ fn a_host_that_goes_takes_what_was_counted_with_it() {
     board.controller.event(NOW, Event::Step(StepEvent::Stopped { stops: 1, moving: false, position }));
     assert!(board.pump().contains("Grbl"));
     assert_eq!(board.line("G21"), "ok\r\n");
+}
+
+#[test]
+fn an_underrun_takes_a_waiting_jog_with_it() {
+    let (mut board, _) = Board::started(None);
+    let jog = |board: &mut Board| {
+        for byte in b"$J=G91X10F600\n" {
+            board.controller.event(NOW, Event::Line(LineByte { byte: *byte, epoch: board.epoch, damaged: false }));
+        }
+        board.pump_while(false)
+    };
+    assert_eq!(jog(&mut board), "ok\r\n");
+    board.epoch += 1;
+    board.controller.event(NOW, Event::Realtime(Realtime::JogCancel));
+    assert_eq!(jog(&mut board), "", "it waits for the end of the one before");
+    let position = oxmill_controller::axes::PerAxis::all(0);
+    board.controller.event(NOW, Event::Step(StepEvent::Underrun { stops: 1, position }));
+    assert_eq!(board.pump(), "ALARM:100\r\n[MSG:Motion data ran out]\r\nerror:9\r\n");
+    let unlocked = board.line("$X");
+    assert!(unlocked.starts_with("[MSG:Caution: Unlocked]\r\n") && unlocked.ends_with("\r\nok\r\n"), "{unlocked}");
 }

@@ -16,7 +16,7 @@ use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
-use oxmill_controller::{Controller, Profile};
+use oxmill_controller::{Controller, Profile, StepRates};
 use oxmill_on_target as _;
 use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
@@ -42,13 +42,13 @@ mod boards {
     pub const CORE_HZ: u32 = 96_000_000;
     use crate::stm32f4_step;
     pub use crate::stm32f4_step::Due;
-    use oxmill_controller::Profile;
+    use oxmill_controller::{Profile, StepRates};
 
     pub const AXES: usize = 3;
     pub const PROFILE: Profile = Profile {
         name: "count",
         step_clock_hz: 96_000_000,
-        safe_step_hz: 300_000,
+        rates: StepRates { safe_hz: 300_000, attention_ns: 5_670 },
         has_second_motor: false,
         has_store: false,
     };
@@ -494,7 +494,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
 fn whole_line(place: &'static mut MaybeUninit<Whole>) {
-    let profile = Profile { safe_step_hz: 1_000_000, ..boards::PROFILE };
+    let profile = Profile { rates: StepRates { safe_hz: 1_000_000, attention_ns: 0 }, ..boards::PROFILE };
     let controller = place.write(Controller::new(profile));
     let now = Instant::from_ticks(0);
     controller.start(now);

@@ -4,7 +4,7 @@ use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, Stepper};
+use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
 /// Axes.
 pub const AXES: usize = 3;
@@ -36,7 +36,7 @@ impl Rig {
         let profile = Profile {
             name: "rig",
             step_clock_hz: STEP_CLOCK_HZ,
-            safe_step_hz: 200_000,
+            rates: StepRates { safe_hz: 200_000, attention_ns: 0 },
             has_second_motor: false,
             has_store: false,
         };
