@@ -208,6 +208,18 @@ impl StepsPerMm {
         }
     }
 
+    /// How far a coordinate is beyond its nearest step, in sevenths of a step: the nearest of -3 to 3.
+    pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
+        /// A step in the measure of `rest`.
+        const STEP: i32 = DECIMAL_ONE as i32;
+        // Both products may be too wide, but not their difference, which is half a step: below 2^56, or 10^7 / 2 without
+        // the shift.
+        let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
+        let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);
+        let rest = (product.wrapping_sub(whole) >> self.shift) as i32;
+        ((rest.clamp(-STEP / 2, STEP / 2) * 7 + 7 * STEP / 2) / STEP - 3).min(3)
+    }
+
     /// The coordinate nearest to a step.
     pub fn coordinate(self, steps: i32) -> Coordinate {
         let numerator = i128::from(steps) * i128::from(DECIMAL_ONE << self.shift);

@@ -1,13 +1,19 @@
 //! The step generator: turns blocks and segments into step bits and moments, one call for each expiry of the timer.
 //!
-//! One threshold serves all axes. A tick takes each axis' own steps (times the units the tick advances) off what is left
-//! until its next step; an axis with less than that left steps and gets the threshold added. All axes begin with half the
-//! threshold, so each stays within half a step of the straight line, and after the whole block all have half of it again:
+//! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
+//! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
+//! steps, and all begin with half the threshold, so each stays within half a step of the straight line, and after the whole
+//! block all have half of it again:
 //!
 //! ```text
 //!  what is left of Y for (X, Y) = (10, 3), threshold 10, in steps of X      1 2 3 4 5 6 7 8 9 10
 //!                                                                       Y     ^       ^     ^
 //! ```
+//! A chord of an arc begins and ends between steps, at f and g of a step beside them ([`Leg`]). An axis with n steps has taken
+//! ⌈f + (n + g - f)·u/M - 1/2⌉ of them after u of M units: none at the start and n at the end, for f and g are less than a
+//! half, and always within half a step of the true chord. In sevenths of a step that is the same arithmetic, with 7·M as the
+//! threshold, 7·n + 7·g - 7·f as the rate, and 7·f·M less at the start.
+//!
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves the acceleration to
 //! `planner` and `segment`, pulse widths and direction set-up to the task that writes the pins.
@@ -17,7 +23,7 @@
 //! counted: it follows from how far the block has come.
 
 use crate::axes::PerAxis;
-use crate::messages::{INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use crate::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Finest smoothing: a tick advances one unit.
@@ -70,8 +76,11 @@ struct Piece<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Course<const N: usize> {
-    /// Units of the whole block: 16 for each step of the dominant axis.
-    threshold: u32,
+    /// What is left until the next step of each axis at the start.
+    first: [u32; N],
+    /// What a unit takes off.
+    rates: [u32; N],
+    measure: Measure,
     directions: u8,
     /// Steps of each axis with their sign.
     way: [i32; N],
@@ -86,7 +95,11 @@ pub struct Stepper<const N: usize> {
     /// What is left until the next step of each axis: 0 to `threshold` - 1.
     left: [u32; N],
     piece: Piece<N>,
-    course: Course<N>,
+    /// Of the current block.
+    threshold: u32,
+    directions: u8,
+    /// Which of `courses` is that of the current block; the other is that of the next.
+    odd: bool,
     /// Moment of the next tick, 32 bits of step-clock ticks before 32 of their fraction.
     moment: u64,
     /// A state of the probe is waited for.
@@ -99,7 +112,9 @@ pub struct Stepper<const N: usize> {
     /// The probe has been seen at the last tick, and where that was has not been noted yet.
     unnoted: bool,
     next_piece: Piece<N>,
-    next_course: Course<N>,
+    courses: [Course<N>; 2],
+    /// Parts of the axes of the block that is being told of.
+    legs: [Leg; N],
     /// Units at which the next block is entered in its midst; 0 = at its start.
     next_units: u32,
     gate_shut: bool,
@@ -133,32 +148,81 @@ impl<const N: usize> Piece<N> {
 }
 
 impl<const N: usize> Course<N> {
-    const NOWHERE: Self = Self { threshold: 0, directions: 0, way: [0; N], base: [0; N] };
+    const NOWHERE: Self =
+        Self { first: [0; N], rates: [0; N], measure: Measure::NOTHING, directions: 0, way: [0; N], base: [0; N] };
 }
 
-/// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
-///
-/// Half the threshold and steps × units, less a threshold for each step taken, stay within 1..=threshold; so the quotient
-/// is exact.
+/// What the axes of a block are measured by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Measure {
+    /// Units of the whole block: 16 for each step of the dominant axis.
+    pub total: u32,
+    /// What a step is worth.
+    pub threshold: u32,
+    /// Threshold / total: in how many parts a step is divided.
+    scale: u32,
+}
+
+impl Measure {
+    pub(crate) const NOTHING: Self = Self { total: 0, threshold: 0, scale: 1 };
+    /// Most steps of the dominant axis with which axes may begin or end between steps: the threshold stays within 2^30.
+    pub(crate) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * Leg::PARTS);
+
+    #[inline(always)]
+    pub(crate) fn of<const N: usize>(legs: &[Leg; N]) -> Self {
+        let (mut dominant, mut on_steps) = (0, true);
+        for leg in legs {
+            dominant = leg.steps().max(dominant);
+            on_steps &= leg.is_on_steps();
+        }
+        let total = dominant.wrapping_mul(UNITS_PER_STEP);
+        let scale = if on_steps { 1 } else { Leg::PARTS };
+        Self { total, threshold: total.wrapping_mul(scale), scale }
+    }
+
+    /// What a unit of the block takes off what is left until the next step of an axis. Below 0 (as a wrapped number) by
+    /// less than a step in the whole block, for an axis without steps that turns back.
+    #[inline(always)]
+    pub(crate) fn rate(&self, leg: Leg) -> u32 {
+        leg.steps().wrapping_mul(self.scale).wrapping_add_signed(leg.end().wrapping_sub(leg.start()))
+    }
+
+    /// What is left until the next step at the start: half a step and what the true start is short of the rounded one.
+    #[inline(always)]
+    pub(crate) fn first(&self, leg: Leg) -> u32 {
+        (self.threshold / 2).wrapping_sub((leg.start() as u32).wrapping_mul(self.total))
+    }
+
+    /// Steps that an axis has taken after `units` of the block.
+    ///
+    /// What the units have taken off and what was missing at the start, less a threshold for each step taken, stay within
+    /// 1..=threshold; so the quotient is exact.
+    #[inline]
+    pub(crate) fn steps_taken(&self, leg: Leg, units: u32) -> u32 {
+        if self.threshold == 0 {
+            return 0;
+        }
+        let missing = self.threshold.wrapping_sub(self.first(leg)).wrapping_sub(1);
+        let sum = advance(self.rate(leg), units).wrapping_add(u64::from(missing));
+        match u32::try_from(sum) {
+            Ok(small) => small / self.threshold,
+            Err(_) => (sum / u64::from(self.threshold)) as u32,
+        }
+    }
+}
+
+/// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
 #[inline]
-pub(crate) fn steps_taken(steps: u32, dominant: u32, units: u32) -> u32 {
-    if dominant == 0 {
-        return 0;
-    }
-    let threshold = dominant.wrapping_mul(UNITS_PER_STEP);
-    let sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2) - 1;
-    match u32::try_from(sum) {
-        Ok(small) => small / threshold,
-        Err(_) => (sum / u64::from(threshold)) as u32,
-    }
+fn advance(rate: u32, units: u32) -> u64 {
+    (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
 /// The same and what is left until the next step, one bit of the quotient after the other: the step task has no room for
 /// a division of 64 bits, and needs this at rest only.
-fn steps_and_rest(steps: u32, threshold: u32, units: u32) -> (u32, u32) {
-    let mut sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
+fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
+    let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;
-    for bit in (0..=MAX_STEPS_BITS).rev() {
+    for bit in (0..Leg::STEP_BITS).rev() {
         let part = u64::from(threshold) << bit;
         if sum > part {
             sum -= part;
@@ -167,9 +231,6 @@ fn steps_and_rest(steps: u32, threshold: u32, units: u32) -> (u32, u32) {
     }
     (taken, threshold.wrapping_sub(sum as u32))
 }
-
-/// A block has less steps than 2 to the power of this.
-const MAX_STEPS_BITS: u32 = 26;
 
 /// The number whose product with an odd number ends in 1, modulo 2^32: each step of Newton's method doubles the number of
 /// right bits, 5 at first.
@@ -194,7 +255,9 @@ impl<const N: usize> Stepper<N> {
         Self {
             left: [0; N],
             piece: Piece::REST,
-            course: Course::NOWHERE,
+            threshold: 0,
+            directions: 0,
+            odd: false,
             moment: 0,
             is_watching: false,
             watched: false,
@@ -202,7 +265,8 @@ impl<const N: usize> Stepper<N> {
             is_next: false,
             unnoted: false,
             next_piece: Piece::REST,
-            next_course: Course::NOWHERE,
+            courses: [Course::NOWHERE; 2],
+            legs: [Leg::on_steps(0); N],
             next_units: 0,
             gate_shut: false,
             stops: 0,
@@ -233,27 +297,15 @@ impl<const N: usize> Stepper<N> {
         }
         match message {
             ToStep::Segment(segment) => self.load_segment(&segment),
-            ToStep::Block { steps, directions } => {
-                for (own, new) in self.next_course.way.iter_mut().zip(steps) {
-                    *own = new as i32;
+            ToStep::Block { legs, directions } => {
+                for (own, new) in self.legs.iter_mut().zip(legs) {
+                    *own = new;
                 }
-                let mut dominant = 0;
-                for (bit, way) in self.next_course.way.iter_mut().enumerate() {
-                    dominant = dominant.max(*way);
-                    if directions >> bit & 1 != 0 {
-                        *way = way.wrapping_neg();
-                    }
-                }
-                self.next_course.threshold = (dominant as u32).wrapping_mul(UNITS_PER_STEP);
-                self.next_course.directions = directions;
-                // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
-                for ((next, base), way) in self.next_course.base.iter_mut().zip(self.course.base).zip(self.course.way) {
-                    *next = base.wrapping_add(way);
-                }
+                self.load_block(directions);
             }
-            ToStep::BlockRest { steps } => {
-                for (own, new) in self.next_course.way.iter_mut().skip(3).zip(steps) {
-                    *own = new as i32;
+            ToStep::BlockRest { legs } => {
+                for (own, new) in self.legs.iter_mut().skip(3).zip(legs) {
+                    *own = new;
                 }
             }
             ToStep::Reenter { units } => self.next_units = units,
@@ -269,16 +321,49 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
+    /// The course of the current block, or that of the next.
+    #[inline(always)]
+    fn course(&self, next: bool) -> &Course<N> {
+        self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
+    }
+
+    /// The same to be changed.
+    #[inline(always)]
+    fn course_mut(&mut self, next: bool) -> Option<&mut Course<N>> {
+        self.courses.get_mut(usize::from(self.odd != next))
+    }
+
+    #[inline]
+    fn load_block(&mut self, directions: u8) {
+        let legs = self.legs;
+        let measure = Measure::of(&legs);
+        // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
+        let Course { mut base, way, .. } = *self.course(false);
+        for (base, way) in base.iter_mut().zip(way) {
+            *base = base.wrapping_add(way);
+        }
+        let mut way = legs.map(|leg| leg.steps() as i32);
+        for (bit, way) in way.iter_mut().enumerate() {
+            if directions >> bit & 1 != 0 {
+                *way = way.wrapping_neg();
+            }
+        }
+        if let Some(next) = self.course_mut(true) {
+            let (first, rates) = (legs.map(|leg| measure.first(leg)), legs.map(|leg| measure.rate(leg)));
+            *next = Course { first, rates, measure, directions, way, base };
+        }
+    }
+
     #[inline]
     fn load_segment(&mut self, segment: &Segment) {
         let new_block = segment.flags & Segment::FLAG_NEW_BLOCK != 0;
-        let (course, units) =
-            if new_block { (&self.next_course, self.next_units) } else { (&self.course, self.piece.end_units) };
+        let course = self.course(new_block);
+        let units = if new_block { self.next_units } else { self.piece.end_units };
         let mut increments = [0; N];
         let mut units_per_tick = 0;
         if segment.flags & Segment::FLAG_WAIT == 0 {
             let shift = MAX_LEVEL - segment.level.min(MAX_LEVEL);
-            increments = course.way.map(|way| way.unsigned_abs() << shift);
+            increments = course.rates.map(|rate| rate << shift);
             units_per_tick = 1 << shift;
         }
         let ticks = u32::from(segment.ticks.max(1));
@@ -335,17 +420,19 @@ impl<const N: usize> Stepper<N> {
             return self.set_out(steps);
         }
         let underrun = self.run_out();
-        Tick { steps, directions: self.course.directions, interval: 0, begins: false, underrun }
+        Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
     #[inline(always)]
     fn step_axes(&mut self) -> u8 {
         let mut minus_steps = 0_i32;
-        let threshold = self.course.threshold as i32;
+        let threshold = self.threshold as i32;
         // The last axis first: each doubles the bits of those before it.
         for (left, increment) in self.left.iter_mut().zip(&self.piece.increments).rev() {
-            // Both are at most the threshold, which is at most 2^30. So the sign says whether the axis steps, and without
-            // a branch: all bits of `stepping` are those of a sign.
+            // Both are at most the threshold, which is at most 2^30, and some parts of a step more, or are as little below 0.
+            // So the sign says whether the axis steps, and without a branch: all bits of `stepping` are those of a sign. No
+            // axis steps twice in a tick, which advances a step of the dominant axis at most: with as many steps it makes
+            // one in each of these, wherever its ends are, and with less its true way is shorter, too.
             let rest = left.wrapping_sub(*increment) as i32;
             let stepping = rest >> 31;
             *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -364,7 +451,7 @@ impl<const N: usize> Stepper<N> {
         self.moment = self.moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);
         self.piece.interval = interval.wrapping_add_signed(self.piece.ramp);
         let interval = self.moment().wrapping_sub(now);
-        Tick { steps, directions: self.course.directions, interval, begins: false, underrun: false }
+        Tick { steps, directions: self.directions, interval, begins: false, underrun: false }
     }
 
     /// Spindle or laser power of the segment.
@@ -376,7 +463,7 @@ impl<const N: usize> Stepper<N> {
     /// Directions of the next step, as in [`Tick::directions`].
     #[inline]
     pub fn directions(&self) -> u8 {
-        self.course.directions
+        self.directions
     }
 
     /// Whether the next tick is the last of its segment, or begins to move: it takes up what has been fetched.
@@ -431,11 +518,12 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn begin_block(&mut self) {
-        if self.piece.end_units != self.course.threshold {
+        if self.piece.end_units != self.course(false).measure.total {
             self.leave_midst();
         }
-        self.course = self.next_course;
-        self.left = [self.course.threshold / 2; N];
+        self.odd = !self.odd;
+        let course = self.course(false);
+        (self.left, self.threshold, self.directions) = (course.first, course.measure.threshold, course.directions);
         if self.next_units != 0 {
             self.enter_midst();
         }
@@ -446,19 +534,26 @@ impl<const N: usize> Stepper<N> {
     fn leave_midst(&mut self) {
         // With this tick its segment has ended.
         self.piece.rare_ticks = 0;
-        self.next_course.base = self.position().0;
+        let position = self.position().0;
+        if let Some(next) = self.course_mut(true) {
+            next.base = position;
+        }
     }
 
     /// Brings all axes to where they were when the block was left at `next_units`.
     #[cold]
     fn enter_midst(&mut self) {
         let units = core::mem::take(&mut self.next_units);
-        let Course { threshold, way, .. } = self.course;
-        for ((left, base), way) in self.left.iter_mut().zip(self.course.base.iter_mut()).zip(way) {
-            let (taken, rest) = steps_and_rest(way.unsigned_abs(), threshold, units);
+        let mut left = self.left;
+        let Some(course) = self.course_mut(false) else { return };
+        let threshold = course.measure.threshold;
+        let axes = course.base.iter_mut().zip(course.way).zip(course.rates.iter().zip(course.first));
+        for (left, ((base, way), (rate, first))) in left.iter_mut().zip(axes) {
+            let (taken, rest) = steps_and_rest(*rate, first, threshold, units);
             *left = rest;
             *base = signed_add(*base, taken, way > 0);
         }
+        self.left = left;
     }
 
     /// Units of the block advanced by now.
@@ -525,7 +620,7 @@ impl<const N: usize> Stepper<N> {
         let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
         let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
         let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-        let ends = self.piece.end_units >= self.course.threshold;
+        let ends = self.piece.end_units >= self.course(false).measure.total;
         // Not a number where the tick advances no units: a crawl, which stops where it is.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
@@ -552,7 +647,10 @@ impl<const N: usize> Stepper<N> {
         self.is_watching = false;
         self.brakes = false;
         let base = self.position().0;
-        self.course = Course { directions: self.course.directions, base, ..Course::NOWHERE };
+        if let Some(course) = self.course_mut(false) {
+            *course = Course { base, ..Course::NOWHERE };
+        }
+        self.threshold = 0;
         self.left = [0; N];
         self.piece = Piece::REST;
         self.moment = u64::from(self.moment()) << 32;
@@ -587,8 +685,7 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn place(&self) -> Place<N> {
-        let Course { base, way, threshold, .. } = self.course;
-        Place { base, way, left: self.left, threshold, units: self.units() }
+        Place { course: *self.course(false), left: self.left, units: self.units() }
     }
 }
 
@@ -596,32 +693,31 @@ impl<const N: usize> Stepper<N> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Place<const N: usize> {
-    base: [i32; N],
-    way: [i32; N],
+    course: Course<N>,
     left: [u32; N],
-    threshold: u32,
     units: u32,
 }
 
 impl<const N: usize> Place<N> {
-    const START: Self = Self { base: [0; N], way: [0; N], left: [0; N], threshold: 0, units: 0 };
+    const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
 
-    /// Net steps. Steps taken × threshold = steps × units + left - half a threshold, to the last bit; so the quotient
+    /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
     /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
     #[inline(never)]
     fn position(&self) -> PerAxis<i32, N> {
-        let threshold = self.threshold;
-        let mut position = self.base;
-        if threshold == 0 {
+        let Course { first, rates, measure: Measure { threshold, .. }, way, base, .. } = &self.course;
+        let mut position = *base;
+        if *threshold == 0 {
             return PerAxis(position);
         }
         let even = threshold.trailing_zeros();
         let inverse = inverse(threshold >> even);
-        for ((value, way), left) in position.iter_mut().zip(self.way).zip(self.left) {
-            let sum = u64::from(way.unsigned_abs()) * u64::from(self.units) + u64::from(left);
-            let whole = sum.wrapping_sub(u64::from(threshold / 2));
+        let lefts = self.left.iter().zip(first);
+        for ((value, way), (rate, (left, first))) in position.iter_mut().zip(way).zip(rates.iter().zip(lefts)) {
+            let sum = advance(*rate, self.units).wrapping_add(u64::from(*left));
+            let whole = sum.wrapping_sub(u64::from(*first));
             let taken = ((whole >> even) as u32).wrapping_mul(inverse);
-            *value = signed_add(*value, taken, way < 0);
+            *value = signed_add(*value, taken, *way < 0);
         }
         PerAxis(position)
     }
