@@ -285,6 +285,27 @@ mod tests {
         }
 
         #[test]
+        fn sevenths_are_the_nearest(place: i64, bits in 24_u32..62, scale in 0.001_f32..40_000.0, fine in 0.001_f32..2.0) {
+            for scale in [scale, fine, 80.0, 640.0] {
+                let scale = StepsPerMm::new(scale).unwrap();
+                let near = scale.coordinate(scale.steps(Coordinate(place >> bits)));
+                for off in [0.0, 0.07, 0.08, -0.07, -0.08, 0.2, -0.3, 0.42, 0.43, -0.42, 0.499, -0.499] {
+                    let coordinate = Coordinate(near.0 + (off * 1.0e7 / f64::from(scale.to_f32())) as i64);
+                    let steps = scale.steps(coordinate);
+                    let sevenths = scale.sevenths_beyond(coordinate, steps);
+                    // (place × steps/mm - steps) × 7 - sevenths, in parts of the step.
+                    let step = i128::from(DECIMAL_ONE) << scale.shift;
+                    let beyond = i128::from(coordinate.0) * i128::from(scale.mantissa) - i128::from(steps) * step;
+                    let error = 7 * beyond - i128::from(sevenths) * step;
+                    // Half a seventh, or a ten-millionth of a step more.
+                    prop_assert!(2 * error.abs() <= step + 14 * (1 << scale.shift), "{sevenths} for {coordinate:?} at {scale:?}");
+                    prop_assert!(sevenths.abs() <= 3);
+                    prop_assert_eq!(scale.sevenths_beyond(scale.coordinate(steps), steps), 0);
+                }
+            }
+        }
+
+        #[test]
         fn an_f32_as_by_division(value: i64, bits in 0_u32..63) {
             let value = value >> bits;
             let (whole, rest) = (value / DECIMAL_ONE, value % DECIMAL_ONE);

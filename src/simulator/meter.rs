@@ -7,7 +7,7 @@
 use crate::boards::AXES;
 use crate::path::{Drawing, Sample};
 use oxmill_controller::axes::Arrangement;
-use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, ToStep, UNITS_PER_STEP};
+use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
 /// Shortest segment that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
@@ -284,6 +284,7 @@ impl Meter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use oxmill_controller::messages::Leg;
 
     fn segment(interval: u32, ticks: u16, flags: u8) -> ToStep {
         let interval = interval << INTERVAL_FRACTION_BITS;

@@ -79,7 +79,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             flags: block.flags,
             power: block.power,
             line_number: block.line_number,
-            measure,
+            threshold: measure.threshold,
+            rates: block.legs.map(|leg| measure.rate(leg)),
+            credits: block.legs.map(|leg| measure.credit(leg)),
+            total: measure.total,
             done: 0,
             scale,
             acceleration: block.acceleration * scale,
@@ -134,7 +137,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     #[inline]
     pub(super) fn curve(&self) -> Option<(Curve, u32)> {
         let run = &self.running;
-        let left = run.measure.total - run.done;
+        let left = run.total - run.done;
         if self.hold != Hold::Ramp {
             let exit2 = self.planner.exit2() * (run.scale * run.scale);
             let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
@@ -185,7 +188,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.running.done += cut.units;
         self.pace = cut.end;
         self.pull = cut.acceleration;
-        let ends = self.running.done >= self.running.measure.total;
+        let ends = self.running.done >= self.running.total;
         let mut flags = 0;
         if ends && self.planner.len() < 2 {
             // Never faster than what stops within a step, or the plan has been left.

@@ -40,7 +40,7 @@ use kinematics::Kinematics;
 use planner::Planner;
 use profile::{Pace, lesser, square_root};
 use segment::{Cut, Pacer};
-use stepper::{Measure, signed_add};
+use stepper::{signed_add, steps_taken};
 
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
 const MOST_BACKLASH: i32 = 10_000;
@@ -155,8 +155,12 @@ struct Running<const N: usize> {
     flags: u8,
     power: u16,
     line_number: u32,
-    measure: Measure,
-    /// Units of the block cut off so far.
+    /// See [`stepper::Measure`].
+    threshold: u32,
+    rates: [u32; N],
+    credits: [u32; N],
+    /// Units of the whole block and those cut off so far.
+    total: u32,
     done: u32,
     /// Units of a millimetre.
     scale: f32,
@@ -319,7 +323,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 flags: 0,
                 power: 0,
                 line_number: 0,
-                measure: Measure::NOTHING,
+                threshold: 0,
+                rates: [0; N],
+                credits: [0; N],
+                total: 0,
                 done: 0,
                 scale: 1.0,
                 acceleration: 1.0,
@@ -633,9 +640,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return self.start;
         }
         let mut position = self.start.steps;
-        for (bit, (value, leg)) in position.iter_mut().zip(run.legs).enumerate() {
+        let axes = run.legs.iter().zip(run.rates.iter().zip(run.credits));
+        for (bit, (value, (leg, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
             let taken =
-                if run.done == run.measure.total { leg.steps() } else { run.measure.steps_taken(leg, run.done) };
+                if run.done == run.total { leg.steps() } else { steps_taken(*rate, credit, run.threshold, run.done) };
             *value = signed_add(*value, taken, run.directions >> bit & 1 != 0);
         }
         if self.backlash.is_on() {

@@ -39,7 +39,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let (curve, left) = self.curve()?;
             return Some(segment::cut(&curve, self.running.done, left, self.pace));
         }
-        let units = run.measure.total - run.done;
+        let units = run.total - run.done;
         let left = units as f32 * millimetre;
         let piece = Piece::next(self.pace, state.acceleration * run.scale, run.done, units);
         let way = (piece.grain * piece.ticks) as f32 * millimetre;

@@ -80,12 +80,15 @@ struct Course<const N: usize> {
     first: [u32; N],
     /// What a unit takes off.
     rates: [u32; N],
-    measure: Measure,
+    threshold: u32,
+    /// Units of the whole block.
+    total: u32,
+    /// Units at which it is entered in its midst; 0 = at its start.
+    entered: u32,
     directions: u8,
-    /// Steps of each axis with their sign.
-    way: [i32; N],
-    /// Position at the start of the block.
+    /// Position at the start of the block and at its end.
     base: [i32; N],
+    end: [i32; N],
 }
 
 /// State of the step task. The order is that of use: a tick within a segment needs the first part only.
@@ -115,8 +118,6 @@ pub struct Stepper<const N: usize> {
     courses: [Course<N>; 2],
     /// Parts of the axes of the block that is being told of.
     legs: [Leg; N],
-    /// Units at which the next block is entered in its midst; 0 = at its start.
-    next_units: u32,
     gate_shut: bool,
     stops: u16,
     /// How to brake at a contact: units per square of a clock.
@@ -148,8 +149,37 @@ impl<const N: usize> Piece<N> {
 }
 
 impl<const N: usize> Course<N> {
-    const NOWHERE: Self =
-        Self { first: [0; N], rates: [0; N], measure: Measure::NOTHING, directions: 0, way: [0; N], base: [0; N] };
+    const NOWHERE: Self = Self {
+        first: [0; N],
+        rates: [0; N],
+        threshold: 0,
+        total: 0,
+        entered: 0,
+        directions: 0,
+        base: [0; N],
+        end: [0; N],
+    };
+
+    /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
+    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
+    #[inline(never)]
+    fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
+        let Course { first, rates, threshold, directions, base, .. } = self;
+        let mut position = *base;
+        if *threshold == 0 {
+            return PerAxis(position);
+        }
+        let even = threshold.trailing_zeros();
+        let inverse = inverse(threshold >> even);
+        let lefts = left.iter().zip(first);
+        for (bit, (value, (rate, (left, first)))) in position.iter_mut().zip(rates.iter().zip(lefts)).enumerate() {
+            let sum = advance(*rate, units).wrapping_add(u64::from(*left));
+            let whole = sum.wrapping_sub(u64::from(*first));
+            let taken = ((whole >> even) as u32).wrapping_mul(inverse);
+            *value = signed_add(*value, taken, directions >> bit & 1 != 0);
+        }
+        PerAxis(position)
+    }
 }
 
 /// What the axes of a block are measured by.
@@ -164,8 +194,6 @@ pub(crate) struct Measure {
 }
 
 impl Measure {
-    pub(crate) const NOTHING: Self = Self { total: 0, threshold: 0, scale: 1 };
-    /// Most steps of the dominant axis with which axes may begin or end between steps: the threshold stays within 2^30.
     pub(crate) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * Leg::PARTS);
 
     #[inline(always)]
@@ -187,28 +215,34 @@ impl Measure {
         leg.steps().wrapping_mul(self.scale).wrapping_add_signed(leg.end().wrapping_sub(leg.start()))
     }
 
-    /// What is left until the next step at the start: half a step and what the true start is short of the rounded one.
+    /// What an axis has of its first step at the start, less 1: half a step, and what its true start is beyond the rounded one.
     #[inline(always)]
-    pub(crate) fn first(&self, leg: Leg) -> u32 {
-        (self.threshold / 2).wrapping_sub((leg.start() as u32).wrapping_mul(self.total))
+    pub(crate) fn credit(&self, leg: Leg) -> u32 {
+        self.threshold.wrapping_sub(first_left(self.threshold, self.total, leg)).wrapping_sub(1)
     }
+}
 
-    /// Steps that an axis has taken after `units` of the block.
-    ///
-    /// What the units have taken off and what was missing at the start, less a threshold for each step taken, stay within
-    /// 1..=threshold; so the quotient is exact.
-    #[inline]
-    pub(crate) fn steps_taken(&self, leg: Leg, units: u32) -> u32 {
-        if self.threshold == 0 {
-            return 0;
-        }
-        let missing = self.threshold.wrapping_sub(self.first(leg)).wrapping_sub(1);
-        let sum = advance(self.rate(leg), units).wrapping_add(u64::from(missing));
-        match u32::try_from(sum) {
-            Ok(small) => small / self.threshold,
-            Err(_) => (sum / u64::from(self.threshold)) as u32,
-        }
+/// Steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]).
+///
+/// What it began with and what the units have added, less a threshold for each step taken, stay below the threshold; so the
+/// quotient is exact.
+#[inline]
+pub(crate) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) -> u32 {
+    if threshold == 0 {
+        return 0;
     }
+    let sum = advance(rate, units).wrapping_add(u64::from(credit));
+    match u32::try_from(sum) {
+        Ok(small) => small / threshold,
+        Err(_) => (sum / u64::from(threshold)) as u32,
+    }
+}
+
+/// What is left until the next step of an axis at the start of a block: half a step, and what the true start is short of the
+/// rounded one.
+#[inline(always)]
+fn first_left(threshold: u32, total: u32, leg: Leg) -> u32 {
+    (threshold / 2).wrapping_sub((leg.start() as u32).wrapping_mul(total))
 }
 
 /// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
@@ -267,7 +301,6 @@ impl<const N: usize> Stepper<N> {
             next_piece: Piece::REST,
             courses: [Course::NOWHERE; 2],
             legs: [Leg::on_steps(0); N],
-            next_units: 0,
             gate_shut: false,
             stops: 0,
             braking: 0.0,
@@ -308,7 +341,11 @@ impl<const N: usize> Stepper<N> {
                     *own = new;
                 }
             }
-            ToStep::Reenter { units } => self.next_units = units,
+            ToStep::Reenter { units } => {
+                if let Some(next) = self.course_mut(true) {
+                    next.entered = units;
+                }
+            }
             ToStep::Watch { probe, braking } => {
                 self.is_watching = probe.is_some();
                 self.watched = probe == Some(true);
@@ -336,29 +373,43 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     fn load_block(&mut self, directions: u8) {
         let legs = self.legs;
+        // One that is left before its end is seen to in `begin_block`.
+        let base = self.course(false).end;
+        let Some(next) = self.course_mut(true) else { return };
+        next.entered = 0;
+        next.directions = directions;
+        next.base = base;
+        for (bit, ((end, base), leg)) in next.end.iter_mut().zip(base).zip(legs).enumerate() {
+            *end = signed_add(base, leg.steps(), directions >> bit & 1 != 0);
+        }
+        // One after the other, as in `step_axes`.
+        compiler_fence(Ordering::SeqCst);
         let measure = Measure::of(&legs);
-        // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
-        let Course { mut base, way, .. } = *self.course(false);
-        for (base, way) in base.iter_mut().zip(way) {
-            *base = base.wrapping_add(way);
+        next.threshold = measure.threshold;
+        next.total = measure.total;
+        for (rate, leg) in next.rates.iter_mut().zip(legs) {
+            *rate = measure.rate(leg);
         }
-        let mut way = legs.map(|leg| leg.steps() as i32);
-        for (bit, way) in way.iter_mut().enumerate() {
-            if directions >> bit & 1 != 0 {
-                *way = way.wrapping_neg();
-            }
-        }
-        if let Some(next) = self.course_mut(true) {
-            let (first, rates) = (legs.map(|leg| measure.first(leg)), legs.map(|leg| measure.rate(leg)));
-            *next = Course { first, rates, measure, directions, way, base };
+    }
+
+    /// What is left of [`Stepper::load_block`], so that no message takes too long.
+    #[inline(always)]
+    fn finish_block(&mut self) {
+        let legs = self.legs;
+        let Some(next) = self.course_mut(true) else { return };
+        for (first, leg) in next.first.iter_mut().zip(legs) {
+            *first = first_left(next.threshold, next.total, leg);
         }
     }
 
     #[inline]
     fn load_segment(&mut self, segment: &Segment) {
         let new_block = segment.flags & Segment::FLAG_NEW_BLOCK != 0;
+        if new_block {
+            self.finish_block();
+        }
         let course = self.course(new_block);
-        let units = if new_block { self.next_units } else { self.piece.end_units };
+        let units = if new_block { course.entered } else { self.piece.end_units };
         let mut increments = [0; N];
         let mut units_per_tick = 0;
         if segment.flags & Segment::FLAG_WAIT == 0 {
@@ -518,13 +569,13 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn begin_block(&mut self) {
-        if self.piece.end_units != self.course(false).measure.total {
+        if self.piece.end_units != self.course(false).total {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        let course = self.course(false);
-        (self.left, self.threshold, self.directions) = (course.first, course.measure.threshold, course.directions);
-        if self.next_units != 0 {
+        let Course { first, threshold, entered, directions, .. } = *self.course(false);
+        (self.left, self.threshold, self.directions) = (first, threshold, directions);
+        if entered != 0 {
             self.enter_midst();
         }
     }
@@ -536,22 +587,26 @@ impl<const N: usize> Stepper<N> {
         self.piece.rare_ticks = 0;
         let position = self.position().0;
         if let Some(next) = self.course_mut(true) {
-            next.base = position;
+            for ((base, end), position) in next.base.iter_mut().zip(next.end.iter_mut()).zip(position) {
+                *end = end.wrapping_sub(*base).wrapping_add(position);
+                *base = position;
+            }
         }
     }
 
-    /// Brings all axes to where they were when the block was left at `next_units`.
+    /// Brings all axes to where they were when the block was left at these units.
     #[cold]
     fn enter_midst(&mut self) {
-        let units = core::mem::take(&mut self.next_units);
         let mut left = self.left;
         let Some(course) = self.course_mut(false) else { return };
-        let threshold = course.measure.threshold;
-        let axes = course.base.iter_mut().zip(course.way).zip(course.rates.iter().zip(course.first));
-        for (left, ((base, way), (rate, first))) in left.iter_mut().zip(axes) {
-            let (taken, rest) = steps_and_rest(*rate, first, threshold, units);
+        let Course { first, rates, threshold, entered, directions, .. } = *course;
+        let axes = course.base.iter_mut().zip(course.end.iter_mut()).zip(rates.iter().zip(first));
+        for (bit, (left, ((base, end), (rate, first)))) in left.iter_mut().zip(axes).enumerate() {
+            let (taken, rest) = steps_and_rest(*rate, first, threshold, entered);
             *left = rest;
-            *base = signed_add(*base, taken, way > 0);
+            for place in [base, end] {
+                *place = signed_add(*place, taken, directions >> bit & 1 == 0);
+            }
         }
         self.left = left;
     }
@@ -599,7 +654,6 @@ impl<const N: usize> Stepper<N> {
         self.touched = self.place();
         self.gate_shut = true;
         self.is_next = false;
-        self.next_units = 0;
         self.piece.last = true;
         self.brakes = self.piece.rare_ticks != 0;
         if self.brakes {
@@ -620,7 +674,7 @@ impl<const N: usize> Stepper<N> {
         let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
         let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
         let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-        let ends = self.piece.end_units >= self.course(false).measure.total;
+        let ends = self.piece.end_units >= self.course(false).total;
         // Not a number where the tick advances no units: a crawl, which stops where it is.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
@@ -648,14 +702,13 @@ impl<const N: usize> Stepper<N> {
         self.brakes = false;
         let base = self.position().0;
         if let Some(course) = self.course_mut(false) {
-            *course = Course { base, ..Course::NOWHERE };
+            *course = Course { base, end: base, ..Course::NOWHERE };
         }
         self.threshold = 0;
         self.left = [0; N];
         self.piece = Piece::REST;
         self.moment = u64::from(self.moment()) << 32;
         self.is_next = false;
-        self.next_units = 0;
         self.gate_shut = true;
         self.stops = self.stops.wrapping_add(1);
     }
@@ -680,7 +733,7 @@ impl<const N: usize> Stepper<N> {
 
     /// Net steps of each axis since power-up (wrapping), all steps of the ticks so far included.
     pub fn position(&self) -> PerAxis<i32, N> {
-        self.place().position()
+        self.course(false).position(&self.left, self.units())
     }
 
     #[inline(always)]
@@ -701,25 +754,8 @@ struct Place<const N: usize> {
 impl<const N: usize> Place<N> {
     const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
 
-    /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
-    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
-    #[inline(never)]
     fn position(&self) -> PerAxis<i32, N> {
-        let Course { first, rates, measure: Measure { threshold, .. }, way, base, .. } = &self.course;
-        let mut position = *base;
-        if *threshold == 0 {
-            return PerAxis(position);
-        }
-        let even = threshold.trailing_zeros();
-        let inverse = inverse(threshold >> even);
-        let lefts = self.left.iter().zip(first);
-        for ((value, way), (rate, (left, first))) in position.iter_mut().zip(way).zip(rates.iter().zip(lefts)) {
-            let sum = advance(*rate, self.units).wrapping_add(u64::from(*left));
-            let whole = sum.wrapping_sub(u64::from(*first));
-            let taken = ((whole >> even) as u32).wrapping_mul(inverse);
-            *value = signed_add(*value, taken, *way < 0);
-        }
-        PerAxis(position)
+        self.course.position(&self.left, self.units)
     }
 }
 
@@ -734,39 +770,185 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A whole number or a fraction, exactly.
+    #[derive(Clone, Copy)]
+    struct Ratio(i128, i128);
+
+    /// Steps taken by the definition: with n steps between f and g sevenths, the true way after u of M units is
+    /// f/7 + (n + (g - f)/7)·u/M, and the step nearest to it has been taken, that before if two are.
+    fn defined(leg: Leg, total: u32, units: u32) -> i128 {
+        let (n, f, g) = (i128::from(leg.steps()), i128::from(leg.start()), i128::from(leg.end()));
+        let (u, m) = (i128::from(units), i128::from(total));
+        let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
+        // The least whole number that is not below the way less a half.
+        -(below - 2 * above).div_euclid(2 * below)
+    }
+
+    /// Three legs, of which one may have as many steps as the dominant axis, and one none.
+    fn legs(most: u32) -> impl Strategy<Value = [Leg; 3]> {
+        let ends = || prop_oneof![1 => Just([0; 3]), 3 => prop::array::uniform3(-3..=3)];
+        let share = || prop_oneof![3 => 0.0..=1.0_f64, 1 => Just(1.0), 1 => Just(0.0)];
+        let dominant = prop_oneof![1_u32..20, 1_u32..3000, 1_u32..=most];
+        (dominant, share(), share(), ends(), ends()).prop_map(|(dominant, y, z, starts, ends)| {
+            let steps = [dominant, (f64::from(dominant) * y) as u32, (f64::from(dominant) * z) as u32];
+            std::array::from_fn(|axis| Leg::with_ends(steps[axis], starts[axis], ends[axis]))
+        })
+    }
+
+    fn enter(stepper: &mut Stepper<3>, legs: [Leg; 3], directions: u8, units: u32, ticks: u32, level: u8) {
+        stepper.load(ToStep::Block { legs, directions });
+        if units != 0 {
+            stepper.load(ToStep::Reenter { units });
+        }
+        let flags = Segment::FLAG_NEW_BLOCK;
+        let ticks = ticks as u16;
+        stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks, power: 0, level, flags }));
+        assert_eq!(stepper.tick().steps, 0);
+    }
+
+    fn signed(taken: i128, directions: u8, axis: usize) -> i32 {
+        signed_add(0, taken as u32, directions >> axis & 1 != 0)
+    }
+
     proptest! {
         #[test]
-        fn the_slow_division_is_the_division(dominant in 1_u32..1 << 26, share in 0.0..=1.0_f64, way in 0.0..=1.0_f64) {
-            let steps = (f64::from(dominant) * share) as u32;
-            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
-            let threshold = dominant * UNITS_PER_STEP;
-            let (taken, rest) = steps_and_rest(steps, threshold, units);
-            prop_assert_eq!(taken, steps_taken(steps, dominant, units));
-            let sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
-            prop_assert_eq!(sum + u64::from(rest), u64::from(taken + 1) * u64::from(threshold));
-            prop_assert!(rest < threshold);
+        fn a_leg_is_what_it_is_made_of(steps in 0_u32..1 << 26, start in -3..=3_i32, end in -3..=3_i32) {
+            let leg = Leg::with_ends(steps, start, end);
+            prop_assert_eq!((leg.steps(), leg.start(), leg.end()), (steps, start, end));
+            prop_assert_eq!(leg.is_on_steps(), start == 0 && end == 0);
+            prop_assert_eq!(Leg::with_ends(steps, 0, 0), Leg::on_steps(steps));
+        }
+
+        #[test]
+        fn the_divisions_are_the_definition(legs in legs(Measure::MOST_STEPS), way in 0.0..=1.0_f64) {
+            let measure = Measure::of(&legs);
+            prop_assert!(measure.threshold <= 1 << 30);
+            for units in [(f64::from(measure.total) * way) as u32, 0, measure.total] {
+                for leg in legs {
+                    let (rate, first) = (measure.rate(leg), first_left(measure.threshold, measure.total, leg));
+                    let taken = defined(leg, measure.total, units);
+                    let credit = measure.credit(leg);
+                    prop_assert_eq!(i128::from(steps_taken(rate, credit, measure.threshold, units)), taken);
+                    let (slow, rest) = steps_and_rest(rate, first, measure.threshold, units);
+                    prop_assert_eq!(i128::from(slow), taken);
+                    prop_assert!(rest < measure.threshold);
+                    let whole = i128::from(rate as i32) * i128::from(units) + i128::from(rest) - i128::from(first);
+                    prop_assert_eq!(whole, taken * i128::from(measure.threshold));
+                    if units == 0 || units == measure.total {
+                        prop_assert_eq!(taken, if units == 0 { 0 } else { i128::from(leg.steps()) });
+                    }
+                }
+            }
+        }
+
+        /// Lines go on with a division that fits 32 bits where it did.
+        #[test]
+        fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
+            let legs = [x, y].map(Leg::on_steps);
+            let measure = Measure::of(&legs);
+            let total = x.max(y) * UNITS_PER_STEP;
+            prop_assert_eq!((measure.total, measure.threshold), (total, total));
+            let units = (f64::from(total) * way) as u32;
+            for leg in legs {
+                prop_assert_eq!((measure.rate(leg), measure.credit(leg)), (leg.steps(), total / 2 - 1));
+                let (taken, rest) = steps_and_rest(leg.steps(), total / 2, total, units);
+                prop_assert_eq!(i128::from(taken), defined(leg, total, units));
+                prop_assert!(rest < total);
+            }
+        }
+
+        /// At every tick of blocks one after the other: one step of an axis at most, what is left in range, the place that
+        /// of the definition and of the pulses.
+        #[test]
+        fn ticks_step_along_true_chords(
+            chords in prop::collection::vec((legs(300), 0_u8..8), 1..4), level in 0_u8..=4,
+        ) {
+            let mut stepper: Stepper<3> = Stepper::new();
+            let load = |stepper: &mut Stepper<3>, legs: [Leg; 3], directions| {
+                stepper.load(ToStep::Block { legs, directions });
+                let ticks = (Measure::of(&legs).total >> (MAX_LEVEL - level)) as u16;
+                let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
+                stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks, power: 0, level, flags }));
+            };
+            load(&mut stepper, chords[0].0, chords[0].1);
+            prop_assert_eq!(stepper.tick().steps, 0);
+            let (mut base, mut counted) = ([0; 3], [0; 3]);
+            for (at, (legs, directions)) in chords.iter().enumerate() {
+                let total = Measure::of(legs).total;
+                let units_per_tick = 1 << (MAX_LEVEL - level);
+                for units in (units_per_tick..=total).step_by(units_per_tick as usize) {
+                    if let (true, Some((next, directions))) = (units == total, chords.get(at + 1)) {
+                        load(&mut stepper, *next, *directions);
+                    }
+                    let steps = stepper.tick().steps;
+                    for axis in 0..3 {
+                        prop_assert!(stepper.left[axis] < stepper.threshold);
+                        counted[axis] += signed(i128::from(steps >> axis & 1), *directions, axis);
+                        let taken = defined(legs[axis], total, units);
+                        prop_assert_eq!(counted[axis], base[axis] + signed(taken, *directions, axis));
+                    }
+                    prop_assert_eq!(stepper.position().0, counted);
+                    if units % UNITS_PER_STEP == 0 {
+                        prop_assert_eq!(defined(legs[0], total, units), i128::from(units / UNITS_PER_STEP));
+                    }
+                }
+                for (axis, base) in base.iter_mut().enumerate() {
+                    *base += signed(i128::from(legs[axis].steps()), *directions, axis);
+                }
+                prop_assert_eq!(counted, base);
+            }
         }
 
         /// The position of a block that was entered in its midst is that of the steps before.
         #[test]
-        fn the_position_needs_no_division(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..1.0_f64, back in 0_u8..4) {
-            let dominant = x.max(y);
-            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
+        fn the_position_needs_no_division(
+            legs in legs(Measure::MOST_STEPS), line in any::<bool>(), way in 0.0..1.0_f64, back in 0_u8..8,
+        ) {
+            let legs = if line { legs.map(|leg| Leg::on_steps(leg.steps() * 7)) } else { legs };
+            let total = Measure::of(&legs).total;
+            let units = (f64::from(total) * way) as u32;
             let mut stepper: Stepper<3> = Stepper::new();
-            stepper.load(ToStep::Block { steps: [x, y, 0], directions: back });
-            stepper.load(ToStep::Reenter { units });
-            let flags = Segment::FLAG_NEW_BLOCK;
-            stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks: 9, power: 0, level: 4, flags }));
-            stepper.tick();
-            let start = PerAxis(stepper.course.base);
+            enter(&mut stepper, legs, back, units, 9, 4);
             prop_assert_eq!(stepper.position(), PerAxis([0; 3]));
             stepper.tick();
-            let moved = |steps, bit: u32| {
-                let taken = steps_taken(steps, dominant, units + 1) - steps_taken(steps, dominant, units);
-                signed_add(0, taken, back >> bit & 1 != 0)
-            };
-            prop_assert_eq!(stepper.position(), PerAxis([moved(x, 0), moved(y, 1), 0]));
-            prop_assert_eq!(start.0[0].unsigned_abs(), steps_taken(x, dominant, units));
+            for (axis, leg) in legs.into_iter().enumerate() {
+                let (before, after) = (defined(leg, total, units), defined(leg, total, units + 1));
+                prop_assert_eq!(stepper.position().0[axis], signed(after - before, back, axis));
+                let course = stepper.course(false);
+                prop_assert_eq!(course.base[axis], -signed(before, back, axis));
+                prop_assert_eq!(course.end[axis], signed(i128::from(leg.steps()) - before, back, axis));
+            }
+        }
+
+        /// A block that is left in its midst for another, and entered again.
+        #[test]
+        fn a_detour_leads_back(legs in legs(300), way in 0.0..1.0_f64, back in 0_u8..8, detour in legs(20)) {
+            let total = Measure::of(&legs).total;
+            let units = ((f64::from(total) * way) as u32).max(1);
+            let there = Measure::of(&detour).total;
+            let mut stepper: Stepper<3> = Stepper::new();
+            enter(&mut stepper, legs, back, 0, units, 4);
+            // Blocks are loaded ahead: each is begun by the last tick of the one before.
+            let run_to_end = |stepper: &mut Stepper<3>| while stepper.piece.ticks() > 1 { stepper.tick(); };
+            run_to_end(&mut stepper);
+            stepper.load(ToStep::Block { legs: detour, directions: 0 });
+            let flags = Segment::FLAG_NEW_BLOCK;
+            let segment = |units: u32| Segment { interval: 1 << 20, ramp: 0, ticks: units as u16, power: 0, level: 4, flags };
+            stepper.load(ToStep::Segment(segment(there)));
+            stepper.tick();
+            let left: [i32; 3] = std::array::from_fn(|axis| signed(defined(legs[axis], total, units), back, axis));
+            prop_assert_eq!(stepper.position().0, left);
+            run_to_end(&mut stepper);
+            stepper.load(ToStep::Block { legs, directions: back });
+            stepper.load(ToStep::Reenter { units });
+            stepper.load(ToStep::Segment(segment((total - units).max(1))));
+            stepper.tick();
+            run_to_end(&mut stepper);
+            stepper.tick();
+            for axis in 0..3 {
+                let whole = signed(i128::from(legs[axis].steps()), back, axis) + detour[axis].steps() as i32;
+                prop_assert_eq!(stepper.position().0[axis], whole);
+            }
         }
     }
 

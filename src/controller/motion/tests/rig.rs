@@ -147,8 +147,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                 ToStep::Block { legs, .. } => {
                     let run = &self.motion.running;
                     self.blocks.push(BlockFacts {
-                        units: run.measure.total,
-                        length: f64::from(run.measure.total) / f64::from(run.scale),
+                        units: run.total,
+                        length: f64::from(run.total) / f64::from(run.scale),
                         nominal: f64::from(run.nominal2).sqrt() / f64::from(run.scale),
                         acceleration: f64::from(run.acceleration / run.scale),
                         steps: legs.map(Leg::steps),
