@@ -76,8 +76,8 @@ struct Piece<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Course<const N: usize> {
-    /// What is left until the next step of each axis at the start.
-    first: [u32; N],
+    /// How far the true start of each axis is beyond the rounded one, in parts of the threshold.
+    beyond: [u32; N],
     /// What a unit takes off.
     rates: [u32; N],
     threshold: u32,
@@ -150,7 +150,7 @@ impl<const N: usize> Piece<N> {
 
 impl<const N: usize> Course<N> {
     const NOWHERE: Self = Self {
-        first: [0; N],
+        beyond: [0; N],
         rates: [0; N],
         threshold: 0,
         total: 0,
@@ -160,21 +160,27 @@ impl<const N: usize> Course<N> {
         end: [0; N],
     };
 
+    /// What is left until the next step of each axis at the start: half a step but for what is done of it.
+    #[inline(always)]
+    fn first(&self) -> [u32; N] {
+        self.beyond.map(|beyond| (self.threshold / 2).wrapping_sub(beyond))
+    }
+
     /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
     /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
     #[inline(never)]
     fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
-        let Course { first, rates, threshold, directions, base, .. } = self;
+        let Course { rates, threshold, directions, base, .. } = self;
         let mut position = *base;
         if *threshold == 0 {
             return PerAxis(position);
         }
         let even = threshold.trailing_zeros();
         let inverse = inverse(threshold >> even);
-        let lefts = left.iter().zip(first);
+        let lefts = left.iter().zip(self.first());
         for (bit, (value, (rate, (left, first)))) in position.iter_mut().zip(rates.iter().zip(lefts)).enumerate() {
             let sum = advance(*rate, units).wrapping_add(u64::from(*left));
-            let whole = sum.wrapping_sub(u64::from(*first));
+            let whole = sum.wrapping_sub(u64::from(first));
             let taken = ((whole >> even) as u32).wrapping_mul(inverse);
             *value = signed_add(*value, taken, directions >> bit & 1 != 0);
         }
@@ -218,7 +224,7 @@ impl Measure {
     /// What an axis has of its first step at the start, less 1: half a step, and what its true start is beyond the rounded one.
     #[inline(always)]
     pub(crate) fn credit(&self, leg: Leg) -> u32 {
-        self.threshold.wrapping_sub(first_left(self.threshold, self.total, leg)).wrapping_sub(1)
+        (self.threshold / 2).wrapping_add(parts_beyond(self.total, leg)).wrapping_sub(1)
     }
 }
 
@@ -238,11 +244,10 @@ pub(crate) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
     }
 }
 
-/// What is left until the next step of an axis at the start of a block: half a step, and what the true start is short of the
-/// rounded one.
+/// How far the true start of an axis is beyond the rounded one, in parts of the threshold; below 0 as a wrapped number.
 #[inline(always)]
-fn first_left(threshold: u32, total: u32, leg: Leg) -> u32 {
-    (threshold / 2).wrapping_sub((leg.start() as u32).wrapping_mul(total))
+fn parts_beyond(total: u32, leg: Leg) -> u32 {
+    (leg.start() as u32).wrapping_mul(total)
 }
 
 /// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
@@ -397,8 +402,8 @@ impl<const N: usize> Stepper<N> {
     fn finish_block(&mut self) {
         let legs = self.legs;
         let Some(next) = self.course_mut(true) else { return };
-        for (first, leg) in next.first.iter_mut().zip(legs) {
-            *first = first_left(next.threshold, next.total, leg);
+        for (beyond, leg) in next.beyond.iter_mut().zip(legs) {
+            *beyond = parts_beyond(next.total, leg);
         }
     }
 
@@ -573,8 +578,9 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        let Course { first, threshold, entered, directions, .. } = *self.course(false);
-        (self.left, self.threshold, self.directions) = (first, threshold, directions);
+        let course = *self.course(false);
+        let Course { threshold, entered, directions, .. } = course;
+        (self.left, self.threshold, self.directions) = (course.first(), threshold, directions);
         if entered != 0 {
             self.enter_midst();
         }
@@ -599,7 +605,8 @@ impl<const N: usize> Stepper<N> {
     fn enter_midst(&mut self) {
         let mut left = self.left;
         let Some(course) = self.course_mut(false) else { return };
-        let Course { first, rates, threshold, entered, directions, .. } = *course;
+        let Course { rates, threshold, entered, directions, .. } = *course;
+        let first = course.first();
         let axes = course.base.iter_mut().zip(course.end.iter_mut()).zip(rates.iter().zip(first));
         for (bit, (left, ((base, end), (rate, first)))) in left.iter_mut().zip(axes).enumerate() {
             let (taken, rest) = steps_and_rest(*rate, first, threshold, entered);
@@ -825,7 +832,8 @@ mod tests {
             prop_assert!(measure.threshold <= 1 << 30);
             for units in [(f64::from(measure.total) * way) as u32, 0, measure.total] {
                 for leg in legs {
-                    let (rate, first) = (measure.rate(leg), first_left(measure.threshold, measure.total, leg));
+                    let beyond = parts_beyond(measure.total, leg);
+                    let (rate, first) = (measure.rate(leg), (measure.threshold / 2).wrapping_sub(beyond));
                     let taken = defined(leg, measure.total, units);
                     let credit = measure.credit(leg);
                     prop_assert_eq!(i128::from(steps_taken(rate, credit, measure.threshold, units)), taken);
