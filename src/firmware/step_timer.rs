@@ -34,7 +34,7 @@ const LOW_TICKS: u32 = 2 * TICKS_PER_US;
 /// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
 const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
-/// An edge is far if it leaves time for what is not urgent: half a message takes 359 cycles (`cargo xtask count`), with 24
+/// An edge is far if it leaves time for what is not urgent: half a message takes 355 cycles (`cargo xtask count`), with 24
 /// for entry and exit. Wait states of the flash come on top, but waiting longer leaves less time after the next pulse.
 const FAR_CYCLES: u32 = 384;
 const FAR_TICKS: u32 = FAR_CYCLES * (PROFILE.step_clock_hz / 1000) / (CORE_HZ / 1000);
