@@ -356,7 +356,7 @@ fn a_chord_of_very_many_steps_is_a_line() {
     let mut motion = Motion::<3, 8>::new(settings(10_000.0, 800.0, 5000.0));
     let g = geometry(0, 1.0e5, 0.0, 0.1, 0.0, 0, [-1.0e5, 0.0]);
     let arc = Arc::new(&g, 10.0);
-    for x in [958.698_035, 1917.396_14, 1917.396_14] {
+    for x in [958.698_035, 1_917.396_14, 1_917.396_14] {
         assert!(motion.chord(&to([x, 1.000_03, 0.0], Speed::Feed(500.0)), &arc));
     }
     motion.start();
