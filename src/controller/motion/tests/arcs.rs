@@ -166,13 +166,11 @@ proptest! {
 const MOST_OFF: f64 = std::f64::consts::SQRT_2 * 4.0 / 7.0;
 
 /// Runs an arc to its end, which must be met exactly; the farthest any step is off the circle, in steps beside the tolerance.
-fn farthest_off(geometry: &ArcGeometry<3>, config: super::super::MotionSettings<3>, feed: f32, chord: bool) -> f64 {
+fn farthest_off(geometry: &ArcGeometry<3>, config: super::super::MotionSettings<3>, feed: f32) -> f64 {
     let mut rig = Rig::<3, 64>::new(config);
     rig.motion.set_machine_position(&geometry.start);
     let mut arc = Arc::new(geometry, config.arc_tolerance);
-    if chord {
-        rig.arc = Some(arc.clone());
-    }
+    rig.arc = Some(arc.clone());
     while let Some(point) = arc.next_chord() {
         let mut m = to([0.0; 3], Speed::Feed(feed));
         m.target = point;
@@ -221,7 +219,7 @@ fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
     for radius in [0.1, 5.0, 60.0] {
         let g = geometry(0, radius, 0.0, -7.0, 0.0, 0, [-radius, 0.0]);
         let config = settings(200.0, 100.0, 800.0);
-        let worst = farthest_off(&g, config, 40.0, true);
+        let worst = farthest_off(&g, config, 40.0);
         assert!(worst <= MOST_OFF, "{worst} steps at radius {radius}");
     }
 }
@@ -241,11 +239,11 @@ proptest! {
         let g = geometry(plane, radius, from, if left { sweep } else { -sweep }, rise, 0, [x, y]);
         let mut config = settings(100.0, 100.0, 800.0);
         config.steps_per_mm = PerAxis(scales.map(|scale| crate::units::StepsPerMm::new(scale).unwrap()));
-        let worst = farthest_off(&g, config, feed, true);
+        let worst = farthest_off(&g, config, feed);
         if config.steps_per_mm.0[0] == config.steps_per_mm.0[1] && plane == 0 {
             // The plane's axes lie across the motors', each of which is off by as much: √2 less.
             config.arrangement = Arrangement::CoreXy;
-            let worst = farthest_off(&g, config, feed, true);
+            let worst = farthest_off(&g, config, feed);
             prop_assert!(worst <= MOST_OFF / std::f64::consts::SQRT_2 + 0.003, "{worst} steps of motors");
         }
         // What chords themselves may be off for rounding to 0.1 nm and in 32 bits.
