@@ -89,13 +89,13 @@ pub enum ToStep {
     /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] and only by machines that have
     /// them.
     BlockRest {
-        /// Unsigned steps of A, B, C.
-        steps: [u32; 3],
+        /// The parts of A, B, C.
+        legs: [Leg; 3],
     },
     /// The straight move that the following segments are pieces of. Takes effect with the first of them.
     Block {
-        /// Unsigned steps of X, Y, Z.
-        steps: [u32; 3],
+        /// The parts of X, Y, Z.
+        legs: [Leg; 3],
         /// Bit set = axis moves to negative; bit 0 is X.
         directions: u8,
     },
@@ -121,6 +121,64 @@ pub enum ToStep {
         /// Value of [`StepEvent::Stopped::stops`] that this answers.
         stops: u16,
     },
+}
+
+/// The part of one axis in a block: its steps, and how far the true ends of the move are from the steps they are rounded
+/// to.
+///
+/// A line begins and ends on steps. A chord of an arc does not, or rounding would bend the arc: it is stepped along its true
+/// ends. How far they are is told in sevenths of a step, positive in the direction of motion (of an axis without steps: to
+/// positive).
+///
+/// One word: steps in the lower 26 bits, then three bits of each end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct Leg(u32);
+
+impl Leg {
+    /// Less than 2 to the power of this are the steps of a leg.
+    pub const STEP_BITS: u32 = 26;
+    /// Parts of a step in which the ends are told. Odd, so that there are as many on either side of zero.
+    pub const PARTS: u32 = 7;
+    /// The ends are this many parts from a step at most.
+    pub const FARTHEST: i32 = 3;
+    const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
+
+    /// From step to step.
+    #[inline]
+    pub const fn on_steps(steps: u32) -> Leg {
+        Leg(steps & Self::STEPS)
+    }
+
+    /// With true ends, each within [`Leg::FARTHEST`].
+    #[inline]
+    pub const fn with_ends(steps: u32, start: i32, end: i32) -> Leg {
+        Leg(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
+    }
+
+    /// Unsigned steps.
+    #[inline]
+    pub const fn steps(self) -> u32 {
+        self.0 & Self::STEPS
+    }
+
+    /// True start less rounded start, in sevenths of a step.
+    #[inline]
+    pub const fn start(self) -> i32 {
+        (self.0 << 3) as i32 >> (Self::STEP_BITS + 3)
+    }
+
+    /// True end less rounded end, in sevenths of a step.
+    #[inline]
+    pub const fn end(self) -> i32 {
+        self.0 as i32 >> (Self::STEP_BITS + 3)
+    }
+
+    /// Whether both ends are on steps.
+    #[inline]
+    pub const fn is_on_steps(self) -> bool {
+        self.0 <= Self::STEPS
+    }
 }
 
 /// Some ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its dominant axis

@@ -208,6 +208,18 @@ impl StepsPerMm {
         }
     }
 
+    /// How far a coordinate is beyond its nearest step, in sevenths of a step: the nearest of -3 to 3.
+    pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
+        /// A step in the measure of `rest`.
+        const STEP: i32 = DECIMAL_ONE as i32;
+        // Both products may be too wide, but not their difference, which is half a step: below 2^56, or 10^7 / 2 without
+        // the shift.
+        let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
+        let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);
+        let rest = (product.wrapping_sub(whole) >> self.shift) as i32;
+        ((rest.clamp(-STEP / 2, STEP / 2) * 7 + 7 * STEP / 2) / STEP - 3).min(3)
+    }
+
     /// The coordinate nearest to a step.
     pub fn coordinate(self, steps: i32) -> Coordinate {
         let numerator = i128::from(steps) * i128::from(DECIMAL_ONE << self.shift);
@@ -268,6 +280,27 @@ mod tests {
                 for off in -2..=2 {
                     let half = Coordinate(near.0 + (5.0e6 / f64::from(scale.to_f32())) as i64 + off);
                     prop_assert_eq!(scale.steps(half), divided(scale, half));
+                }
+            }
+        }
+
+        #[test]
+        fn sevenths_are_the_nearest(place: i64, bits in 24_u32..62, scale in 0.001_f32..40_000.0, fine in 0.001_f32..2.0) {
+            for scale in [scale, fine, 80.0, 640.0] {
+                let scale = StepsPerMm::new(scale).unwrap();
+                let near = scale.coordinate(scale.steps(Coordinate(place >> bits)));
+                for off in [0.0, 0.07, 0.08, -0.07, -0.08, 0.2, -0.3, 0.42, 0.43, -0.42, 0.499, -0.499] {
+                    let coordinate = Coordinate(near.0 + (off * 1.0e7 / f64::from(scale.to_f32())) as i64);
+                    let steps = scale.steps(coordinate);
+                    let sevenths = scale.sevenths_beyond(coordinate, steps);
+                    // (place × steps/mm - steps) × 7 - sevenths, in parts of the step.
+                    let step = i128::from(DECIMAL_ONE) << scale.shift;
+                    let beyond = i128::from(coordinate.0) * i128::from(scale.mantissa) - i128::from(steps) * step;
+                    let error = 7 * beyond - i128::from(sevenths) * step;
+                    // Half a seventh, or a ten-millionth of a step more.
+                    prop_assert!(2 * error.abs() <= step + 14 * (1 << scale.shift), "{sevenths} for {coordinate:?} at {scale:?}");
+                    prop_assert!(sevenths.abs() <= 3);
+                    prop_assert_eq!(scale.sevenths_beyond(scale.coordinate(steps), steps), 0);
                 }
             }
         }

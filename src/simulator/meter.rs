@@ -145,8 +145,8 @@ impl Meter {
     /// A message was loaded into the step task.
     pub fn loaded(&mut self, message: &ToStep) {
         match message {
-            ToStep::Block { steps, directions } => {
-                self.next_block = Some((std::array::from_fn(|axis| steps[axis]), *directions));
+            ToStep::Block { legs, directions } => {
+                self.next_block = Some((std::array::from_fn(|axis| legs[axis].steps()), *directions));
             }
             ToStep::Segment(segment) => {
                 let block = if segment.flags & Segment::FLAG_NEW_BLOCK != 0 { self.next_block.take() } else { None };
@@ -284,6 +284,7 @@ impl Meter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use oxmill_controller::messages::Leg;
 
     fn segment(interval: u32, ticks: u16, flags: u8) -> ToStep {
         let interval = interval << INTERVAL_FRACTION_BITS;
@@ -296,7 +297,7 @@ mod tests {
         meter.set_resolution([100.0, 100.0, 400.0], Arrangement::Cartesian);
         // 3 mm and -4 mm: 5 mm in 400 ticks. 100 ticks of 2 ms, then 300 of 1 ms.
         for message in [
-            ToStep::Block { steps: [300, 400, 0], directions: 0b010 },
+            ToStep::Block { legs: [300, 400, 0].map(Leg::on_steps), directions: 0b010 },
             segment(2000, 100, Segment::FLAG_NEW_BLOCK),
             segment(1000, 300, Segment::FLAG_LAST),
         ] {
@@ -314,7 +315,7 @@ mod tests {
     #[test]
     fn waiting_slows_the_next_segment() {
         let mut meter = Meter::new(1_000_000);
-        meter.loaded(&ToStep::Block { steps: [1, 0, 0], directions: 0 });
+        meter.loaded(&ToStep::Block { legs: [1, 0, 0].map(Leg::on_steps), directions: 0 });
         meter.loaded(&segment(500_000, 1, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT));
         meter.loaded(&segment(500_000, 1, Segment::FLAG_LAST));
         meter.begin(0.0, [0; AXES]);

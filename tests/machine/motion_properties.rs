@@ -297,9 +297,10 @@ proptest! {
         };
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
-        // The arc tolerance, and the last digit of start and end. Each axis is rounded to half a step at the ends of a
-        // chord, and again within it: a whole step in either axis, were both at their worst at once.
-        let radial = 0.002 + std::f64::consts::SQRT_2 * step + 0.001;
+        // The arc tolerance, and the last digit of start and end. Each axis is within half a step of where it is on the
+        // chord, whose ends are rounded to sevenths of a step, of which 3.5 count as 3: 1/2 + 1/14 of a step in either axis,
+        // were both at their worst at once.
+        let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));
         }

@@ -64,11 +64,11 @@ const ROWS: [Row; 20] = [
     row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
     row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
     row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (193, 313))
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (200, 313))
         .beside("147 / 206", "209 / 304"),
     row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (208, 348)),
     row("wait", "a call that comes too near an edge", Figure::Worst, None, (85, 148)),
-    row("stop", "stop, with its report", Figure::Worst, None, (380, 697)),
+    row("stop", "stop, with its report", Figure::Worst, None, (384, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (790, 1375)).beside("205 / 329", "196 / 313"),
@@ -82,7 +82,7 @@ const ROWS: [Row; 20] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1430, 2100))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_920, 14_350))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_990, 14_410))
         .beside("2800 / 4400", "4100 / 6500"),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),

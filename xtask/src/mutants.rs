@@ -127,7 +127,7 @@ const MUTANTS: &[Mutant] = &[
         edits: &[Edit {
             file: STEPPER,
             find: "            self.begin_segment();\n            return Tick { begins: true, ..self.set_out(steps) };\n",
-            replace: "            let directions = self.course.directions;\n            self.begin_segment();\n            return \
+            replace: "            let directions = self.directions;\n            self.begin_segment();\n            return \
                 Tick { begins: true, directions, ..self.set_out(steps) };\n",
         }],
     },

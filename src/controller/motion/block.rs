@@ -2,6 +2,7 @@
 
 use super::jerk::Bounds;
 use super::profile::lesser;
+use crate::messages::Leg;
 
 /// What a block's programmed speed means.
 pub(super) const RAPID: u8 = 1;
@@ -11,7 +12,7 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 pub(super) const SCALE_POWER: u8 = 4;
 
 /// Most steps of a block's dominant axis: 16 units of each, doubled by a counter that is about to step, fit 32 bits.
-pub(super) const MAX_STEPS: u32 = 1 << 26;
+pub(super) const MAX_STEPS: u32 = 1 << Leg::STEP_BITS;
 
 /// Factors on programmed feeds and on rapids.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +24,7 @@ pub(super) struct Overrides {
 /// A straight move. Lengths in mm, speeds in mm/s; `2` at the end of a name means squared.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block<const N: usize> {
-    pub steps: [u32; N],
+    pub legs: [Leg; N],
     pub line_number: u32,
     /// Path length, lengths of moves too short for a step included.
     pub length: f32,
@@ -81,7 +82,7 @@ impl Ramp {
 
 impl<const N: usize> Block<N> {
     pub(super) const EMPTY: Self = Self {
-        steps: [0; N],
+        legs: [Leg::on_steps(0); N],
         line_number: 0,
         length: 0.0,
         acceleration: 1.0,
@@ -119,7 +120,7 @@ impl<const N: usize> Block<N> {
     /// Steps of the axis that has most.
     #[inline]
     pub(super) fn dominant(&self) -> u32 {
-        self.steps.iter().fold(0, |most, steps| most.max(*steps))
+        self.legs.iter().fold(0, |most, leg| most.max(leg.steps()))
     }
 }
 

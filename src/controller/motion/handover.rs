@@ -4,8 +4,9 @@ use super::block::{RAPID, SCALE_POWER};
 use super::flight::Record;
 use super::profile::{Curve, Pace, greater, lesser};
 use super::segment::{self, Cut};
+use super::stepper::Measure;
 use super::{Announce, Far, Hold, Motion, Motors, Running};
-use crate::messages::{Observed, Segment, ToStep, UNITS_PER_STEP};
+use crate::messages::{Leg, Observed, Segment, ToStep, UNITS_PER_STEP};
 
 /// Step time handed to the step task in advance: enough for a control task that is late, and the latency of a hold.
 pub const QUEUED_TIME_MS: u32 = 16;
@@ -41,19 +42,19 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         match self.running.announce {
             Announce::Rest => {
                 self.running.announce = Announce::Block;
-                let mut steps = [0; 3];
-                for (out, own) in steps.iter_mut().zip(self.running.steps.iter().skip(3)) {
+                let mut legs = [Leg::default(); 3];
+                for (out, own) in legs.iter_mut().zip(self.running.legs.iter().skip(3)) {
                     *out = *own;
                 }
-                Some(ToStep::BlockRest { steps })
+                Some(ToStep::BlockRest { legs })
             }
             Announce::Block => {
                 self.running.announce = if self.running.done > 0 { Announce::Reenter } else { Announce::Nothing };
-                let mut steps = [0; 3];
-                for (out, own) in steps.iter_mut().zip(self.running.steps.iter()) {
+                let mut legs = [Leg::default(); 3];
+                for (out, own) in legs.iter_mut().zip(self.running.legs.iter()) {
                     *out = *own;
                 }
-                Some(ToStep::Block { steps, directions: self.running.directions })
+                Some(ToStep::Block { legs, directions: self.running.directions })
             }
             Announce::Reenter => {
                 self.running.announce = Announce::Nothing;
@@ -66,21 +67,22 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Takes the first block of the queue to pieces; `false` without one.
     pub(super) fn begin_block(&mut self) -> bool {
         let Some(block) = self.planner.first() else { return false };
-        let dominant = block.dominant();
-        let total = dominant * UNITS_PER_STEP;
-        let scale = total as f32 / block.length;
+        let measure = Measure::of(&block.legs);
+        let scale = measure.total as f32 / block.length;
         let nominal = block.nominal(self.overrides) * scale;
         self.running = Running {
             active: true,
             announce: if N > 3 { Announce::Rest } else { Announce::Block },
             fresh: true,
-            steps: block.steps,
+            legs: block.legs,
             directions: block.directions,
             flags: block.flags,
             power: block.power,
             line_number: block.line_number,
-            dominant,
-            total,
+            threshold: measure.threshold,
+            rates: block.legs.map(|leg| measure.rate(leg)),
+            credits: block.legs.map(|leg| measure.credit(leg)),
+            total: measure.total,
             done: 0,
             scale,
             acceleration: block.acceleration * scale,

@@ -6,11 +6,13 @@ use super::block::{Block, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::curvature::{self, MOST_TURN, Piece};
 use super::planner::{self, DIGIT, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
+use super::stepper::Measure;
 use super::{
     GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded,
     signed_steps, unsigned_steps,
 };
 use crate::axes::{Axis, PerAxis};
+use crate::messages::Leg;
 use crate::units::Coordinate;
 
 /// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
@@ -18,13 +20,28 @@ const MOST_OVERRIDE: f32 = 2.0;
 /// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
 const LEAST_EASE: f32 = 0.004;
 
+/// The steps of a chord with its true ends, which are told in terms of the axes. With very many steps it is stepped as a
+/// line: a part of a step is nothing to it.
+fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [Leg; N] {
+    let mut legs = steps.map(Leg::on_steps);
+    if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
+        let [starts, ends] = ends;
+        for (bit, (leg, (start, end))) in legs.iter_mut().zip(starts.iter().zip(ends)).enumerate() {
+            let sign = if directions >> bit & 1 != 0 { -1 } else { 1 };
+            *leg = Leg::with_ends(leg.steps(), sign * start, sign * end);
+        }
+    }
+    legs
+}
+
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub fn line(&mut self, m: &Move<N>) -> bool {
-        self.queue(m, UNLIMITED2)
+        self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of an arc: [`Motion::line`], not faster than the arc's own curve allows.
+    /// Queues a chord of an arc: [`Motion::line`], not faster than the arc's own curve allows, and stepped along its true
+    /// ends instead of the steps next to them.
     pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
         for (axis, most) in Axis::of_machine::<N>().zip(self.acceleration) {
@@ -32,10 +49,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 acceleration = lesser(acceleration, most);
             }
         }
-        self.queue(m, acceleration * arc.curve_radius())
+        self.queue(m, acceleration * arc.curve_radius(), true)
     }
 
-    fn queue(&mut self, m: &Move<N>, bend2: f32) -> bool {
+    fn queue(&mut self, m: &Move<N>, bend2: f32, chord: bool) -> bool {
         if self.free_blocks() == 0 {
             return false;
         }
@@ -50,7 +67,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         };
         // A probe brakes within its own block.
         if self.backlash.is_on() && !m.no_feed_override {
-            self.begin_taking_up(m, bend2);
+            self.begin_taking_up(m, bend2, chord);
         }
         let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
@@ -58,7 +75,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             most = most.max(new.abs_diff(*old));
         }
         if most < MAX_STEPS {
-            self.append(m, &steps, bend2);
+            self.append(m, &steps, bend2, chord);
             return true;
         }
         let mut whole = *m;
@@ -95,7 +112,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 self.long = None;
             }
             let steps = self.kinematics.steps(&piece.target);
-            self.append(&piece, &steps, long.bend2);
+            // Pieces have more steps than can begin or end between them.
+            self.append(&piece, &steps, long.bend2, false);
         }
     }
 
@@ -110,7 +128,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     }
 
     /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
-    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32) {
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32, chord: bool) {
+        let ends = self.true_ends(&m.target, target_steps, chord);
         let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
         for part in way.iter() {
@@ -122,14 +141,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planned = m.target;
 
         let mut block = Block::<N>::EMPTY;
+        let mut steps = [0; N];
         let mut directions = 0;
         // The way that the steps stand for, less half a step: what the path must be long at least (see `length`).
         let mut least = 0.0_f32;
         let mut dominant = 0;
-        let ends = target_steps.iter().zip(self.planned_steps.iter());
-        for (bit, ((to, from), (steps, mm))) in
-            ends.zip(block.steps.iter_mut().zip(self.kinematics.least_mm)).enumerate()
-        {
+        let places = target_steps.iter().zip(self.planned_steps.iter());
+        for (bit, ((to, from), (steps, mm))) in places.zip(steps.iter_mut().zip(self.kinematics.least_mm)).enumerate() {
             *steps = to.abs_diff(*from);
             if to < from {
                 directions |= 1 << bit;
@@ -160,11 +178,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
-            if let Some(motors) = self.take_up(&mut block.steps, &mut directions, &way, length, acceleration, speed) {
+            if let Some(motors) = self.take_up(&mut steps, &mut directions, &way, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
                 block.jerk = self.jerk_along(&motors, length, acceleration);
             }
         }
+        block.legs = match ends {
+            Some(ends) => legs_with_ends(&steps, directions, &ends),
+            None => steps.map(Leg::on_steps),
+        };
         block.directions = directions;
         block.line_number = m.line_number;
         block.length = length;
@@ -207,6 +229,24 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planner.plan();
     }
 
+    /// How far the ends of a move are beyond their steps, in sevenths of a step; for chords only.
+    #[inline]
+    fn true_ends(
+        &mut self,
+        target: &PerAxis<Coordinate, N>,
+        target_steps: &PerAxis<i32, N>,
+        chord: bool,
+    ) -> Option<[[i32; N]; 2]> {
+        let start = self.beyond.take();
+        if !chord {
+            return None;
+        }
+        let start = start.unwrap_or_else(|| self.kinematics.sevenths_beyond(&self.planned, &self.planned_steps));
+        let end = self.kinematics.sevenths_beyond(target, target_steps);
+        self.beyond = Some(end);
+        Some([start, end])
+    }
+
     /// Greatest acceleration and speed along a way of this length at which no axis goes beyond its own.
     #[inline]
     fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
@@ -244,7 +284,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
     #[inline(never)]
-    fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32) {
+    fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
         let moved = steps.zip(&self.planned_steps, i32::wrapping_sub);
         let mut after = self.backlash;
@@ -270,7 +310,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
             let target = self.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
             let steps = self.kinematics.steps(&target);
-            self.append(&Move { target, speed, ..*m }, &steps, bend2);
+            self.append(&Move { target, speed, ..*m }, &steps, bend2, chord);
         }
     }
 
@@ -292,7 +332,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return None;
         }
         let room = backlash::share(acceleration, self.junction_deviation, speed) * length;
-        let most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        for (most, moved) in most.iter_mut().zip(moved) {
+            *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs());
+        }
         let taken = self.backlash.take_up(&most);
         for (moved, taken) in moved.iter_mut().zip(taken) {
             *moved += taken;
@@ -310,7 +353,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let way = PerAxis(self.kinematics.way_of_axes(&taken));
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let mut block = Block::<N>::EMPTY;
-        (block.steps, block.directions) = unsigned_steps(&taken);
+        let steps;
+        (steps, block.directions) = unsigned_steps(&taken);
+        block.legs = steps.map(Leg::on_steps);
         block.line_number = self.running.line_number;
         block.length = length;
         (block.acceleration, block.limit) = self.limits(&way, length);

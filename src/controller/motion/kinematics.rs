@@ -38,15 +38,36 @@ impl<const N: usize> Kinematics<N> {
     /// The steps nearest to a place.
     #[inline]
     pub(super) fn steps(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<i32, N> {
-        let turned;
-        let place = match (self.arrangement, place.0.as_slice()) {
+        let mut turned = PerAxis::all(Coordinate::ZERO);
+        self.steps_per_mm.zip(self.of_motors(place, &mut turned), |scale, coordinate| scale.steps(coordinate))
+    }
+
+    /// How far a place is beyond the steps nearest to it, in sevenths of a step.
+    #[inline(never)]
+    pub(super) fn sevenths_beyond(&self, place: &PerAxis<Coordinate, N>, steps: &PerAxis<i32, N>) -> [i32; N] {
+        let mut turned = PerAxis::all(Coordinate::ZERO);
+        let place = self.of_motors(place, &mut turned);
+        let mut beyond = steps.0;
+        for (value, (scale, coordinate)) in beyond.iter_mut().zip(self.steps_per_mm.iter().zip(place.iter())) {
+            *value = scale.sevenths_beyond(*coordinate, *value);
+        }
+        beyond
+    }
+
+    /// How far each motor moves its belt or screw for a place of the tool.
+    #[inline]
+    fn of_motors<'a>(
+        &self,
+        place: &'a PerAxis<Coordinate, N>,
+        turned: &'a mut PerAxis<Coordinate, N>,
+    ) -> &'a PerAxis<Coordinate, N> {
+        match (self.arrangement, place.0.as_slice()) {
             (Arrangement::CoreXy, [x, y, ..]) => {
-                turned = with_first_two(place, (*x + *y).limited(), (*x - *y).limited());
-                &turned
+                *turned = with_first_two(place, (*x + *y).limited(), (*x - *y).limited());
+                turned
             }
             _ => place,
-        };
-        self.steps_per_mm.zip(place, |scale, coordinate| scale.steps(coordinate))
+        }
     }
 
     /// The ways of the axes (mm) that ways of the motors (steps) are worth.

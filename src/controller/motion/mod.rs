@@ -29,7 +29,7 @@ pub use extent::extent;
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
-use crate::messages::{Observed, UNITS_PER_STEP};
+use crate::messages::{Leg, Observed, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use backlash::{Backlash, Lead};
 use block::{NO_OVERRIDE, Overrides};
@@ -150,12 +150,15 @@ struct Running<const N: usize> {
     announce: Announce,
     /// The next segment is the block's first.
     fresh: bool,
-    steps: [u32; N],
+    legs: [Leg; N],
     directions: u8,
     flags: u8,
     power: u16,
     line_number: u32,
-    dominant: u32,
+    /// See [`stepper::Measure`].
+    threshold: u32,
+    rates: [u32; N],
+    credits: [u32; N],
     /// Units of the whole block and those cut off so far.
     total: u32,
     done: u32,
@@ -203,6 +206,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     planned: PerAxis<Coordinate, N>,
     block_end: PerAxis<Coordinate, N>,
     planned_steps: PerAxis<i32, N>,
+    /// How far `planned` is beyond `planned_steps`, in sevenths of a step; known after a chord of an arc only.
+    beyond: Option<[i32; N]>,
     /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
     carried: f32,
     /// Unit vector of the last block, and how far apart its ends are.
@@ -300,6 +305,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             planned: PerAxis::all(Coordinate::ZERO),
             block_end: PerAxis::all(Coordinate::ZERO),
             planned_steps: zero,
+            beyond: None,
             carried: 0.0,
             direction: [0.0; N],
             distance: 0.0,
@@ -312,12 +318,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 active: false,
                 announce: Announce::Nothing,
                 fresh: false,
-                steps: [0; N],
+                legs: [Leg::on_steps(0); N],
                 directions: 0,
                 flags: 0,
                 power: 0,
                 line_number: 0,
-                dominant: 0,
+                threshold: 0,
+                rates: [0; N],
+                credits: [0; N],
                 total: 0,
                 done: 0,
                 scale: 1.0,
@@ -384,6 +392,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.stood = motors;
         self.planned_steps = steps;
         self.planned = self.kinematics.place(&steps);
+        self.beyond = None;
         self.block_end = self.planned;
         self.tool_stands = false;
         self.chain_broken = true;
@@ -631,8 +640,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return self.start;
         }
         let mut position = self.start.steps;
-        for (bit, (value, steps)) in position.iter_mut().zip(run.steps).enumerate() {
-            let taken = if run.done == run.total { steps } else { steps_taken(steps, run.dominant, run.done) };
+        let axes = run.legs.iter().zip(run.rates.iter().zip(run.credits));
+        for (bit, (value, (leg, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
+            let taken =
+                if run.done == run.total { leg.steps() } else { steps_taken(*rate, credit, run.threshold, run.done) };
             *value = signed_add(*value, taken, run.directions >> bit & 1 != 0);
         }
         if self.backlash.is_on() {

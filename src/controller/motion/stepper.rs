@@ -1,13 +1,19 @@
 //! The step generator: turns blocks and segments into step bits and moments, one call for each expiry of the timer.
 //!
-//! One threshold serves all axes. A tick takes each axis' own steps (times the units the tick advances) off what is left
-//! until its next step; an axis with less than that left steps and gets the threshold added. All axes begin with half the
-//! threshold, so each stays within half a step of the straight line, and after the whole block all have half of it again:
+//! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
+//! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
+//! steps, and all begin with half the threshold, so each stays within half a step of the straight line, and after the whole
+//! block all have half of it again:
 //!
 //! ```text
 //!  what is left of Y for (X, Y) = (10, 3), threshold 10, in steps of X      1 2 3 4 5 6 7 8 9 10
 //!                                                                       Y     ^       ^     ^
 //! ```
+//! A chord of an arc begins and ends between steps, at f and g of a step beside them ([`Leg`]). An axis with n steps has taken
+//! ⌈f + (n + g - f)·u/M - 1/2⌉ of them after u of M units: none at the start and n at the end, for f and g are less than a
+//! half, and always within half a step of the true chord. In sevenths of a step that is the same arithmetic, with 7·M as the
+//! threshold, 7·n + 7·g - 7·f as the rate, and 7·f·M less at the start.
+//!
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves the acceleration to
 //! `planner` and `segment`, pulse widths and direction set-up to the task that writes the pins.
@@ -17,7 +23,7 @@
 //! counted: it follows from how far the block has come.
 
 use crate::axes::PerAxis;
-use crate::messages::{INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use crate::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Finest smoothing: a tick advances one unit.
@@ -70,13 +76,19 @@ struct Piece<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Course<const N: usize> {
-    /// Units of the whole block: 16 for each step of the dominant axis.
+    /// How far the true start of each axis is beyond the rounded one, in parts of the threshold.
+    beyond: [u32; N],
+    /// What a unit takes off.
+    rates: [u32; N],
     threshold: u32,
+    /// Units of the whole block.
+    total: u32,
+    /// Units at which it is entered in its midst; 0 = at its start.
+    entered: u32,
     directions: u8,
-    /// Steps of each axis with their sign.
-    way: [i32; N],
-    /// Position at the start of the block.
+    /// Position at the start of the block and at its end.
     base: [i32; N],
+    end: [i32; N],
 }
 
 /// State of the step task. The order is that of use: a tick within a segment needs the first part only.
@@ -86,7 +98,11 @@ pub struct Stepper<const N: usize> {
     /// What is left until the next step of each axis: 0 to `threshold` - 1.
     left: [u32; N],
     piece: Piece<N>,
-    course: Course<N>,
+    /// Of the current block.
+    threshold: u32,
+    directions: u8,
+    /// Which of `courses` is that of the current block; the other is that of the next.
+    odd: bool,
     /// Moment of the next tick, 32 bits of step-clock ticks before 32 of their fraction.
     moment: u64,
     /// A state of the probe is waited for.
@@ -99,9 +115,9 @@ pub struct Stepper<const N: usize> {
     /// The probe has been seen at the last tick, and where that was has not been noted yet.
     unnoted: bool,
     next_piece: Piece<N>,
-    next_course: Course<N>,
-    /// Units at which the next block is entered in its midst; 0 = at its start.
-    next_units: u32,
+    courses: [Course<N>; 2],
+    /// Parts of the axes of the block that is being told of.
+    legs: [Leg; N],
     gate_shut: bool,
     stops: u16,
     /// How to brake at a contact: units per square of a clock.
@@ -133,32 +149,119 @@ impl<const N: usize> Piece<N> {
 }
 
 impl<const N: usize> Course<N> {
-    const NOWHERE: Self = Self { threshold: 0, directions: 0, way: [0; N], base: [0; N] };
+    const NOWHERE: Self = Self {
+        beyond: [0; N],
+        rates: [0; N],
+        threshold: 0,
+        total: 0,
+        entered: 0,
+        directions: 0,
+        base: [0; N],
+        end: [0; N],
+    };
+
+    /// What is left until the next step of each axis at the start: half a step but for what is done of it.
+    #[inline(always)]
+    fn first(&self) -> [u32; N] {
+        self.beyond.map(|beyond| (self.threshold / 2).wrapping_sub(beyond))
+    }
+
+    /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
+    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
+    #[inline(never)]
+    fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
+        let Course { rates, threshold, directions, base, .. } = self;
+        let mut position = *base;
+        if *threshold == 0 {
+            return PerAxis(position);
+        }
+        let even = threshold.trailing_zeros();
+        let inverse = inverse(threshold >> even);
+        let lefts = left.iter().zip(self.first());
+        for (bit, (value, (rate, (left, first)))) in position.iter_mut().zip(rates.iter().zip(lefts)).enumerate() {
+            let sum = advance(*rate, units).wrapping_add(u64::from(*left));
+            let whole = sum.wrapping_sub(u64::from(first));
+            let taken = ((whole >> even) as u32).wrapping_mul(inverse);
+            *value = signed_add(*value, taken, directions >> bit & 1 != 0);
+        }
+        PerAxis(position)
+    }
 }
 
-/// Steps that an axis has taken after `units` of a block in which it takes `steps` and the dominant axis `dominant`.
+/// What the axes of a block are measured by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Measure {
+    /// Units of the whole block: 16 for each step of the dominant axis.
+    pub total: u32,
+    /// What a step is worth.
+    pub threshold: u32,
+    /// Threshold / total: in how many parts a step is divided.
+    scale: u32,
+}
+
+impl Measure {
+    pub(crate) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * Leg::PARTS);
+
+    #[inline(always)]
+    pub(crate) fn of<const N: usize>(legs: &[Leg; N]) -> Self {
+        let (mut dominant, mut on_steps) = (0, true);
+        for leg in legs {
+            dominant = leg.steps().max(dominant);
+            on_steps &= leg.is_on_steps();
+        }
+        let total = dominant.wrapping_mul(UNITS_PER_STEP);
+        let scale = if on_steps { 1 } else { Leg::PARTS };
+        Self { total, threshold: total.wrapping_mul(scale), scale }
+    }
+
+    /// What a unit of the block takes off what is left until the next step of an axis. Below 0 (as a wrapped number) by
+    /// less than a step in the whole block, for an axis without steps that turns back.
+    #[inline(always)]
+    pub(crate) fn rate(&self, leg: Leg) -> u32 {
+        leg.steps().wrapping_mul(self.scale).wrapping_add_signed(leg.end().wrapping_sub(leg.start()))
+    }
+
+    /// What an axis has of its first step at the start, less 1: half a step, and what its true start is beyond the rounded one.
+    #[inline(always)]
+    pub(crate) fn credit(&self, leg: Leg) -> u32 {
+        (self.threshold / 2).wrapping_add(parts_beyond(self.total, leg)).wrapping_sub(1)
+    }
+}
+
+/// Steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]).
 ///
-/// Half the threshold and steps × units, less a threshold for each step taken, stay within 1..=threshold; so the quotient
-/// is exact.
+/// What it began with and what the units have added, less a threshold for each step taken, stay below the threshold; so the
+/// quotient is exact.
 #[inline]
-pub(crate) fn steps_taken(steps: u32, dominant: u32, units: u32) -> u32 {
-    if dominant == 0 {
+pub(crate) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) -> u32 {
+    if threshold == 0 {
         return 0;
     }
-    let threshold = dominant.wrapping_mul(UNITS_PER_STEP);
-    let sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2) - 1;
+    let sum = advance(rate, units).wrapping_add(u64::from(credit));
     match u32::try_from(sum) {
         Ok(small) => small / threshold,
         Err(_) => (sum / u64::from(threshold)) as u32,
     }
 }
 
+/// How far the true start of an axis is beyond the rounded one, in parts of the threshold; below 0 as a wrapped number.
+#[inline(always)]
+fn parts_beyond(total: u32, leg: Leg) -> u32 {
+    (leg.start() as u32).wrapping_mul(total)
+}
+
+/// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
+#[inline]
+fn advance(rate: u32, units: u32) -> u64 {
+    (i64::from(rate as i32) * i64::from(units as i32)) as u64
+}
+
 /// The same and what is left until the next step, one bit of the quotient after the other: the step task has no room for
 /// a division of 64 bits, and needs this at rest only.
-fn steps_and_rest(steps: u32, threshold: u32, units: u32) -> (u32, u32) {
-    let mut sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
+fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
+    let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;
-    for bit in (0..=MAX_STEPS_BITS).rev() {
+    for bit in (0..Leg::STEP_BITS).rev() {
         let part = u64::from(threshold) << bit;
         if sum > part {
             sum -= part;
@@ -167,9 +270,6 @@ fn steps_and_rest(steps: u32, threshold: u32, units: u32) -> (u32, u32) {
     }
     (taken, threshold.wrapping_sub(sum as u32))
 }
-
-/// A block has less steps than 2 to the power of this.
-const MAX_STEPS_BITS: u32 = 26;
 
 /// The number whose product with an odd number ends in 1, modulo 2^32: each step of Newton's method doubles the number of
 /// right bits, 5 at first.
@@ -194,7 +294,9 @@ impl<const N: usize> Stepper<N> {
         Self {
             left: [0; N],
             piece: Piece::REST,
-            course: Course::NOWHERE,
+            threshold: 0,
+            directions: 0,
+            odd: false,
             moment: 0,
             is_watching: false,
             watched: false,
@@ -202,8 +304,8 @@ impl<const N: usize> Stepper<N> {
             is_next: false,
             unnoted: false,
             next_piece: Piece::REST,
-            next_course: Course::NOWHERE,
-            next_units: 0,
+            courses: [Course::NOWHERE; 2],
+            legs: [Leg::on_steps(0); N],
             gate_shut: false,
             stops: 0,
             braking: 0.0,
@@ -233,30 +335,22 @@ impl<const N: usize> Stepper<N> {
         }
         match message {
             ToStep::Segment(segment) => self.load_segment(&segment),
-            ToStep::Block { steps, directions } => {
-                for (own, new) in self.next_course.way.iter_mut().zip(steps) {
-                    *own = new as i32;
+            ToStep::Block { legs, directions } => {
+                for (own, new) in self.legs.iter_mut().zip(legs) {
+                    *own = new;
                 }
-                let mut dominant = 0;
-                for (bit, way) in self.next_course.way.iter_mut().enumerate() {
-                    dominant = dominant.max(*way);
-                    if directions >> bit & 1 != 0 {
-                        *way = way.wrapping_neg();
-                    }
-                }
-                self.next_course.threshold = (dominant as u32).wrapping_mul(UNITS_PER_STEP);
-                self.next_course.directions = directions;
-                // Where the current block will have ended; one that is left before its end is seen to in `begin_block`.
-                for ((next, base), way) in self.next_course.base.iter_mut().zip(self.course.base).zip(self.course.way) {
-                    *next = base.wrapping_add(way);
+                self.load_block(directions);
+            }
+            ToStep::BlockRest { legs } => {
+                for (own, new) in self.legs.iter_mut().skip(3).zip(legs) {
+                    *own = new;
                 }
             }
-            ToStep::BlockRest { steps } => {
-                for (own, new) in self.next_course.way.iter_mut().skip(3).zip(steps) {
-                    *own = new as i32;
+            ToStep::Reenter { units } => {
+                if let Some(next) = self.course_mut(true) {
+                    next.entered = units;
                 }
             }
-            ToStep::Reenter { units } => self.next_units = units,
             ToStep::Watch { probe, braking } => {
                 self.is_watching = probe.is_some();
                 self.watched = probe == Some(true);
@@ -269,16 +363,63 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
+    /// The course of the current block, or that of the next.
+    #[inline(always)]
+    fn course(&self, next: bool) -> &Course<N> {
+        self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
+    }
+
+    /// The same to be changed.
+    #[inline(always)]
+    fn course_mut(&mut self, next: bool) -> Option<&mut Course<N>> {
+        self.courses.get_mut(usize::from(self.odd != next))
+    }
+
+    #[inline]
+    fn load_block(&mut self, directions: u8) {
+        let legs = self.legs;
+        // One that is left before its end is seen to in `begin_block`.
+        let base = self.course(false).end;
+        let Some(next) = self.course_mut(true) else { return };
+        next.entered = 0;
+        next.directions = directions;
+        next.base = base;
+        for (bit, ((end, base), leg)) in next.end.iter_mut().zip(base).zip(legs).enumerate() {
+            *end = signed_add(base, leg.steps(), directions >> bit & 1 != 0);
+        }
+        // One after the other, as in `step_axes`.
+        compiler_fence(Ordering::SeqCst);
+        let measure = Measure::of(&legs);
+        next.threshold = measure.threshold;
+        next.total = measure.total;
+        for (rate, leg) in next.rates.iter_mut().zip(legs) {
+            *rate = measure.rate(leg);
+        }
+    }
+
+    /// What is left of [`Stepper::load_block`], so that no message takes too long.
+    #[inline(always)]
+    fn finish_block(&mut self) {
+        let legs = self.legs;
+        let Some(next) = self.course_mut(true) else { return };
+        for (beyond, leg) in next.beyond.iter_mut().zip(legs) {
+            *beyond = parts_beyond(next.total, leg);
+        }
+    }
+
     #[inline]
     fn load_segment(&mut self, segment: &Segment) {
         let new_block = segment.flags & Segment::FLAG_NEW_BLOCK != 0;
-        let (course, units) =
-            if new_block { (&self.next_course, self.next_units) } else { (&self.course, self.piece.end_units) };
+        if new_block {
+            self.finish_block();
+        }
+        let course = self.course(new_block);
+        let units = if new_block { course.entered } else { self.piece.end_units };
         let mut increments = [0; N];
         let mut units_per_tick = 0;
         if segment.flags & Segment::FLAG_WAIT == 0 {
             let shift = MAX_LEVEL - segment.level.min(MAX_LEVEL);
-            increments = course.way.map(|way| way.unsigned_abs() << shift);
+            increments = course.rates.map(|rate| rate << shift);
             units_per_tick = 1 << shift;
         }
         let ticks = u32::from(segment.ticks.max(1));
@@ -344,17 +485,19 @@ impl<const N: usize> Stepper<N> {
             return self.set_out(steps);
         }
         let underrun = self.run_out();
-        Tick { steps, directions: self.course.directions, interval: 0, begins: false, underrun }
+        Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
     #[inline(always)]
     fn step_axes(&mut self) -> u8 {
         let mut minus_steps = 0_i32;
-        let threshold = self.course.threshold as i32;
+        let threshold = self.threshold as i32;
         // The last axis first: each doubles the bits of those before it.
         for (left, increment) in self.left.iter_mut().zip(&self.piece.increments).rev() {
-            // Both are at most the threshold, which is at most 2^30. So the sign says whether the axis steps, and without
-            // a branch: all bits of `stepping` are those of a sign.
+            // Both are at most the threshold, which is at most 2^30, and some parts of a step more, or are as little below 0.
+            // So the sign says whether the axis steps, and without a branch: all bits of `stepping` are those of a sign. No
+            // axis steps twice in a tick, which advances a step of the dominant axis at most: with as many steps it makes
+            // one in each of these, wherever its ends are, and with less its true way is shorter, too.
             let rest = left.wrapping_sub(*increment) as i32;
             let stepping = rest >> 31;
             *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -373,7 +516,7 @@ impl<const N: usize> Stepper<N> {
         self.moment = self.moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);
         self.piece.interval = interval.wrapping_add_signed(self.piece.ramp);
         let interval = self.moment().wrapping_sub(now);
-        Tick { steps, directions: self.course.directions, interval, begins: false, underrun: false }
+        Tick { steps, directions: self.directions, interval, begins: false, underrun: false }
     }
 
     /// Spindle or laser power of the segment.
@@ -385,7 +528,7 @@ impl<const N: usize> Stepper<N> {
     /// Directions of the next step, as in [`Tick::directions`].
     #[inline]
     pub fn directions(&self) -> u8 {
-        self.course.directions
+        self.directions
     }
 
     /// Whether the next tick is the last of its segment, or begins to move: it takes up what has been fetched.
@@ -440,12 +583,14 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn begin_block(&mut self) {
-        if self.piece.end_units != self.course.threshold {
+        if self.piece.end_units != self.course(false).total {
             self.leave_midst();
         }
-        self.course = self.next_course;
-        self.left = [self.course.threshold / 2; N];
-        if self.next_units != 0 {
+        self.odd = !self.odd;
+        let course = *self.course(false);
+        let Course { threshold, entered, directions, .. } = course;
+        (self.left, self.threshold, self.directions) = (course.first(), threshold, directions);
+        if entered != 0 {
             self.enter_midst();
         }
     }
@@ -455,19 +600,31 @@ impl<const N: usize> Stepper<N> {
     fn leave_midst(&mut self) {
         // With this tick its segment has ended.
         self.piece.rare_ticks = 0;
-        self.next_course.base = self.position().0;
+        let position = self.position().0;
+        if let Some(next) = self.course_mut(true) {
+            for ((base, end), position) in next.base.iter_mut().zip(next.end.iter_mut()).zip(position) {
+                *end = end.wrapping_sub(*base).wrapping_add(position);
+                *base = position;
+            }
+        }
     }
 
-    /// Brings all axes to where they were when the block was left at `next_units`.
+    /// Brings all axes to where they were when the block was left at these units.
     #[cold]
     fn enter_midst(&mut self) {
-        let units = core::mem::take(&mut self.next_units);
-        let Course { threshold, way, .. } = self.course;
-        for ((left, base), way) in self.left.iter_mut().zip(self.course.base.iter_mut()).zip(way) {
-            let (taken, rest) = steps_and_rest(way.unsigned_abs(), threshold, units);
+        let mut left = self.left;
+        let Some(course) = self.course_mut(false) else { return };
+        let Course { rates, threshold, entered, directions, .. } = *course;
+        let first = course.first();
+        let axes = course.base.iter_mut().zip(course.end.iter_mut()).zip(rates.iter().zip(first));
+        for (bit, (left, ((base, end), (rate, first)))) in left.iter_mut().zip(axes).enumerate() {
+            let (taken, rest) = steps_and_rest(*rate, first, threshold, entered);
             *left = rest;
-            *base = signed_add(*base, taken, way > 0);
+            for place in [base, end] {
+                *place = signed_add(*place, taken, directions >> bit & 1 == 0);
+            }
         }
+        self.left = left;
     }
 
     /// Units of the block advanced by now.
@@ -513,7 +670,6 @@ impl<const N: usize> Stepper<N> {
         self.touched = self.place();
         self.gate_shut = true;
         self.is_next = false;
-        self.next_units = 0;
         self.piece.last = true;
         self.brakes = self.piece.rare_ticks != 0;
         if self.brakes {
@@ -534,7 +690,7 @@ impl<const N: usize> Stepper<N> {
         let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
         let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
         let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-        let ends = self.piece.end_units >= self.course.threshold;
+        let ends = self.piece.end_units >= self.course(false).total;
         // Not a number where the tick advances no units: a crawl, which stops where it is.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
@@ -561,12 +717,14 @@ impl<const N: usize> Stepper<N> {
         self.is_watching = false;
         self.brakes = false;
         let base = self.position().0;
-        self.course = Course { directions: self.course.directions, base, ..Course::NOWHERE };
+        if let Some(course) = self.course_mut(false) {
+            *course = Course { base, end: base, ..Course::NOWHERE };
+        }
+        self.threshold = 0;
         self.left = [0; N];
         self.piece = Piece::REST;
         self.moment = u64::from(self.moment()) << 32;
         self.is_next = false;
-        self.next_units = 0;
         self.gate_shut = true;
         self.stops = self.stops.wrapping_add(1);
     }
@@ -591,13 +749,12 @@ impl<const N: usize> Stepper<N> {
 
     /// Net steps of each axis since power-up (wrapping), all steps of the ticks so far included.
     pub fn position(&self) -> PerAxis<i32, N> {
-        self.place().position()
+        self.course(false).position(&self.left, self.units())
     }
 
     #[inline(always)]
     fn place(&self) -> Place<N> {
-        let Course { base, way, threshold, .. } = self.course;
-        Place { base, way, left: self.left, threshold, units: self.units() }
+        Place { course: *self.course(false), left: self.left, units: self.units() }
     }
 }
 
@@ -605,34 +762,16 @@ impl<const N: usize> Stepper<N> {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Place<const N: usize> {
-    base: [i32; N],
-    way: [i32; N],
+    course: Course<N>,
     left: [u32; N],
-    threshold: u32,
     units: u32,
 }
 
 impl<const N: usize> Place<N> {
-    const START: Self = Self { base: [0; N], way: [0; N], left: [0; N], threshold: 0, units: 0 };
+    const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
 
-    /// Net steps. Steps taken × threshold = steps × units + left - half a threshold, to the last bit; so the quotient
-    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
-    #[inline(never)]
     fn position(&self) -> PerAxis<i32, N> {
-        let threshold = self.threshold;
-        let mut position = self.base;
-        if threshold == 0 {
-            return PerAxis(position);
-        }
-        let even = threshold.trailing_zeros();
-        let inverse = inverse(threshold >> even);
-        for ((value, way), left) in position.iter_mut().zip(self.way).zip(self.left) {
-            let sum = u64::from(way.unsigned_abs()) * u64::from(self.units) + u64::from(left);
-            let whole = sum.wrapping_sub(u64::from(threshold / 2));
-            let taken = ((whole >> even) as u32).wrapping_mul(inverse);
-            *value = signed_add(*value, taken, way < 0);
-        }
-        PerAxis(position)
+        self.course.position(&self.left, self.units)
     }
 }
 
@@ -647,39 +786,186 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A whole number or a fraction, exactly.
+    #[derive(Clone, Copy)]
+    struct Ratio(i128, i128);
+
+    /// Steps taken by the definition: with n steps between f and g sevenths, the true way after u of M units is
+    /// f/7 + (n + (g - f)/7)·u/M, and the step nearest to it has been taken, that before if two are.
+    fn defined(leg: Leg, total: u32, units: u32) -> i128 {
+        let (n, f, g) = (i128::from(leg.steps()), i128::from(leg.start()), i128::from(leg.end()));
+        let (u, m) = (i128::from(units), i128::from(total));
+        let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
+        // The least whole number that is not below the way less a half.
+        -(below - 2 * above).div_euclid(2 * below)
+    }
+
+    /// Three legs, of which one may have as many steps as the dominant axis, and one none.
+    fn legs(most: u32) -> impl Strategy<Value = [Leg; 3]> {
+        let ends = || prop_oneof![1 => Just([0; 3]), 3 => prop::array::uniform3(-3..=3)];
+        let share = || prop_oneof![3 => 0.0..=1.0_f64, 1 => Just(1.0), 1 => Just(0.0)];
+        let dominant = prop_oneof![1_u32..20, 1_u32..3000, 1_u32..=most];
+        (dominant, share(), share(), ends(), ends()).prop_map(|(dominant, y, z, starts, ends)| {
+            let steps = [dominant, (f64::from(dominant) * y) as u32, (f64::from(dominant) * z) as u32];
+            std::array::from_fn(|axis| Leg::with_ends(steps[axis], starts[axis], ends[axis]))
+        })
+    }
+
+    fn enter(stepper: &mut Stepper<3>, legs: [Leg; 3], directions: u8, units: u32, ticks: u32, level: u8) {
+        stepper.load(ToStep::Block { legs, directions });
+        if units != 0 {
+            stepper.load(ToStep::Reenter { units });
+        }
+        let flags = Segment::FLAG_NEW_BLOCK;
+        let ticks = ticks as u16;
+        stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks, power: 0, level, flags }));
+        assert_eq!(stepper.tick().steps, 0);
+    }
+
+    fn signed(taken: i128, directions: u8, axis: usize) -> i32 {
+        signed_add(0, taken as u32, directions >> axis & 1 != 0)
+    }
+
     proptest! {
         #[test]
-        fn the_slow_division_is_the_division(dominant in 1_u32..1 << 26, share in 0.0..=1.0_f64, way in 0.0..=1.0_f64) {
-            let steps = (f64::from(dominant) * share) as u32;
-            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
-            let threshold = dominant * UNITS_PER_STEP;
-            let (taken, rest) = steps_and_rest(steps, threshold, units);
-            prop_assert_eq!(taken, steps_taken(steps, dominant, units));
-            let sum = u64::from(steps) * u64::from(units) + u64::from(threshold / 2);
-            prop_assert_eq!(sum + u64::from(rest), u64::from(taken + 1) * u64::from(threshold));
-            prop_assert!(rest < threshold);
+        fn a_leg_is_what_it_is_made_of(steps in 0_u32..1 << 26, start in -3..=3_i32, end in -3..=3_i32) {
+            let leg = Leg::with_ends(steps, start, end);
+            prop_assert_eq!((leg.steps(), leg.start(), leg.end()), (steps, start, end));
+            prop_assert_eq!(leg.is_on_steps(), start == 0 && end == 0);
+            prop_assert_eq!(Leg::with_ends(steps, 0, 0), Leg::on_steps(steps));
+        }
+
+        #[test]
+        fn the_divisions_are_the_definition(legs in legs(Measure::MOST_STEPS), way in 0.0..=1.0_f64) {
+            let measure = Measure::of(&legs);
+            prop_assert!(measure.threshold <= 1 << 30);
+            for units in [(f64::from(measure.total) * way) as u32, 0, measure.total] {
+                for leg in legs {
+                    let beyond = parts_beyond(measure.total, leg);
+                    let (rate, first) = (measure.rate(leg), (measure.threshold / 2).wrapping_sub(beyond));
+                    let taken = defined(leg, measure.total, units);
+                    let credit = measure.credit(leg);
+                    prop_assert_eq!(i128::from(steps_taken(rate, credit, measure.threshold, units)), taken);
+                    let (slow, rest) = steps_and_rest(rate, first, measure.threshold, units);
+                    prop_assert_eq!(i128::from(slow), taken);
+                    prop_assert!(rest < measure.threshold);
+                    let whole = i128::from(rate as i32) * i128::from(units) + i128::from(rest) - i128::from(first);
+                    prop_assert_eq!(whole, taken * i128::from(measure.threshold));
+                    if units == 0 || units == measure.total {
+                        prop_assert_eq!(taken, if units == 0 { 0 } else { i128::from(leg.steps()) });
+                    }
+                }
+            }
+        }
+
+        /// Lines go on with a division that fits 32 bits where it did.
+        #[test]
+        fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
+            let legs = [x, y].map(Leg::on_steps);
+            let measure = Measure::of(&legs);
+            let total = x.max(y) * UNITS_PER_STEP;
+            prop_assert_eq!((measure.total, measure.threshold), (total, total));
+            let units = (f64::from(total) * way) as u32;
+            for leg in legs {
+                prop_assert_eq!((measure.rate(leg), measure.credit(leg)), (leg.steps(), total / 2 - 1));
+                let (taken, rest) = steps_and_rest(leg.steps(), total / 2, total, units);
+                prop_assert_eq!(i128::from(taken), defined(leg, total, units));
+                prop_assert!(rest < total);
+            }
+        }
+
+        /// At every tick of blocks one after the other: one step of an axis at most, what is left in range, the place that
+        /// of the definition and of the pulses.
+        #[test]
+        fn ticks_step_along_true_chords(
+            chords in prop::collection::vec((legs(300), 0_u8..8), 1..4), level in 0_u8..=4,
+        ) {
+            let mut stepper: Stepper<3> = Stepper::new();
+            let load = |stepper: &mut Stepper<3>, legs: [Leg; 3], directions| {
+                stepper.load(ToStep::Block { legs, directions });
+                let ticks = (Measure::of(&legs).total >> (MAX_LEVEL - level)) as u16;
+                let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
+                stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks, power: 0, level, flags }));
+            };
+            load(&mut stepper, chords[0].0, chords[0].1);
+            prop_assert_eq!(stepper.tick().steps, 0);
+            let (mut base, mut counted) = ([0; 3], [0; 3]);
+            for (at, (legs, directions)) in chords.iter().enumerate() {
+                let total = Measure::of(legs).total;
+                let units_per_tick = 1 << (MAX_LEVEL - level);
+                for units in (units_per_tick..=total).step_by(units_per_tick as usize) {
+                    if let (true, Some((next, directions))) = (units == total, chords.get(at + 1)) {
+                        load(&mut stepper, *next, *directions);
+                    }
+                    let steps = stepper.tick().steps;
+                    for axis in 0..3 {
+                        prop_assert!(stepper.left[axis] < stepper.threshold);
+                        counted[axis] += signed(i128::from(steps >> axis & 1), *directions, axis);
+                        let taken = defined(legs[axis], total, units);
+                        prop_assert_eq!(counted[axis], base[axis] + signed(taken, *directions, axis));
+                    }
+                    prop_assert_eq!(stepper.position().0, counted);
+                    if units % UNITS_PER_STEP == 0 {
+                        prop_assert_eq!(defined(legs[0], total, units), i128::from(units / UNITS_PER_STEP));
+                    }
+                }
+                for (axis, base) in base.iter_mut().enumerate() {
+                    *base += signed(i128::from(legs[axis].steps()), *directions, axis);
+                }
+                prop_assert_eq!(counted, base);
+            }
         }
 
         /// The position of a block that was entered in its midst is that of the steps before.
         #[test]
-        fn the_position_needs_no_division(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..1.0_f64, back in 0_u8..4) {
-            let dominant = x.max(y);
-            let units = (f64::from(dominant * UNITS_PER_STEP) * way) as u32;
+        fn the_position_needs_no_division(
+            legs in legs(Measure::MOST_STEPS), line in any::<bool>(), way in 0.0..1.0_f64, back in 0_u8..8,
+        ) {
+            let legs = if line { legs.map(|leg| Leg::on_steps(leg.steps() * 7)) } else { legs };
+            let total = Measure::of(&legs).total;
+            let units = (f64::from(total) * way) as u32;
             let mut stepper: Stepper<3> = Stepper::new();
-            stepper.load(ToStep::Block { steps: [x, y, 0], directions: back });
-            stepper.load(ToStep::Reenter { units });
-            let flags = Segment::FLAG_NEW_BLOCK;
-            stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks: 9, power: 0, level: 4, flags }));
-            stepper.tick();
-            let start = PerAxis(stepper.course.base);
+            enter(&mut stepper, legs, back, units, 9, 4);
             prop_assert_eq!(stepper.position(), PerAxis([0; 3]));
             stepper.tick();
-            let moved = |steps, bit: u32| {
-                let taken = steps_taken(steps, dominant, units + 1) - steps_taken(steps, dominant, units);
-                signed_add(0, taken, back >> bit & 1 != 0)
-            };
-            prop_assert_eq!(stepper.position(), PerAxis([moved(x, 0), moved(y, 1), 0]));
-            prop_assert_eq!(start.0[0].unsigned_abs(), steps_taken(x, dominant, units));
+            for (axis, leg) in legs.into_iter().enumerate() {
+                let (before, after) = (defined(leg, total, units), defined(leg, total, units + 1));
+                prop_assert_eq!(stepper.position().0[axis], signed(after - before, back, axis));
+                let course = stepper.course(false);
+                prop_assert_eq!(course.base[axis], -signed(before, back, axis));
+                prop_assert_eq!(course.end[axis], signed(i128::from(leg.steps()) - before, back, axis));
+            }
+        }
+
+        /// A block that is left in its midst for another, and entered again.
+        #[test]
+        fn a_detour_leads_back(legs in legs(300), way in 0.0..1.0_f64, back in 0_u8..8, detour in legs(20)) {
+            let total = Measure::of(&legs).total;
+            let units = ((f64::from(total) * way) as u32).max(1);
+            let there = Measure::of(&detour).total;
+            let mut stepper: Stepper<3> = Stepper::new();
+            enter(&mut stepper, legs, back, 0, units, 4);
+            // Blocks are loaded ahead: each is begun by the last tick of the one before.
+            let run_to_end = |stepper: &mut Stepper<3>| while stepper.piece.ticks() > 1 { stepper.tick(); };
+            run_to_end(&mut stepper);
+            stepper.load(ToStep::Block { legs: detour, directions: 0 });
+            let flags = Segment::FLAG_NEW_BLOCK;
+            let segment = |units: u32| Segment { interval: 1 << 20, ramp: 0, ticks: units as u16, power: 0, level: 4, flags };
+            stepper.load(ToStep::Segment(segment(there)));
+            stepper.tick();
+            let left: [i32; 3] = std::array::from_fn(|axis| signed(defined(legs[axis], total, units), back, axis));
+            prop_assert_eq!(stepper.position().0, left);
+            run_to_end(&mut stepper);
+            stepper.load(ToStep::Block { legs, directions: back });
+            stepper.load(ToStep::Reenter { units });
+            stepper.load(ToStep::Segment(segment((total - units).max(1))));
+            stepper.tick();
+            run_to_end(&mut stepper);
+            stepper.tick();
+            for axis in 0..3 {
+                let whole = signed(i128::from(legs[axis].steps()), back, axis) + detour[axis].steps() as i32;
+                prop_assert_eq!(stepper.position().0[axis], whole);
+            }
         }
     }
 

@@ -173,7 +173,7 @@ impl Registers {
 fn block(steps: [u32; 3], directions: u8, ticks: u16, level: u8, flags: u8) -> [ToStep; 2] {
     let flags = flags | Segment::FLAG_NEW_BLOCK;
     let segment = Segment { interval: 4000 << INTERVAL_FRACTION_BITS, ramp: -77, ticks, power: 500, level, flags };
-    [ToStep::Block { steps, directions }, ToStep::Segment(segment)]
+    [ToStep::Block { legs: steps.map(Leg::on_steps), directions }, ToStep::Segment(segment)]
 }
 
 fn send(to: &mut Sender<'static, ToStep, SEGMENTS_DEPTH>, messages: &[ToStep]) {

@@ -14,7 +14,8 @@ use core::ops::RangeInclusive;
 use core::sync::atomic::Ordering;
 use cortex_m::singleton;
 use oxmill_controller::messages::{
-    EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, SEGMENTS_DEPTH, Segment, StepEvent, ToStep, Wiring,
+    EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, Leg, SEGMENTS_DEPTH, Segment, StepEvent, ToStep,
+    Wiring,
 };
 use oxmill_on_target::capture::{Capture, Edges};
 use rtic_sync::channel::{Channel, Receiver, Sender};
@@ -133,7 +134,7 @@ impl Bench {
         let mut ticks = 0;
         for (k, piece) in pieces.iter().enumerate() {
             let steps = core::array::from_fn(|axis| if piece.axes >> axis & 1 != 0 { piece.steps } else { 0 });
-            self.send(ToStep::Block { steps, directions: piece.backwards });
+            self.send(ToStep::Block { legs: steps.map(Leg::on_steps), directions: piece.backwards });
             let mut left = piece.steps;
             while left > 0 {
                 let now = left.min(SEGMENT_TICKS);

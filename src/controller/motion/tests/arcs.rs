@@ -1,8 +1,9 @@
 //! Chords against the exact circle, and through the steps.
 
-use super::super::{Arc, ArcGeometry, Speed};
+use super::super::{Arc, ArcGeometry, Motion, Speed};
 use super::rig::{Rig, mm, settings, to};
-use crate::axes::{Axis, PerAxis};
+use crate::axes::{Arrangement, Axis, PerAxis};
+use crate::messages::{Leg, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE};
 use proptest::prelude::*;
 
@@ -159,29 +160,213 @@ proptest! {
     }
 }
 
+/// How far a step may lie off an arc beside the tolerance of its chords, in steps: each axis is within half a step of where
+/// it is on the chord, whose ends are known to a fourteenth of a step (the nearest seventh, and none is a half). Both axes at
+/// their worst at once are √2 times 1/2 + 1/14 off.
+const MOST_OFF: f64 = std::f64::consts::SQRT_2 * 4.0 / 7.0;
+
+/// Runs an arc to its end, which must be met exactly; the farthest any step is off the circle, in steps beside the tolerance.
+fn farthest_off(geometry: &ArcGeometry<3>, config: super::super::MotionSettings<3>, feed: f32) -> f64 {
+    let mut rig = Rig::<3, 64>::new(config);
+    rig.motion.set_machine_position(&geometry.start);
+    let mut arc = Arc::new(geometry, config.arc_tolerance);
+    rig.arc = Some(arc.clone());
+    while let Some(point) = arc.next_chord() {
+        let mut m = to([0.0; 3], Speed::Feed(feed));
+        m.target = point;
+        rig.moves.push_back(m);
+    }
+    rig.run();
+    rig.check_limits();
+    let steps = |place: &PerAxis<Coordinate, 3>| {
+        let mut place = *place;
+        if config.arrangement == Arrangement::CoreXy {
+            (place.0[0], place.0[1]) = (place.0[0] + place.0[1], place.0[0] - place.0[1]);
+        }
+        config.steps_per_mm.zip(&place, |scale, at| scale.steps(at))
+    };
+    assert_eq!(rig.motion.machine_steps(), steps(&geometry.target));
+    assert_eq!(rig.motion.planned_position(), geometry.target);
+
+    let plane = [geometry.axis_0, geometry.axis_1].map(Axis::index);
+    let centre = [f(geometry.start.0[plane[0]] + geometry.offset_0), f(geometry.start.0[plane[1]] + geometry.offset_1)];
+    let scales = config.steps_per_mm.0.map(|scale| f64::from(scale.to_f32()));
+    let step = plane.map(|axis| 1.0 / scales[axis]).into_iter().fold(0.0, f64::max);
+    let radius = f(geometry.offset_0).hypot(f(geometry.offset_1));
+    let mut place = steps(&geometry.start).0;
+    let mut farthest = 0.0_f64;
+    for record in &rig.trace {
+        for (axis, place) in place.iter_mut().enumerate() {
+            *place += i32::from(record.steps >> axis & 1) * if record.directions >> axis & 1 != 0 { -1 } else { 1 };
+        }
+        let mut tool = place.map(f64::from);
+        for (tool, scale) in tool.iter_mut().zip(scales) {
+            *tool /= scale;
+        }
+        if config.arrangement == Arrangement::CoreXy {
+            (tool[0], tool[1]) = ((tool[0] + tool[1]) / 2.0, (tool[0] - tool[1]) / 2.0);
+        }
+        let from = |n: usize| tool[plane[n]] - centre[n];
+        let off = (from(0).hypot(from(1)) - radius).abs();
+        farthest = farthest.max((off - f64::from(config.arc_tolerance)) / step);
+    }
+    assert_eq!(place, steps(&geometry.target).0);
+    farthest
+}
+
 #[test]
-fn steps_of_an_arc_stay_within_tolerance_and_a_step_and_a_quarter() {
+fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
     for radius in [0.1, 5.0, 60.0] {
-        let config = settings(200.0, 100.0, 800.0);
-        let mut rig = Rig::<3, 64>::new(config);
         let g = geometry(0, radius, 0.0, -7.0, 0.0, 0, [-radius, 0.0]);
+        let config = settings(200.0, 100.0, 800.0);
+        let worst = farthest_off(&g, config, 40.0);
+        assert!(worst <= MOST_OFF, "{worst} steps at radius {radius}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
+
+    /// Wherever the arc begins and ends between two steps, at any feed: at low ones the ticks are finer than steps.
+    #[test]
+    fn steps_of_any_arc_stay_near_it(
+        plane in 0_usize..3, log in -1.5_f64..1.7, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
+        rise in prop_oneof![Just(0.0), -2.0_f64..2.0], x in -50.0_f64..50.0, y in -50.0_f64..50.0,
+        scales in prop_oneof![Just([80.0_f32; 3]), prop::array::uniform3(20.0_f32..800.0)],
+        feed in prop_oneof![0.5_f32..5.0, 1.0_f32..100.0],
+    ) {
+        let radius = 10.0_f64.powf(log);
+        let g = geometry(plane, radius, from, if left { sweep } else { -sweep }, rise, 0, [x, y]);
+        let mut config = settings(100.0, 100.0, 800.0);
+        config.steps_per_mm = PerAxis(scales.map(|scale| crate::units::StepsPerMm::new(scale).unwrap()));
+        let worst = farthest_off(&g, config, feed);
+        if config.steps_per_mm.0[0] == config.steps_per_mm.0[1] && plane == 0 {
+            // The plane's axes lie across the motors', each of which is off by as much: √2 less.
+            config.arrangement = Arrangement::CoreXy;
+            let worst = farthest_off(&g, config, feed);
+            prop_assert!(worst <= MOST_OFF / std::f64::consts::SQRT_2 + 0.003, "{worst} steps of motors");
+        }
+        // What chords themselves may be off for rounding to 0.1 nm and in 32 bits.
+        prop_assert!(worst <= MOST_OFF + 0.003, "{worst} steps");
+    }
+}
+
+/// A machine that follows an arc, with holds: what is known of its place is the place.
+fn run_with_holds<const N: usize>(rig: &mut Rig<N, 16>, every: usize, end: PerAxis<i32, N>) {
+    rig.pump();
+    rig.motion.start();
+    for _ in 0..10_000 {
+        rig.run_ticks(every);
+        rig.motion.hold();
+        assert!(rig.run_ticks(1_000_000));
+        rig.motion.observe(&rig.observed());
+        let lead = PerAxis(rig.motion.lead());
+        let motors = rig.motion.machine_steps().zip(&lead, |tool, lead| tool + lead);
+        assert_eq!(motors.0.map(i64::from), rig.position);
+        rig.motion.resume();
+        rig.pump();
+        if rig.moves.is_empty() && rig.motion.is_idle() {
+            assert_eq!(rig.motion.machine_steps(), end);
+            return;
+        }
+    }
+    panic!("does not finish");
+}
+
+#[test]
+fn the_place_in_the_midst_of_a_chord_is_known() {
+    for (every, radius, backlash) in [(7, 0.3, 0.0), (40, 2.0, 0.0), (301, 9.0, 0.0), (40, 2.0, 0.02), (7, 0.2, 0.013)]
+    {
+        let mut config = settings(163.0, 60.0, 500.0);
+        config.backlash = PerAxis([backlash, backlash / 2.0, 0.0]);
+        let mut rig = Rig::<3, 16>::new(config);
+        let g = geometry(0, radius, 0.0, -7.0, 0.37, 0, [-radius, 0.0]);
         let mut arc = Arc::new(&g, config.arc_tolerance);
+        rig.arc = Some(arc.clone());
         while let Some(point) = arc.next_chord() {
-            let mut m = to([0.0; 3], Speed::Feed(40.0));
+            let mut m = to([0.0; 3], Speed::Feed(15.0));
             m.target = point;
             rig.moves.push_back(m);
         }
-        rig.run();
-        rig.check_limits();
-        let (mut x, mut y) = (0_i64, 0_i64);
-        let mut worst = 0.0_f64;
-        for record in &rig.trace {
-            x += i64::from(record.steps & 1) * if record.directions & 1 != 0 { -1 } else { 1 };
-            y += i64::from(record.steps >> 1 & 1) * if record.directions & 2 != 0 { -1 } else { 1 };
-            let off = (x as f64 / 200.0 + radius).hypot(y as f64 / 200.0) - radius;
-            worst = worst.max(off.abs());
-        }
-        assert_eq!((x, y), (0, 0));
-        assert!(worst <= 0.002 + 1.25 / 200.0, "{worst} at radius {radius}");
+        let end = config.steps_per_mm.zip(&g.target, |scale, at| scale.steps(at));
+        run_with_holds(&mut rig, every, end);
     }
+}
+
+/// The ends of a chord reach the step task for six axes, too, and in the direction of motion.
+#[test]
+fn six_axes_have_their_ends() {
+    let three = settings(10.0, 100.0, 500.0);
+    let config = super::super::MotionSettings::<6> {
+        arrangement: three.arrangement,
+        steps_per_mm: PerAxis::all(three.steps_per_mm.0[0]),
+        max_rate: PerAxis::all(100.0),
+        acceleration: PerAxis::all(500.0),
+        jerk: PerAxis::all(0.0),
+        backlash: PerAxis::all(0.0),
+        junction_deviation: 0.01,
+        arc_tolerance: 0.002,
+        step_clock_hz: 84_000_000,
+    };
+    let mut motion = Motion::<6, 8>::new(config);
+    let zero = PerAxis::all(Coordinate::ZERO);
+    let offsets = (Coordinate::mm(50), Coordinate::ZERO);
+    let geometry = ArcGeometry {
+        start: zero,
+        target: zero,
+        axis_0: Axis::X,
+        axis_1: Axis::Y,
+        offset_0: offsets.0,
+        offset_1: offsets.1,
+        clockwise: true,
+        turns: 0,
+    };
+    let arc = Arc::new(&geometry, 0.002);
+    // 5/7 of a step beyond six steps are 2/7 short of seven.
+    let ends = [0.611, -0.611, 0.671, -0.671, 0.0, 0.029];
+    motion.chord(&to(ends, Speed::Feed(10.0)), &arc);
+    motion.chord(&to([0.0; 6], Speed::Feed(10.0)), &arc);
+    motion.line(&to(ends, Speed::Feed(10.0)));
+    motion.start();
+    let mut blocks = Vec::new();
+    let mut observed = crate::messages::Observed::default();
+    while let Some(message) = motion.next(&observed) {
+        match message {
+            ToStep::BlockRest { legs } => blocks.push(legs),
+            ToStep::Block { legs, directions } => {
+                let rest = blocks.pop().unwrap();
+                assert_eq!(directions, if blocks.len() == 2 { 0b00_0101 } else { 0b00_1010 });
+                blocks.extend([legs, rest]);
+            }
+            ToStep::Segment(_) => observed.segments_begun += 1,
+            _ => {}
+        }
+    }
+    let with = |ends: [(u32, i32, i32); 3]| ends.map(|(steps, start, end)| Leg::with_ends(steps, start, end));
+    let there = [with([(6, 0, 1), (6, 0, 1), (7, 0, -2)]), with([(7, 0, -2), (0, 0, 0), (0, 0, 2)])];
+    let back = [with([(6, -1, 0), (6, -1, 0), (7, 2, 0)]), with([(7, 2, 0), (0, 0, 0), (0, 2, 0)])];
+    let line = [[6, 6, 7].map(Leg::on_steps), [7, 0, 0].map(Leg::on_steps)];
+    assert_eq!(blocks, [there, back, line].concat());
+}
+
+#[test]
+fn a_chord_of_very_many_steps_is_a_line() {
+    let mut motion = Motion::<3, 8>::new(settings(10_000.0, 800.0, 5000.0));
+    let g = geometry(0, 1.0e5, 0.0, 0.1, 0.0, 0, [-1.0e5, 0.0]);
+    let arc = Arc::new(&g, 10.0);
+    for x in [958.698_035, 1_917.396_14, 1_917.396_14] {
+        assert!(motion.chord(&to([x, 1.000_03, 0.0], Speed::Feed(500.0)), &arc));
+    }
+    motion.start();
+    let mut observed = crate::messages::Observed::default();
+    let mut blocks = Vec::new();
+    while let Some(message) = motion.next(&observed) {
+        match message {
+            ToStep::Block { legs, .. } => blocks.push(legs),
+            ToStep::Segment(_) => observed.segments_begun += 1,
+            _ => {}
+        }
+    }
+    let ends = [Leg::with_ends(9_586_980, 0, 2), Leg::with_ends(10_000, 0, 2), Leg::on_steps(0)];
+    assert_eq!(blocks, [ends, [9_586_981, 0, 0].map(Leg::on_steps)]);
 }
