@@ -336,21 +336,22 @@ impl<const AT: usize, O> StepTimer<AT, O> {
         }
     }
 
+    /// Whether the moment that [`StepTimer::settled_at`] was last given is this one, and still lies ahead.
+    #[inline(always)]
+    pub fn settles_at(&self, when: u32, now: u32) -> bool {
+        read(AT + CCR3) == when && when.wrapping_sub(now) as i32 > 0
+    }
+
     /// Calls the step task, from any task: the call waits as a flag of the timer until it is taken.
     #[inline(always)]
     pub fn call() {
         write(AT + EGR, Due::CALLED.0);
     }
 
-    /// The same if the next tick and the end of a pulse are not closer than `near`, so that the call is not in their way;
-    /// `false` otherwise. To be called with interrupts masked.
-    pub fn call_if_far(near: u32) -> bool {
+    /// Whether no tick is closer than `near`, nor the end of a pulse, so that a call now is not in their way.
+    pub fn is_far(near: u32) -> bool {
         let now = read(AT + CNT);
-        let far = read(AT + DIER) & Due::TICK.0 == 0
-            || (read(AT + CCR1).wrapping_sub(now) as i32 >= near as i32 && read(AT + CCR2).wrapping_sub(now) >= near);
-        if far {
-            Self::call();
-        }
-        far
+        read(AT + DIER) & Due::TICK.0 == 0
+            || (read(AT + CCR1).wrapping_sub(now) as i32 >= near as i32 && read(AT + CCR2).wrapping_sub(now) >= near)
     }
 }

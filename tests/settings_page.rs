@@ -6,8 +6,8 @@ use std::fmt::Write;
 const HEAD: &str = "# Settings
 
 `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
-(no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the board's safe step rate, or beyond one step in the pulse `$0`, a
-pause as long (1.9 microseconds at most) and 1.9 microseconds for an end of the pulse that comes late; a second motor that the board has no
+(no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
+board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked with a message that names the setting, until it is mended. Nothing is clamped silently.
 
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only. This page is made from the table in `src/controller/settings.rs`.

@@ -241,6 +241,11 @@ impl StepTimer {
         self.set(Self::SETTLED, Some(when));
     }
 
+    /// Whether that moment is this one, and still to come.
+    pub fn settles_at(&self, when: u32, _now: u32) -> bool {
+        self.moments[Self::SETTLED] == Some(when)
+    }
+
     /// Calls the step task, from any task.
     pub fn call() {
         CALLED.store(true, Ordering::Relaxed);

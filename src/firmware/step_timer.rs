@@ -73,6 +73,10 @@ pub struct Step {
     /// A pulse and the time after it.
     gap_ticks: u32,
     setup_ticks: u32,
+    /// From the moment a tick is due to one that leaves time for what is not urgent: in a long pulse, after a short one.
+    after_ticks: u32,
+    /// More than two such things take, and a pulse.
+    much_ticks: i32,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Receiver<'static, Wiring, 2>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
@@ -80,8 +84,12 @@ pub struct Step {
     wake: Wake,
     /// Received and not taken in yet.
     held: Option<ToStep>,
-    /// What is not urgent has waited for a tick.
-    waited: bool,
+    /// Ticks that what is not urgent has waited for.
+    waited: u8,
+    /// When it was last put off to.
+    wait_until: u32,
+    /// Something has happened since the other tasks were told.
+    untold: bool,
     /// Ticks are coming.
     running: bool,
     /// At rest: the last pulse has not ended yet.
@@ -127,13 +135,17 @@ impl Step {
             low_ticks: LOW_TICKS - LEAST_EDGE_TICKS,
             gap_ticks: 10 * TICKS_PER_US + LOW_TICKS - LEAST_EDGE_TICKS,
             setup_ticks: LOW_TICKS,
+            after_ticks: EDGE_TICKS,
+            much_ticks: (10 * TICKS_PER_US + 2 * ATTENTION_TICKS) as i32,
             segments,
             wiring,
             events,
             unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
             held: None,
-            waited: false,
+            waited: 0,
+            wait_until: 0,
+            untold: false,
             running: false,
             settling: false,
             directions_shown: 0,
@@ -189,6 +201,7 @@ impl Step {
         if due.has(Due::CALLED) && crossing::stops_asked() != self.stops_done {
             self.stop();
         }
+        let tick_was_at = self.timer.next_tick();
         if due.has(Due::PULSE_END) {
             self.end_pulse();
         }
@@ -197,8 +210,8 @@ impl Step {
             self.settle();
             is_called = true;
         }
-        // The end of a pulse or a turn may have put the tick off.
-        if due.has(Due::TICK) && self.timer.next_tick().wrapping_sub(self.timer.now()) as i32 <= 0 {
+        // The end of a pulse or a turn may have put the tick off: then it calls anew, even if its moment has come again.
+        if due.has(Due::TICK) && self.timer.next_tick() == tick_was_at {
             self.tick();
             if is_called {
                 // One thing at a time: what else the call was for comes after whatever the timer wants by then.
@@ -258,6 +271,7 @@ impl Step {
             self.go_on(&tick, now, gap.max(SHORTEST_TICKS as i32) as u32);
         }
         if tick.begins {
+            self.untold = true;
             // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
             if tick.steps == 0 {
                 self.settle();
@@ -270,12 +284,15 @@ impl Step {
         }
         if self.stepper.is_watching() && self.stepper.probe(self.pins.probe_low() != self.probe_invert) {
             self.unsent.touched = true;
+            self.untold = true;
             StepTimer::call();
         }
         if tick.interval == 0 {
             if tick.underrun {
                 self.unsent.underrun = Some(self.stepper.underrun_event());
+                self.untold = true;
                 // The beam goes off at once.
+                self.show_power();
                 StepTimer::call();
             }
             self.rest(tick.steps != 0);
@@ -386,21 +403,23 @@ impl Step {
         self.held.is_some()
     }
 
-    /// What is not as urgent as a tick: half a message, or everything else once there are no more.
+    /// What is not as urgent as a tick, one thing at a time: what has happened is told, half a message, and the rest once
+    /// there are no more.
     #[inline(never)]
     fn attend(&mut self) {
         if self.running && self.wait() {
             return;
         }
-        self.waited = false;
-        if self.stepper.wants() && self.half_a_message() {
-            // To be called only to wait takes longer than to wait at once.
-            if !(self.running && self.wait()) {
-                StepTimer::call();
-            }
-            return;
+        self.waited = 0;
+        let tells_first = core::mem::take(&mut self.untold);
+        if tells_first {
+            self.tell();
         }
-        self.tell();
+        if self.stepper.wants() && (tells_first || self.half_a_message()) {
+            self.again();
+        } else if !tells_first {
+            self.tell();
+        }
     }
 
     /// Takes a message in or receives one; `false` if there is none.
@@ -440,10 +459,28 @@ impl Step {
         }
     }
 
+    /// Calls for what else there is to do: at once, or, for to be called only to wait takes time, where it will be time.
+    #[inline(always)]
+    fn again(&mut self) {
+        let next_tick = self.timer.next_tick();
+        let to_tick = next_tick.wrapping_sub(self.timer.now()) as i32;
+        if !self.running || to_tick >= self.much_ticks || self.stepper.directions() != self.directions_shown {
+            StepTimer::call();
+            return;
+        }
+        self.waited = 1;
+        self.wait_until = next_tick.wrapping_add(self.after_ticks);
+        self.timer.settled_at(self.wait_until);
+    }
+
     /// If the next edge is near, calls again where there is time: after the end of this pulse, or after the next tick.
     #[inline(never)]
     fn wait(&mut self) -> bool {
         let now = self.timer.now();
+        // Another call meanwhile is for the same.
+        if self.waited > 0 && self.timer.settles_at(self.wait_until, now) {
+            return true;
+        }
         let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
         let to_end = self.timer.pulse_end().wrapping_sub(now);
         if self.ends_now(to_end) {
@@ -456,11 +493,11 @@ impl Step {
         }
         let (low, least) =
             if in_pulse { (to_tick.wrapping_sub(to_end as i32), ATTENTION_TICKS) } else { (to_tick, FAR_TICKS) };
-        let until = if !self.waited && low < least as i32 {
-            self.waited = true;
-            // A long pulse leaves time while it is out.
-            let pulse = if self.pulse_ticks < ATTENTION_TICKS { self.pulse_ticks } else { 0 };
-            to_tick.max(0) as u32 + pulse + EDGE_TICKS
+        // A long pulse leaves time while it is out, if its tick was not late.
+        let most_ticks = if self.pulse_ticks < ATTENTION_TICKS { 1 } else { 3 };
+        let until = if self.waited < most_ticks && low < least as i32 {
+            self.waited = self.waited.wrapping_add(1);
+            to_tick.max(0) as u32 + self.after_ticks
         } else if in_pulse {
             to_end + BEHIND_TICKS
         } else {
@@ -468,7 +505,8 @@ impl Step {
         };
         // A turn that is still to come calls at its end.
         if self.stepper.directions() == self.directions_shown {
-            self.timer.settled_at(now.wrapping_add(until));
+            self.wait_until = now.wrapping_add(until);
+            self.timer.settled_at(self.wait_until);
         }
         true
     }
@@ -491,6 +529,9 @@ impl Step {
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
             self.low_ticks = self.pulse_ticks.min(LOW_TICKS) - LEAST_EDGE_TICKS;
             self.gap_ticks = self.pulse_ticks + self.low_ticks;
+            let short = if self.pulse_ticks < ATTENTION_TICKS { self.pulse_ticks } else { 0 };
+            self.after_ticks = short + EDGE_TICKS;
+            self.much_ticks = (self.pulse_ticks + 2 * ATTENTION_TICKS) as i32;
             self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
         }
         if !self.stepper.is_idle() {
@@ -541,6 +582,7 @@ impl Step {
             self.unsent.stopped = Some(event);
         }
         self.show_power();
+        self.untold = true;
     }
 
     /// Sends what there is to report, as far as there is room.

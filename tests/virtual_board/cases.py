@@ -223,10 +223,10 @@ def streamed(bench, job):
 
 
 
-def fast(bench, acceleration):
-    """1000 steps/mm, and axes as fast as the board's safe rate and a pulse of 2 us allow. A greater rate would be refused."""
-    rate = int(bench.wiring.greatest_hz(2)) * 60 // 1000
-    bench.settings(s0=2, s110=rate, s111=rate, s112=rate)
+def fast(bench, acceleration, pulse_us=2):
+    """1000 steps/mm, and axes as fast as the board's safe rate and the pulse allow. A greater rate would be refused."""
+    rate = int(bench.wiring.greatest_hz(pulse_us)) * 60 // 1000
+    bench.settings(s0=pulse_us, s110=rate, s111=rate, s112=rate)
     bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
 
 
@@ -321,26 +321,29 @@ def hard_start(bench):
 
 
 def turns(bench):
-    """Directions change in full motion: a zigzag whose corners are passed at speed."""
-    bench.boot()
-    fast(bench, 10_000)
-    bench.settings(s0=2, s29=10, s11=5)
-    scope = Scope(bench.board)
-    bench.forget_masks()
-    zigzag = "\n".join(f"X0.2 Y{'-' if k % 2 else ''}0.05 Z{'-' if k % 2 else ''}0.05" for k in range(40))
-    bench.host.stream("G91 G1 F4800\n" + zigzag)
-    bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
-    bench.wait_state("Idle", 5)
-    events, widths, setups, holds = scope.read()
-    hz = bench.wiring.core_hz
-    fastest = min((b.at - a.at) / hz for a, b in zip(events, events[1:]))
-    yield f"{len(setups)} changes of direction, set-up from {us(min(setups))} with $29=10, hold from {us(min(holds))}; shortest period {us(fastest)}"
-    if scope.counts() != [8000, 0, 0] or len(setups) < 39:
-        raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
-    if min(setups) < 10 * US:
-        raise Failure("a direction output changes too late")
-    if fastest > 20 * US:
-        raise Failure("the corners were not passed at speed: this proves nothing")
+    """Directions change in full motion: a zigzag whose corners are passed at speed; with long set-up times that put ticks
+    off, so that they come one after the other as close as pulses allow."""
+    for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
+        bench.boot()
+        fast(bench, 10_000, pulse_us)
+        bench.settings(s29=setup_us, s11=5)
+        scope = Scope(bench.board)
+        zigzag = "\n".join(f"X0.2 Y{'-' if k % 2 else ''}0.05 Z{'-' if k % 2 else ''}0.05" for k in range(40))
+        bench.host.stream("G91 G1 F4600\n" + zigzag)
+        bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
+        bench.wait_state("Idle", 5)
+        events, widths, setups, holds = scope.read()
+        hz = bench.wiring.core_hz
+        fastest = min((b.at - a.at) / hz for a, b in zip(events, events[1:]))
+        yield f"$0={pulse_us}: {len(setups)} changes of direction, set-up from {us(min(setups))} with $29={setup_us}, hold from {us(min(holds))}; pulses from {us(min(widths))}, shortest period {us(fastest)}"
+        if scope.counts() != [8000, 0, 0] or len(setups) < 39:
+            raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
+        if min(setups) < setup_us * US or min(holds) < pulse_us * US:
+            raise Failure("a direction output changes too late, or within a pulse")
+        if min(widths) < pulse_us * US or fastest < (pulse_us + min(pulse_us, 1.9)) * US:
+            raise Failure("a pulse or the pause after it is too short")
+        if fastest > 20 * US:
+            raise Failure("the corners were not passed at speed: this proves nothing")
 
 
 def called_at_turns(bench):

@@ -101,10 +101,10 @@ BLACKPILL_F411 = Wiring(
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", at_speed=None, usart="USART1", safe_step_hz=115_000, attention_us=5.67, usb=True,
+    second_limit="A0", at_speed=None, usart="USART1", safe_step_hz=114_000, attention_us=5.67, usb=True,
 )  # fmt: skip
 BLACKPILL_F401 = replace(
-    BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=82_000, attention_us=8.34,
+    BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=77_000, attention_us=8.34,
 )
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,

@@ -64,10 +64,10 @@ const ROWS: [Row; 20] = [
     row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
     row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
     row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (200, 313))
+    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (204, 315))
         .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (208, 348)),
-    row("wait", "a call that comes too near an edge", Figure::Worst, None, (85, 148)),
+    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (202, 331)),
+    row("wait", "a call that comes too near an edge", Figure::Worst, None, (90, 157)),
     row("stop", "stop, with its report", Figure::Worst, None, (384, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),

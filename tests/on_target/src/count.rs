@@ -172,7 +172,7 @@ impl Registers {
 /// A block and one segment of it.
 fn block(steps: [u32; 3], directions: u8, ticks: u16, level: u8, flags: u8) -> [ToStep; 2] {
     let flags = flags | Segment::FLAG_NEW_BLOCK;
-    let segment = Segment { interval: 4000 << INTERVAL_FRACTION_BITS, ramp: -77, ticks, power: 500, level, flags };
+    let segment = Segment { interval: 8000 << INTERVAL_FRACTION_BITS, ramp: -77, ticks, power: 500, level, flags };
     [ToStep::Block { legs: steps.map(Leg::on_steps), directions }, ToStep::Segment(segment)]
 }
 
@@ -222,7 +222,7 @@ fn step_task() {
     let probe_port = boards::GPIO + 0x10;
     for turn in 0..20 {
         send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
-        send(&mut to_step, &block([2; 3], 7, 2, 0, 0));
+        send(&mut to_step, &block([3; 3], 7, 3, 0, 0));
         registers.interrupt(Registers::CALLED, 0);
         registers.follow_up();
         registers.write(probe_port, u32::MAX);
@@ -232,7 +232,7 @@ fn step_task() {
         row_wait();
         registers.interrupt(Registers::CALLED, registers.read(Registers::CCR1) - 100);
         row_none();
-        registers.interrupt(Registers::SETTLED, registers.read(Registers::CCR2) + 500);
+        registers.tick(row_none);
         for _ in 0..4 {
             row_receive();
             // Long after the end of the pulse: it is not looked for.
