@@ -41,8 +41,11 @@ const SHORTEST_TICKS: u32 = TICKS_PER_US;
 
 /// What it takes to be called, up to the look at the time.
 const AGAIN_CYCLES: u32 = 160;
-/// What half a message takes, from the call on.
-const ATTENTION_TICKS: u32 = PROFILE.rates.attention_ns * TICKS_PER_US / 1000;
+/// What half a message takes, from the call on; a microsecond after the look on a board where edges cannot be late.
+const ATTENTION_TICKS: u32 = match PROFILE.rates.attention_ns {
+    0 => in_ticks(AGAIN_CYCLES) + TICKS_PER_US,
+    ns => ns * TICKS_PER_US / 1000,
+};
 /// An edge is far if it leaves time for half a message.
 const FAR_TICKS: u32 = ATTENTION_TICKS.saturating_sub(in_ticks(AGAIN_CYCLES));
 /// More than it takes from the moment a tick is due to the edge that it makes.
@@ -132,8 +135,8 @@ impl Step {
             timer,
             pins,
             pulse_ticks: 10 * TICKS_PER_US,
-            low_ticks: LOW_TICKS - LEAST_EDGE_TICKS,
-            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS - LEAST_EDGE_TICKS,
+            low_ticks: LOW_TICKS.saturating_sub(LEAST_EDGE_TICKS),
+            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS.saturating_sub(LEAST_EDGE_TICKS),
             setup_ticks: LOW_TICKS,
             after_ticks: EDGE_TICKS,
             much_ticks: (10 * TICKS_PER_US + 2 * ATTENTION_TICKS) as i32,
@@ -527,7 +530,7 @@ impl Step {
             self.probe_invert = wiring.probe_invert;
             self.pins.set_pwm(wiring.pwm_hz, self.power_shown);
             self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
-            self.low_ticks = self.pulse_ticks.min(LOW_TICKS) - LEAST_EDGE_TICKS;
+            self.low_ticks = self.pulse_ticks.min(LOW_TICKS).saturating_sub(LEAST_EDGE_TICKS);
             self.gap_ticks = self.pulse_ticks + self.low_ticks;
             let short = if self.pulse_ticks < ATTENTION_TICKS { self.pulse_ticks } else { 0 };
             self.after_ticks = short + EDGE_TICKS;
