@@ -13,8 +13,9 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("error", &[]),
     ("digest", &[]),
     ("number", &["units"]),
+    ("step_rates", &[]),
     ("messages", &["axes", "units"]),
-    ("settings", &["units", "axes", "error", "number"]),
+    ("settings", &["units", "axes", "error", "number", "step_rates"]),
     ("protocol", &["units", "axes", "error", "messages", "number", "settings"]),
     ("gcode", &["units", "axes", "error", "messages", "number"]),
     ("motion", &["units", "axes", "error", "messages"]),
@@ -22,8 +23,18 @@ const ROOMS: &[(&str, &[&str])] = &[
     (
         "controller",
         &[
-            "units", "axes", "error", "messages", "number", "settings", "protocol", "gcode", "motion", "machine",
+            "units",
+            "axes",
+            "error",
+            "messages",
+            "number",
+            "settings",
+            "protocol",
+            "gcode",
+            "motion",
+            "machine",
             "digest",
+            "step_rates",
         ],
     ),
 ];
@@ -223,7 +234,7 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
     for path in source::paths(&source::bare(text)) {
         let known = match path[0].as_str() {
             "oxmill_controller" => {
-                matches!(path.get(1).map(String::as_str), Some("Profile" | "digest" | "ResetCause"))
+                matches!(path.get(1).map(String::as_str), Some("Profile" | "StepRates" | "digest" | "ResetCause"))
             }
             "rtic" | "rtic_sync" | "oxmill_simulator" => false,
             _ => true,

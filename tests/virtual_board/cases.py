@@ -243,7 +243,7 @@ def safe_rate(bench):
 
 def tight(bench):
     """Longer pulses at the greatest rate that the settings allow with them."""
-    for pulse_us in (2, 3, 4, 5, 7, 10):
+    for pulse_us in (2, 3, 4, 5, 6, 7, 9, 10):
         rate = round(bench.wiring.greatest_hz(pulse_us))
         yield from at_rates(bench, (rate, round(rate**2 / 3e6) + 1000, pulse_us))
 

@@ -421,6 +421,7 @@ impl<const N: usize> Stepper<N> {
             let shift = MAX_LEVEL - segment.level.min(MAX_LEVEL);
             increments = course.rates.map(|rate| rate << shift);
             units_per_tick = 1 << shift;
+            debug_assert!(units & (units_per_tick - 1) == 0, "a tick of {units_per_tick} units begins at {units}");
         }
         let ticks = u32::from(segment.ticks.max(1));
         self.next_piece = Piece {
@@ -496,8 +497,9 @@ impl<const N: usize> Stepper<N> {
         for (left, increment) in self.left.iter_mut().zip(&self.piece.increments).rev() {
             // Both are at most the threshold, which is at most 2^30, and some parts of a step more, or are as little below 0.
             // So the sign says whether the axis steps, and without a branch: all bits of `stepping` are those of a sign. No
-            // axis steps twice in a tick, which advances a step of the dominant axis at most: with as many steps it makes
-            // one in each of these, wherever its ends are, and with less its true way is shorter, too.
+            // axis steps twice in a tick, which advances a step of the dominant axis at most, and begins at a multiple of
+            // what it advances: with as many steps it makes one in each of these, wherever its ends are, and with less its
+            // true way is shorter, too.
             let rest = left.wrapping_sub(*increment) as i32;
             let stepping = rest >> 31;
             *left = rest.wrapping_add(threshold & stepping) as u32;
