@@ -10,7 +10,8 @@
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
 //! | `setup(device) -> Parts` | everything below, set up once; outputs are off |
 //! | `StepTimer`, `Due` | free-running counter at the step clock with three moments: next tick, end of pulse, some time after it |
-//! | `call_step()` | calls the step task from any task |
+//! | `call_step()` | calls the step task from any task, at once |
+//! | `ask_step()` | the same for what is not urgent: not so shortly before an edge that the call delays it |
 //! | `StepPins` | step and direction outputs and the spindle's PWM |
 //! | `SerialPort` | the UART to the host, a [`Port`] |
 //! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |

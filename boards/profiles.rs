@@ -20,7 +20,8 @@ pub struct Board {
     pub blocks: usize,
     /// Greatest step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
-    /// What the step task needs for half a message, entered for it: 544 cycles, of 700 in an image built for size; nanoseconds.
+    /// What the step task needs for half a message, from the call on, nanoseconds: 544 cycles, or 700 in
+    /// an image built for size. 0: edges are never late.
     pub attention_ns: u32,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,

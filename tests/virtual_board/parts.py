@@ -1,8 +1,11 @@
 """What the parts and the boards are, written down a second time from data sheets and from the drawings in boards/: the
 emulation must not learn its pins from the code that it checks."""
 
+import re
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
+PROFILES = Path(__file__).resolve().parents[2] / "boards" / "profiles.rs"
 MHZ = 1_000_000
 
 
@@ -80,19 +83,26 @@ class Wiring:
     second_limit: str
     at_speed: str | None
     usart: str
-    safe_step_hz: int
-    attention_us: float
-    """What the step task needs for half a message."""
     step_irq: int = 28
     usb: bool = False
     """OTG_FS is the first link to the host."""
     extra: dict = field(default_factory=dict)
 
+    def promised(self, number):
+        """A number of the board's row in `profiles.rs`: what is tried is what is promised."""
+        row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1]
+        return int(re.search(rf"{number}: ([0-9_]+)", row)[1])
+
+    @property
+    def safe_step_hz(self):
+        return self.promised("safe_step_hz")
+
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
         period = pulse_us + min(pulse_us, 1.9) + 1.9
-        if pulse_us < self.attention_us:
-            period = max(period, pulse_us + self.attention_us + 0.7)
+        attention_us = self.promised("attention_ns") / 1000
+        if pulse_us < attention_us:
+            period = max(period, pulse_us + attention_us + 0.7)
         return min(1e6 / period * 0.998, self.safe_step_hz)
 
 
@@ -101,21 +111,17 @@ BLACKPILL_F411 = Wiring(
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", at_speed=None, usart="USART1", safe_step_hz=114_000, attention_us=5.67, usb=True,
+    second_limit="A0", at_speed=None, usart="USART1", usb=True,
 )  # fmt: skip
-BLACKPILL_F401 = replace(
-    BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, safe_step_hz=77_000, attention_us=8.34,
-)
+BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ)
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
     enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
     probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", second_step="B13", second_direction="B14",
-    second_limit="B15", at_speed="C11", usart="USART2", safe_step_hz=211_000, attention_us=3.03,
+    second_limit="B15", at_speed="C11", usart="USART2",
 )  # fmt: skip
-NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ, safe_step_hz=123_000, attention_us=5.44)
-NUCLEO_F401RE = replace(
-    NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ, safe_step_hz=103_000, attention_us=6.48,
-)
+NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ)
+NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ)
 
 BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE)}
