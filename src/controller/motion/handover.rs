@@ -2,9 +2,9 @@
 
 use super::block::{RAPID, SCALE_POWER};
 use super::flight::Record;
+use super::measure::Measure;
 use super::profile::{Curve, Pace, greater, lesser};
 use super::segment::{self, Cut};
-use super::stepper::Measure;
 use super::{Announce, Far, Hold, Motion, Motors, Running};
 use crate::messages::{Leg, Observed, Segment, ToStep, UNITS_PER_STEP};
 

@@ -4,9 +4,9 @@ use super::arc::Arc;
 use super::backlash;
 use super::block::{Block, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::curvature::{self, MOST_TURN, Piece};
+use super::measure::Measure;
 use super::planner::{self, DIGIT, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
-use super::stepper::Measure;
 use super::{
     GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded,
     signed_steps, unsigned_steps,

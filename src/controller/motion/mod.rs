@@ -18,6 +18,7 @@ mod handover;
 mod intake;
 mod jerk;
 mod kinematics;
+mod measure;
 mod planner;
 mod profile;
 mod segment;
@@ -37,10 +38,10 @@ use curvature::Chain;
 use flight::Flight;
 pub use handover::QUEUED_TIME_MS;
 use kinematics::Kinematics;
+use measure::{signed_add, steps_taken};
 use planner::Planner;
 use profile::{Pace, lesser, square_root};
 use segment::{Cut, Pacer};
-use stepper::{signed_add, steps_taken};
 
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
 const MOST_BACKLASH: i32 = 10_000;
@@ -155,7 +156,7 @@ struct Running<const N: usize> {
     flags: u8,
     power: u16,
     line_number: u32,
-    /// See [`stepper::Measure`].
+    /// See [`measure::Measure`].
     threshold: u32,
     rates: [u32; N],
     credits: [u32; N],

@@ -1,7 +1,8 @@
 //! Which steps are made: against figures worked by hand and against Bresenham's line.
 
 use super::super::Speed;
-use super::super::stepper::{Stepper, steps_taken};
+use super::super::measure::steps_taken;
+use super::super::stepper::Stepper;
 use super::rig::{Rig, mm, settings, to};
 use crate::messages::{Leg, Segment, ToStep};
 use proptest::prelude::*;
