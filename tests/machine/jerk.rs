@@ -190,6 +190,51 @@ fn corners_are_passed_no_faster() {
     }
 }
 
+/// A hold or a slower feed comes before a corner behind which an axis takes less jerk and acceleration: the corner is passed
+/// as it would be without.
+#[test]
+fn a_corner_is_minded_by_what_brakes_before_it() {
+    let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
+    let jerk = [8000.0, 5000.0, 300.0];
+    for (touch, behind) in
+        [(b'!', [2.0, 0.5, 3.0]), (0x92, [2.0, 0.5, 3.0]), (b'!', [1.0, 4.0, 0.5]), (0x92, [9.0, 1.0, 2.0])]
+    {
+        for milliseconds in (20..320).step_by(10) {
+            let mut job = Job::new();
+            job.to([6.0, 0.0, 0.0], 40.0);
+            job.to(behind, 40.0);
+            let mut rig = Rig::with(&settings(&limits, jerk));
+            rig.send(job.text.as_bytes());
+            rig.run_for(f64::from(milliseconds) / 1000.0);
+            for _ in 0..3 {
+                rig.send(&[touch]);
+            }
+            rig.run_for(1.5);
+            rig.send(b"~");
+            rig.settle();
+            assert_eq!(rig.place, limits.place(mm(job.at)));
+            let most = jerk.map(|j| if j > 0.0 { j } else { f64::INFINITY });
+            check(&rig.trace, HZ as f64, &job.lines, &limits)
+                .and_then(|()| check_jerk(&rig.trace, HZ as f64, &job.lines, &limits, most))
+                .unwrap_or_else(|fault| panic!("{touch} after {milliseconds} ms, {behind:?}: {fault}"));
+        }
+    }
+}
+
+/// A ramp that begins a little late, as the feed before it was still being reached, lands all the same.
+#[test]
+fn a_late_ramp_lands_at_the_end() {
+    for fast in 51..70 {
+        for (length, blocks) in [(20.8, 13), (20.0, 5), (15.0, 30), (18.0, 1)] {
+            let mut job = Job::line(length, blocks, f64::from(fast));
+            for k in 1..=5 {
+                job.to([length + 0.8 * f64::from(k), 0.0, 0.0], 50.0);
+            }
+            job.run(&MACHINE, [1500.0; 3]);
+        }
+    }
+}
+
 /// The measure itself: the trapezoid has a jerk beyond these limits.
 #[test]
 fn a_trapezoid_is_seen() {

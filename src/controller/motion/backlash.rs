@@ -106,6 +106,23 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
+    /// Takes up all that is left when the tools are this far short of their places: which steps of each motor. A tool that is
+    /// short has not followed a move that was turned back from before the slack was used up; it is brought there first.
+    pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
+        let mut taken = [0; N];
+        let wanted = self.wanted.into_iter().zip(self.slack).zip(short);
+        for ((taken, lead), ((wanted, slack), short)) in taken.iter_mut().zip(self.lead.iter_mut()).zip(wanted) {
+            let aim = match *short {
+                1.. => slack,
+                ..=-1 => 0,
+                0 => wanted,
+            };
+            *taken = aim - *lead;
+            *lead = aim;
+        }
+        taken
+    }
+
     /// The lead after motors have turned by so many steps, each in one direction.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
@@ -142,6 +159,19 @@ mod tests {
         backlash.turn(&[4, 4]);
         assert_eq!(backlash.take_up(&[9, 9]), [3, 3]);
         assert!(!backlash.is_outstanding());
+    }
+
+    #[test]
+    fn a_tool_that_has_not_followed_is_brought_to_its_place() {
+        let mut backlash = Backlash::<2>::NONE;
+        backlash.configure([5, 3]);
+        backlash.turn(&[1, 2]);
+        assert_eq!(backlash.take_up(&[1, 3]), [1, 3]);
+        backlash.turn(&[-1, -1]);
+        assert_eq!(backlash.take_up(&[1, 3]), [-1, -3]);
+        assert_eq!(backlash.finish(&[1, 0]), [5, 0]);
+        assert_eq!(backlash.finish(&[0, 0]), [-5, 0]);
+        assert_eq!(backlash.finish(&[0, 0]), [0, 0]);
     }
 
     #[test]

@@ -215,8 +215,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             self.running.active = false;
             self.planner.pop();
             self.pace = self.pace.scaled(1.0 / self.running.scale);
-            if self.planner.len() == 0 && self.long.is_none() && self.backlash.is_outstanding() {
-                self.finish_taking_up();
+            if self.planner.len() == 0 && self.long.is_none() && self.backlash.is_on() {
+                self.finish_taking_up(&motors);
             }
             if self.planner.len() == 0 && self.long.is_none() {
                 self.started = false;

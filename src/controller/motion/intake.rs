@@ -8,7 +8,7 @@ use super::measure::Measure;
 use super::planner::{self, DIGIT, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use super::{
-    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Move, Speed, bounded,
+    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Motors, Move, Speed, bounded,
     signed_steps, unsigned_steps,
 };
 use crate::axes::{Axis, PerAxis};
@@ -345,11 +345,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
     }
 
-    /// The queue is empty and slack is left, because the last moves were too short: a block of its own, from rest to rest,
-    /// in which the tool stands still.
+    /// The queue is empty, at a place of the motors. If slack is left, because the last moves were too short: a block of its
+    /// own, from rest to rest, in which the tool stands still or comes to its place.
     #[inline(never)]
-    pub(super) fn finish_taking_up(&mut self) {
-        let taken = self.backlash.take_up(&[MOST_BACKLASH; N]);
+    pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>) {
+        let taken = self.backlash.finish(&self.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
+        if taken == [0; N] {
+            return;
+        }
         let way = PerAxis(self.kinematics.way_of_axes(&taken));
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let mut block = Block::<N>::EMPTY;

@@ -424,8 +424,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// After what is queued the motors lead the tool by this much.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.backlash.want(lead);
-        if self.planner.len() == 0 && self.backlash.is_outstanding() {
-            self.finish_taking_up();
+        if self.planner.len() == 0 {
+            self.finish_taking_up(&self.prepared());
             self.start();
         }
     }

@@ -15,6 +15,8 @@ use crate::messages::UNITS_PER_STEP;
 const SAME_SPEED: f32 = 1.0e-5;
 /// Where the rest of a ease-off is less than this share of the speed, it is taken in one segment.
 const SNAP: f32 = 1.0e-4;
+/// Share by which the jerk may exceed its bound where a ramp that has come a little late would stop short of its end.
+const LATE: f32 = 0.05;
 
 /// A segment's time and the state at its end.
 #[derive(Clone, Copy, Debug)]
@@ -101,11 +103,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             allowed = self.planner.bounds_within(ease, left);
         }
         let best = within(state.towards(nominal, guess, allowed));
-        if self.hold == Hold::Ramp {
-            // Braking at once is never slower than what the queue asks for.
-            return to(best);
-        }
-        let most = nominal * (1.0 + SAME_SPEED);
+        // A hold has no speed to come down to in time, but the corners on its way are those of the queue.
+        let most = if self.hold == Hold::Ramp { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
         let gone = to(best);
         if let Some(ahead) = self.planner.allows(gone.end, rest, most)
             && (gone.end.acceleration <= ahead || best < acceleration)
@@ -118,6 +117,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                     seconds: 2.0 * way / (speed + nominal),
                     end: State { speed: nominal, acceleration: 0.0 },
                 };
+            }
+            if acceleration < 0.0
+                && best > acceleration
+                && let Some(land) = self.landing_late(state, guess, way, left, most, bounds)
+            {
+                return to(land);
             }
             return gone;
         }
@@ -136,15 +141,28 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if aim <= 0.0 && distance <= way {
             return Gone { seconds: 3.0 * way / speed, end: State { speed: 0.0, acceleration: 0.0 } };
         }
-        let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
         // The bounds of a block that lies ahead plan a ramp; where the way is too short for it, the running block's own count.
-        let mut wanted = if target.is_met(state) { -lesser(target.bounds.acceleration, steepest) } else { -steepest };
+        let mut wanted = if target.is_met(state) { -target.bounds.acceleration } else { -bounds.acceleration };
         if acceleration <= 0.0 {
             let next = speed + acceleration * guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
             wanted = greater(wanted, land);
         }
         to(lesser(within(wanted), best))
+    }
+
+    /// The acceleration after `guess` seconds with which a machine lands at its anchor that could ease off its braking
+    /// below the anchor's speed only; `None` unless that is so, and by a little. What a hold brakes for is not the anchor.
+    fn landing_late(&self, state: State, guess: f32, way: f32, left: f32, most: f32, bounds: Bounds) -> Option<f32> {
+        let (aim, distance) = self.planner.target(0, left, bounds).nearest(state.speed);
+        let next = state.speed + state.acceleration * guess;
+        let falls_short = state.valley(bounds.jerk).0 < aim && next > aim && distance > way;
+        if !falls_short || aim > most || self.hold == Hold::Ramp {
+            return None;
+        }
+        let change = bounds.jerk * guess;
+        let land = landing(next, aim, distance - way);
+        (land <= state.acceleration + change * (1.0 + LATE)).then(|| greater(land, state.acceleration - change))
     }
 }
 
