@@ -16,7 +16,7 @@ const TURN: f32 = core::f32::consts::TAU;
 const WIDEST: f32 = core::f32::consts::FRAC_PI_4;
 /// Least tolerance, in mm: below it chords would be shorter than what machines can follow.
 const LEAST_TOLERANCE: f32 = 0.0001;
-/// Most chords of one arc: an f32 counts so far exactly.
+/// Most chords of a turn: an f32 counts so far exactly.
 const MOST_CHORDS: f32 = 16_000_000.0;
 
 /// An arc in a plane, with the other axes moving evenly along.
@@ -45,6 +45,8 @@ pub struct ArcGeometry<const N: usize> {
 pub struct Arc<const N: usize> {
     geometry: ArcGeometry<N>,
     centre: [Coordinate; 2],
+    /// Direction from the centre to the start, where each full turn ends.
+    first: [i64; 2],
     /// Direction from the centre to the last point.
     unit: [i64; 2],
     /// Sine of a chord's angle (signed) and 1 - its cosine, in fixed point with as many bits as 2^31 allows, so that
@@ -57,7 +59,16 @@ pub struct Arc<const N: usize> {
     length: f32,
     /// Radius of the curve in space, mm: on a helix more than that of its circle. Infinite for a single chord.
     curve_radius: f32,
+    /// Chords of each full turn that comes before, and of the plain arc.
+    chords_of_turn: u32,
     chords: u32,
+    /// Full turns still to come, the present one included.
+    turns_left: u32,
+    /// Share of a full turn in the whole way.
+    turn_share: f32,
+    /// Angle of the plain arc.
+    sweep: f32,
+    /// Chords of the present turn, or of the plain arc.
     done: u32,
 }
 
@@ -89,35 +100,55 @@ fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
     [part(x), part(y)]
 }
 
-impl<const N: usize> Arc<N> {
-    /// Prepares the chords, none of which leaves the arc by more than `tolerance` (mm).
-    pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
+/// The plain arc without its full turns: signed angle, and whether that is a whole turn; and directions and radii of its
+/// ends.
+struct Plain {
+    centre: [Coordinate; 2],
+    first: [i64; 2],
+    start_radius: i64,
+    end_radius: i64,
+    sweep: f32,
+}
+
+impl<const N: usize> ArcGeometry<N> {
+    fn plain(&self) -> Plain {
         let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
-        let start = [of(&geometry.start, geometry.axis_0), of(&geometry.start, geometry.axis_1)];
-        let target = [of(&geometry.target, geometry.axis_0), of(&geometry.target, geometry.axis_1)];
-        let centre = [start[0] + geometry.offset_0, start[1] + geometry.offset_1];
+        let start = [of(&self.start, self.axis_0), of(&self.start, self.axis_1)];
+        let target = [of(&self.target, self.axis_0), of(&self.target, self.axis_1)];
+        let centre = [start[0] + self.offset_0, start[1] + self.offset_1];
         let from = [start[0] - centre[0], start[1] - centre[1]];
         let to = [target[0] - centre[0], target[1] - centre[1]];
         let start_radius = integer_length(from[0].0, from[1].0);
         let end_radius = integer_length(to[0].0, to[1].0);
-        let unit = direction(from[0].0, from[1].0, start_radius);
-        let end = direction(to[0].0, to[1].0, end_radius);
+        let first = direction(from[0].0, from[1].0, start_radius);
+        let last = direction(to[0].0, to[1].0, end_radius);
         // Products of 2^-30 fractions: 60 bits, their sums 61.
-        let cross = (unit[0] * end[1] - unit[1] * end[0]) as f32;
-        let dot = (unit[0] * end[0] + unit[1] * end[1]) as f32;
-        let mut angle = libm::atan2f(cross, dot);
-        let turns = geometry.turns as f32 * TURN;
-        if geometry.clockwise {
-            if angle >= -FULL_CIRCLE {
-                angle -= TURN;
+        let cross = (first[0] * last[1] - first[1] * last[0]) as f32;
+        let dot = (first[0] * last[0] + first[1] * last[1]) as f32;
+        let mut sweep = libm::atan2f(cross, dot);
+        if self.clockwise {
+            if sweep >= -FULL_CIRCLE {
+                sweep -= TURN;
             }
-            angle -= turns;
-        } else {
-            if angle <= FULL_CIRCLE {
-                angle += TURN;
-            }
-            angle += turns;
+        } else if sweep <= FULL_CIRCLE {
+            sweep += TURN;
         }
+        Plain { centre, first, start_radius, end_radius, sweep }
+    }
+
+    /// The angle of the arc without its full turns, above 0 and up to a turn.
+    pub(super) fn sweep(&self) -> f32 {
+        self.plain().sweep.abs()
+    }
+}
+
+impl<const N: usize> Arc<N> {
+    /// Prepares the chords, none of which leaves the arc by more than `tolerance` (mm).
+    pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
+        let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
+        let Plain { centre, first, start_radius, end_radius, sweep } = geometry.plain();
+        let turns = geometry.turns as f32 * TURN;
+        let angle = if geometry.clockwise { sweep - turns } else { sweep + turns };
 
         // The sagitta of a chord with half angle h is r·(1 - cos h).
         let radius = Coordinate(start_radius.max(end_radius)).to_mm();
@@ -127,17 +158,11 @@ impl<const N: usize> Arc<N> {
         } else {
             WIDEST
         };
-        let count = libm::ceilf(angle.abs() / (2.0 * half)).min(MOST_CHORDS);
-        let chords = if start_radius == 0 || end_radius == 0 { 1 } else { (count as u32).max(1) };
-        let step = angle / chords as f32;
-        let half_sine = libm::sinf(0.5 * step);
-        let mut turn_bits = UNIT_BITS;
-        let mut magnified = step.abs();
-        while magnified < 0.5 && turn_bits < 2 * UNIT_BITS {
-            magnified *= 2.0;
-            turn_bits += 1;
-        }
-        let one = (1_u64 << turn_bits) as f32;
+        let count = |angle: f32| {
+            let count = libm::ceilf(angle.abs() / (2.0 * half)).min(MOST_CHORDS);
+            if start_radius == 0 || end_radius == 0 { 1 } else { (count as u32).max(1) }
+        };
+        let chords = count(sweep);
 
         let mut square = 0.0;
         for axis in Axis::of_machine::<N>() {
@@ -153,29 +178,59 @@ impl<const N: usize> Arc<N> {
         let length = square_root(square + along * along);
         // A helix of radius r bends as a circle of r·(length / way in the plane)².
         let stretch = if along == 0.0 { 1.0 } else { length / along };
-        Self {
+        let single = chords == 1 && geometry.turns == 0;
+        let mut arc = Self {
             geometry: *geometry,
             centre,
-            unit,
-            sine: (libm::sinf(step) * one) as i64,
-            versine: (2.0 * half_sine * half_sine * one) as i64,
-            turn_bits,
+            first,
+            unit: first,
+            sine: 0,
+            versine: 0,
+            turn_bits: UNIT_BITS,
             start_radius,
             radius_change: (end_radius - start_radius) as f32,
             length,
-            curve_radius: if chords == 1 { f32::INFINITY } else { mean_radius * stretch * stretch },
+            curve_radius: if single { f32::INFINITY } else { mean_radius * stretch * stretch },
+            chords_of_turn: count(TURN),
             chords,
+            turns_left: geometry.turns,
+            turn_share: TURN / angle.abs(),
+            sweep,
             done: 0,
+        };
+        arc.set_step();
+        arc
+    }
+
+    /// The angle of the chords that come now.
+    fn set_step(&mut self) {
+        let step = match self.turns_left {
+            0 => self.sweep / self.chords as f32,
+            _ => TURN.copysign(self.sweep) / self.chords_of_turn as f32,
+        };
+        let half_sine = libm::sinf(0.5 * step);
+        let mut turn_bits = UNIT_BITS;
+        let mut magnified = step.abs();
+        while magnified < 0.5 && turn_bits < 2 * UNIT_BITS {
+            magnified *= 2.0;
+            turn_bits += 1;
         }
+        let one = (1_u64 << turn_bits) as f32;
+        self.sine = (libm::sinf(step) * one) as i64;
+        self.versine = (2.0 * half_sine * half_sine * one) as i64;
+        self.turn_bits = turn_bits;
     }
 
     /// Where the next chord ends; `None` after the last.
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
-        if self.done >= self.chords {
+        let turns = self.turns_left > 0;
+        let chords = if turns { self.chords_of_turn } else { self.chords };
+        if self.done >= chords {
             return None;
         }
         self.done += 1;
-        if self.done == self.chords {
+        let ends = self.done == chords;
+        if ends && !turns {
             return Some(self.geometry.target);
         }
         let [x, y] = self.unit;
@@ -190,7 +245,19 @@ impl<const N: usize> Arc<N> {
         let y = y_turned - ((y_turned * excess + half) >> UNIT_BITS);
         self.unit = [x, y];
 
-        let share = self.done as f32 / self.chords as f32;
+        let before = (self.geometry.turns - self.turns_left) as f32 * self.turn_share;
+        let span = if turns { self.turn_share } else { 1.0 - before };
+        let share = before + span * (self.done as f32 / chords as f32);
+        if ends {
+            // No error of the angle goes from one turn to the next.
+            self.unit = self.first;
+            self.turns_left -= 1;
+            self.done = 0;
+            if self.turns_left == 0 {
+                self.set_step();
+            }
+        }
+        let [x, y] = self.unit;
         let radius = self.start_radius + whole(self.radius_change * share);
         let mut point = self.geometry.start;
         for (axis, (place, target)) in Axis::of_machine::<N>().zip(point.iter_mut().zip(self.geometry.target.iter())) {
@@ -213,8 +280,8 @@ impl<const N: usize> Arc<N> {
     }
 
     /// Chords still to come.
-    pub fn chords_left(&self) -> u32 {
-        self.chords - self.done
+    pub fn chords_left(&self) -> u64 {
+        u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
     /// Radius of the curve in space, in mm: on a helix more than that of its circle, on a spiral the mean one. Infinite if a

@@ -4,8 +4,6 @@ use super::arc::ArcGeometry;
 use crate::axes::{Axis, PerAxis};
 use crate::units::Coordinate;
 
-/// Angles within this of zero are full circles, as for the chords.
-const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
 const QUARTER: f32 = core::f32::consts::FRAC_PI_2;
 
@@ -17,7 +15,7 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
     let from = [-arc.offset_0.to_mm(), -arc.offset_1.to_mm()];
     let to = [(of(&arc.target, arc.axis_0) - centre[0]).to_mm(), (of(&arc.target, arc.axis_1) - centre[1]).to_mm()];
-    let [first, second] = [libm::atan2f(from[1], from[0]), libm::atan2f(to[1], to[0])];
+    let first = libm::atan2f(from[1], from[0]);
     // The way from one angle to another in the arc's sense, 0 to a turn; the angles are less than two turns apart.
     let forward = |from: f32, to: f32| {
         let mut way = if arc.clockwise { from - to } else { to - from };
@@ -26,10 +24,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         }
         if way >= TURN { way - TURN } else { way }
     };
-    let mut sweep = forward(first, second);
-    if sweep <= FULL_CIRCLE || arc.turns > 0 {
-        sweep = TURN;
-    }
+    // The same that the chords go by: an arc of nearly no angle and one of nearly a turn end in the same place.
+    let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
     let radius = |v: [f32; 2]| oxmill_root::square_root(v[0] * v[0] + v[1] * v[1]);
     let radius = Coordinate::from_mm_f32(radius(from).max(radius(to)));
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
@@ -91,6 +87,31 @@ mod tests {
             }
             assert_eq!(greatest.0[2], Coordinate::mm(3));
         }
+    }
+
+    /// Whether an arc that ends next to its start is nothing or a whole circle is asked of the arc.
+    #[test]
+    fn agrees_with_the_chords_where_start_and_end_are_near() {
+        let mut whole = 0;
+        for k in 0..4000_i64 {
+            let (radius, a) = (10.0 + k as f64 * 0.01, k as f64 * 0.71);
+            let start = [radius * a.cos(), radius * a.sin()];
+            let off = (k * 7919 % 401 - 200) as f64 * 1.0e-8 * radius;
+            let target = [start[0] - off * a.sin(), start[1] + off * a.cos()];
+            let arc = arc(start, target, [0.0, 0.0], k % 2 == 0);
+            let (least, greatest) = extent(&arc);
+            let mut chords = super::super::arc::Arc::new(&arc, 0.01);
+            let is_whole = chords.chords_left() > 4;
+            whole += u32::from(is_whole);
+            while let Some(point) = chords.next_chord() {
+                for i in 0..2 {
+                    let slack = 2_000;
+                    assert!(point.0[i].0 >= least.0[i].0 - slack && point.0[i].0 <= greatest.0[i].0 + slack, "{k}");
+                }
+            }
+            assert_eq!(is_whole, greatest.0[0].0 - least.0[0].0 > (radius * 1.0e7) as i64, "{k}");
+        }
+        assert!(whole > 500 && whole < 3500, "{whole}");
     }
 
     #[test]

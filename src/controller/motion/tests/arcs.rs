@@ -55,7 +55,7 @@ fn check(geometry: &ArcGeometry<3>, radius: f64, tolerance: f64) -> u32 {
         f(geometry.start.get(geometry.axis_1).unwrap() + geometry.offset_1),
     ];
     let mut arc = Arc::new(geometry, tolerance as f32);
-    let chords = arc.chords_left();
+    let chords = u32::try_from(arc.chords_left()).unwrap();
     let flat = |p: &PerAxis<Coordinate, 3>| {
         [f(p.get(geometry.axis_0).unwrap()) - centre[0], f(p.get(geometry.axis_1).unwrap()) - centre[1]]
     };
@@ -114,6 +114,33 @@ fn helix_of_many_turns() {
         check(&geometry(plane, 12.0, 0.3, 2.0, -7.5, 9, [0.0, 0.0]), 12.0, 0.002);
         check(&geometry(plane, 10_000.0, 0.3, -2.0, 100.0, 2, [0.0, 0.0]), 10_000.0, 0.002);
     }
+}
+
+/// After very many turns the chords are where they are in the first.
+#[test]
+fn turns_add_no_error() {
+    let (from, sweep) = (0.3, 1.0);
+    let g = geometry(0, 1.0, from, sweep, 0.0, 20_000, [0.0, 0.0]);
+    let mut arc = Arc::new(&g, 0.002);
+    let left = arc.chords_left();
+    let mut points = Vec::new();
+    let mut count = 0;
+    while let Some(point) = arc.next_chord() {
+        count += 1;
+        if arc.chords_left() < 30 {
+            points.push(point);
+        }
+    }
+    assert_eq!(count, left);
+    let of_turn = 20_000.0 * std::f64::consts::PI / (1.0_f64 - 0.002).acos();
+    assert!(left as f64 > of_turn && (left as f64) < of_turn + 2.0 * 20_000.0, "{left} chords, {of_turn} would do");
+    let angle = |p: &PerAxis<Coordinate, 3>| f(p.0[1]).atan2(f(p.0[0]));
+    let plain = points.iter().filter(|p| angle(p) > from + 1e-4 && angle(p) < from + sweep + 1e-4);
+    let mut angles: Vec<f64> = plain.map(angle).collect();
+    angles.dedup();
+    let last: Vec<f64> = angles[angles.len() - 8..].to_vec();
+    assert!(last.windows(3).all(|w| ((w[2] - w[1]) / (w[1] - w[0]) - 1.0).abs() < 1e-4), "{last:?}");
+    assert!(points.iter().all(|p| (f(p.0[0]).hypot(f(p.0[1])) - 1.0).abs() < 1e-6));
 }
 
 #[test]
