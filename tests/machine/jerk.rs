@@ -235,6 +235,30 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
+/// Steps so coarse that a ramp has few of them: the corner behind is passed no faster than planned.
+#[test]
+fn corners_behind_coarse_steps_are_minded() {
+    for (scale, steps, jerk) in [(2000.0, 5.0, [500_000.0, 0.0, 10_000.0]), (3000.0, 20.0, [100_000.0, 0.0, 1000.0])] {
+        let limits = Limits {
+            steps_per_mm: [steps, 80.0, 400.0],
+            acceleration: [scale, scale, 50.0],
+            junction_deviation: 0.001,
+            ..MACHINE
+        };
+        for k in 0..120 {
+            let mut job = Job::new();
+            job.to([2.0 + 0.05 * f64::from(k), 0.0, 0.0], 200.0);
+            job.to([2.0 + 0.05 * f64::from(k), 0.0, -1.0], 200.0);
+            let mut rig = Rig::with(&settings(&limits, jerk));
+            rig.run_clean(&job.text);
+            let z: Vec<u64> = rig.trace.iter().filter(|p| p.steps & 4 != 0).map(|p| p.at).collect();
+            // The first three steps from rest at 50 mm/s² take 8 ms, with the speed of the corner (0.7 mm/s) some 5.
+            let seconds = (z[3] - z[0]) as f64 / HZ as f64;
+            assert!(seconds > 0.004, "{k}: three steps in {seconds} s");
+        }
+    }
+}
+
 /// The measure itself: the trapezoid has a jerk beyond these limits.
 #[test]
 fn a_trapezoid_is_seen() {

@@ -171,3 +171,26 @@ fn a_second_switch_is_a_limit_of_its_axis() {
     mill.send("?");
     assert!(mill.take_output().contains("|Pn:X"));
 }
+
+/// X and Y together are the way of a motor, and an arc leads beyond its ends.
+#[test]
+fn what_leads_out_of_range_is_refused() {
+    let settings = "$100=1\n$101=1\n$110=1000000\n$111=1000000\n$120=10000\n$121=10000\nG1 F6000000\n";
+    for (arrangement, line, refused) in [
+        (0, "G1 X30000 Y30000", false),
+        (1, "G1 X30000 Y30000", true),
+        (1, "G28 X30000 Y-30000", true),
+        (1, "$J=X30000 Y-30000 F600000", true),
+        (1, "G1 X20000 Y-29000", false),
+        (0, "G2 X0 Y0 I40000", true),
+        (0, "G2 X0 Y0 I20000", false),
+        (0, "G2 X0 Y0 I0 J-20000 P2", false),
+        (1, "G2 X0 Y0 I30000 J-20000", true),
+        (1, "G2 X0 Y0 I1000 J-2000", false),
+    ] {
+        let mut mill = machine("steps_per_mm = [1, 1, 80]", &format!("$904={arrangement}\n{settings}"));
+        let said = run(&mut mill, line);
+        assert_eq!(said.contains("error:33"), refused, "{arrangement} {line}: {said}");
+        assert_eq!(mill.machine_position() == [0.0; 3], refused || line.starts_with("G2"), "{line}");
+    }
+}

@@ -2,6 +2,7 @@
 
 mod backlash;
 mod conversations;
+mod crumbs;
 mod estimator;
 mod examples;
 mod host;

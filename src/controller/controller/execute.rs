@@ -4,7 +4,7 @@
 use super::Controller;
 use super::converse::Listing;
 use super::cycles::{HomingWait, Probing};
-use crate::axes::PerAxis;
+use crate::axes::{Arrangement, PerAxis};
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, ArcMove, Feed, Flow};
 use crate::machine::homing::Homing;
@@ -459,7 +459,37 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(|out| report::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
-        None
+        self.leaves_range().then_some(Error::InvalidTarget)
+    }
+
+    /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
+    /// belts (CoreXY) X and Y together are the way of a motor.
+    fn leaves_range(&self) -> bool {
+        let belts = self.settings.arrangement() == Arrangement::CoreXy;
+        let outside = |place: &PerAxis<Coordinate, N>| {
+            let sum = match place.0.as_slice() {
+                [x, y, ..] if belts => x.0.saturating_abs().saturating_add(y.0.saturating_abs()),
+                _ => 0,
+            };
+            sum > Coordinate::LIMIT.0 || !place.iter().all(|coordinate| coordinate.in_range())
+        };
+        match &self.checked.motion {
+            gcode::Motion::Arc(arc) => {
+                let wide = arc.i.0.unsigned_abs().max(arc.j.0.unsigned_abs()) > Coordinate::LIMIT.0.unsigned_abs() / 8;
+                let near = |place: &PerAxis<Coordinate, N>| {
+                    place.iter().all(|coordinate| coordinate.0.unsigned_abs() < Coordinate::LIMIT.0.unsigned_abs() / 8)
+                };
+                if !wide && near(&arc.start) && near(&arc.target) {
+                    return false;
+                }
+                let (least, greatest) = extent(&geometry(arc));
+                let farthest = least.zip(&greatest, |a, b| Coordinate(a.0.saturating_abs().max(b.0.saturating_abs())));
+                outside(&farthest)
+            }
+            gcode::Motion::Line { via, target, .. } if belts => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Probe { target, .. } if belts => outside(target),
+            _ => false,
+        }
     }
 
     /// Lets a jog end where the travel does. An axis that is outside already goes no further out.

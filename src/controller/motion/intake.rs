@@ -169,8 +169,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planned_steps = *target_steps;
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
-        let (mut acceleration, mut limit) = self.limits(&way, length);
-        block.jerk = self.jerk_along(&way, length, acceleration);
+        // What the axes move: in a block that is taken as longer, that is the way of its steps.
+        let moved = if path < least { self.way_of_steps(&steps, directions, length) } else { way };
+        let (mut acceleration, mut limit) = self.limits(&moved, length);
+        block.jerk = self.jerk_along(&moved, length, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
@@ -193,10 +195,25 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.acceleration = acceleration;
         block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
         block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
-        let turn2 = curvature::turn2(&self.direction, &unit);
-        let lengths = [self.distance, straight];
-        block.corner2 =
-            planner::corner_speed2(&self.direction, &unit, turn2, lengths, &self.acceleration, self.junction_deviation);
+        let (heading, run) = self.heading(&unit, straight, &m.target);
+        let turn2 = curvature::turn2(&self.direction, &heading);
+        let lengths = [self.distance, run];
+        block.corner2 = planner::corner_speed2(
+            &self.direction,
+            &heading,
+            turn2,
+            lengths,
+            &self.acceleration,
+            self.junction_deviation,
+        );
+        // Moves without a step that led nowhere, some steps' worth of them, are waited for in this block: so it has corners
+        // before and behind it.
+        let waits = length > 1.1 * straight && (length - straight) * (dominant as f32 - 0.5) > 2.0 * least;
+        if waits || self.waited {
+            let square = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
+            block.corner2 = lesser(block.corner2, square * self.junction_deviation * planner::SQUARE_CORNER);
+        }
+        self.waited = waits;
         if core::mem::take(&mut self.tool_stands) {
             block.corner2 = 0.0;
         }
@@ -204,9 +221,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         // A remnant shorter than a digit has no direction to speak of: the corner is that between its neighbours.
-        if straight >= DIGIT || self.planner.len() == 0 {
-            self.direction = unit;
-            self.distance = straight;
+        if run >= DIGIT || self.planner.len() == 0 {
+            self.direction = heading;
+            self.distance = run;
+            self.turned_at = m.target;
         }
         self.planner.push(block, self.overrides);
         if bend2 < UNLIMITED2 {
@@ -227,6 +245,26 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             });
         }
         self.planner.plan();
+    }
+
+    /// The direction by which the corner before a block is judged, and the length that stands for. Of moves shorter than a
+    /// digit it is that of as many as are two digits long.
+    #[inline]
+    fn heading(&self, unit: &[f32; N], straight: f32, target: &PerAxis<Coordinate, N>) -> ([f32; N], f32) {
+        if straight >= DIGIT || self.planner.len() == 0 {
+            return (*unit, straight);
+        }
+        let way = target.zip(&self.turned_at, |to, from| (to - from).to_mm());
+        let run = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        if run < 2.0 * DIGIT { (*unit, straight) } else { (way.0.map(|part| part / run), run) }
+    }
+
+    /// The way of the axes in these steps of the motors, as long as `length`.
+    #[cold]
+    fn way_of_steps(&self, steps: &[u32; N], directions: u8, length: f32) -> PerAxis<f32, N> {
+        let way = self.kinematics.way_of_axes(&signed_steps(steps, directions));
+        let own = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        PerAxis(way.map(|part| part * (length / own)))
     }
 
     /// How far the ends of a move are beyond their steps, in sevenths of a step; for chords only.
@@ -310,7 +348,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
             let target = self.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
             let steps = self.kinematics.steps(&target);
-            self.append(&Move { target, speed, ..*m }, &steps, bend2, chord);
+            let most = steps.iter().zip(self.planned_steps.iter()).map(|(to, from)| to.abs_diff(*from)).max();
+            if most.is_some_and(|most| most < MAX_STEPS) {
+                self.append(&Move { target, speed, ..*m }, &steps, bend2, chord);
+            }
         }
     }
 
@@ -334,7 +375,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let room = backlash::share(acceleration, self.junction_deviation, speed) * length;
         let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
         for (most, moved) in most.iter_mut().zip(moved) {
-            *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs());
+            *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);
         }
         let taken = self.backlash.take_up(&most);
         for (moved, taken) in moved.iter_mut().zip(taken) {

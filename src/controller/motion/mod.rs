@@ -46,8 +46,8 @@ use segment::{Cut, Pacer};
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
 const MOST_BACKLASH: i32 = 10_000;
 
-/// Least speed, mm/s: a third of a step per minute with 10,000 steps/mm.
-const LEAST_SPEED: f32 = 5.0e-7;
+/// Least speed, mm/s: a step per minute with 40,000 steps/mm.
+const LEAST_SPEED: f32 = 4.0e-7;
 /// Greatest speed and acceleration, far beyond any machine: squares stay within `f32`.
 const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
@@ -214,6 +214,10 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// Unit vector of the last block, and how far apart its ends are.
     direction: [f32; N],
     distance: f32,
+    /// The place where that ends.
+    turned_at: PerAxis<Coordinate, N>,
+    /// The last block has waited for moves without a step that led nowhere.
+    waited: bool,
     /// The last block moves motors and no tool: what follows begins at rest.
     tool_stands: bool,
     chain_broken: bool,
@@ -310,6 +314,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             carried: 0.0,
             direction: [0.0; N],
             distance: 0.0,
+            turned_at: PerAxis::all(Coordinate::ZERO),
+            waited: false,
             tool_stands: false,
             chain: Chain::new(),
             chain_broken: true,
@@ -396,6 +402,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.beyond = None;
         self.block_end = self.planned;
         self.tool_stands = false;
+        self.waited = false;
         self.chain_broken = true;
     }
 

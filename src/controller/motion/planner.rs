@@ -44,6 +44,9 @@ pub(super) const UNLIMITED2: f32 = 1.0e30;
 /// Last digit of a program, mm: a corner that it can make of a straight line is none.
 pub(super) const DIGIT: f32 = 0.001;
 
+/// Speed² of a square corner by acceleration and deviation: s / (1 - s) with s = √(1/2).
+pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
+
 /// Speed² with which the corner between two directions (unit vectors, `turn2` = |difference|²) may be taken: that of a
 /// circle which touches both and leaves the corner by `deviation`, at the greatest acceleration that no axis minds along
 /// the corner's bisector; and if the corner is a bend of a chain, that of the chain (see `curvature`).
@@ -475,10 +478,19 @@ pub(super) struct Target {
 impl Target {
     /// Where the ramp has to come to first: down to the ceiling, in the same block as yet.
     pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
-        if speed <= self.ceiling {
-            return (self.speed, self.distance);
+        self.beyond(speed, f32::NEG_INFINITY)
+    }
+
+    /// The same for what a machine does on the next way: if it comes to the ceiling within that, the ramp down from there
+    /// begins with it. Otherwise it would begin a segment late, which tells: a sixth of the way of a ramp has to make up for it.
+    pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
+        if speed > self.ceiling {
+            let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);
+            if distance > way {
+                return (self.ceiling, distance);
+            }
         }
-        (self.ceiling, self.distance - ramp_distance(self.ceiling, self.speed, self.bounds))
+        (self.speed, self.distance)
     }
 
     /// Whether a machine in this state, not accelerating, can come down in time.

@@ -15,8 +15,6 @@ use crate::messages::UNITS_PER_STEP;
 const SAME_SPEED: f32 = 1.0e-5;
 /// Where the rest of a ease-off is less than this share of the speed, it is taken in one segment.
 const SNAP: f32 = 1.0e-4;
-/// Share by which the jerk may exceed its bound where a ramp that has come a little late would stop short of its end.
-const LATE: f32 = 0.05;
 
 /// A segment's time and the state at its end.
 #[derive(Clone, Copy, Debug)]
@@ -81,6 +79,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let State { speed, acceleration } = state;
         let rest = left - way;
         let time = way / speed;
+        // With an even jerk.
+        let to_rest = 3.0 * time;
         let guess = way / greater(speed + 0.5 * acceleration * time, 0.5 * speed);
         let change = bounds.jerk * guess;
         let within = |wanted: f32| greater(lesser(wanted, acceleration + change), acceleration - change);
@@ -89,7 +89,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let to = |end: f32| -> Gone {
             let end2 = speed * speed + (acceleration + end) * way;
             if end2 <= 0.0 {
-                return Gone { seconds: time, end: State { speed, acceleration: 0.0 } };
+                // The braking comes to rest on the way. The block goes on to its end, which it leaves no faster than planned.
+                let exit = if rest > 0.0 { speed } else { lesser(speed, self.planner.target(0, left, bounds).speed) };
+                let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { to_rest };
+                return Gone { seconds, end: State { speed: exit, acceleration: 0.0 } };
             }
             let last = square_root(end2);
             Gone { seconds: 2.0 * way / (speed + last), end: State { speed: last, acceleration: end } }
@@ -118,12 +121,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                     end: State { speed: nominal, acceleration: 0.0 },
                 };
             }
-            if acceleration < 0.0
-                && best > acceleration
-                && let Some(land) = self.landing_late(state, guess, way, left, most, bounds)
-            {
-                return to(land);
-            }
             return gone;
         }
         if acceleration >= 0.0 && acceleration < best {
@@ -137,32 +134,27 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         let target = self.planner.target(0, left, bounds);
         self.ahead = bounds.acceleration;
-        let (aim, distance) = target.nearest(speed);
+        let (aim, distance) = target.beyond(speed, way);
         if aim <= 0.0 && distance <= way {
-            return Gone { seconds: 3.0 * way / speed, end: State { speed: 0.0, acceleration: 0.0 } };
+            return Gone { seconds: to_rest, end: State { speed: 0.0, acceleration: 0.0 } };
         }
-        // The bounds of a block that lies ahead plan a ramp; where the way is too short for it, the running block's own count.
-        let mut wanted = if target.is_met(state) { -target.bounds.acceleration } else { -bounds.acceleration };
+        // The bounds of a block that lies ahead plan a ramp. Where the way is too short for it, the running block's own count,
+        // or those of the blocks in which the braking for another reason would be eased off.
+        let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
+        let planned = target.bounds.acceleration;
+        let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, steepest) };
         if acceleration <= 0.0 {
             let next = speed + acceleration * guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
             wanted = greater(wanted, land);
         }
-        to(lesser(within(wanted), best))
-    }
-
-    /// The acceleration after `guess` seconds with which a machine lands at its anchor that could ease off its braking
-    /// below the anchor's speed only; `None` unless that is so, and by a little. What a hold brakes for is not the anchor.
-    fn landing_late(&self, state: State, guess: f32, way: f32, left: f32, most: f32, bounds: Bounds) -> Option<f32> {
-        let (aim, distance) = self.planner.target(0, left, bounds).nearest(state.speed);
-        let next = state.speed + state.acceleration * guess;
-        let falls_short = state.valley(bounds.jerk).0 < aim && next > aim && distance > way;
-        if !falls_short || aim > most || self.hold == Hold::Ramp {
-            return None;
+        let gone = to(lesser(within(wanted), best));
+        // Where the ramp's last piece is coarse (a tick in which most of the speed goes), it ends as planned all the same.
+        let even = (speed * speed - aim * aim) / (2.0 * way);
+        if distance <= way && aim < 0.5 * speed && gone.end.speed > aim && even <= bounds.acceleration {
+            return Gone { seconds: 2.0 * way / (speed + aim), end: State { speed: aim, acceleration: 0.0 } };
         }
-        let change = bounds.jerk * guess;
-        let land = landing(next, aim, distance - way);
-        (land <= state.acceleration + change * (1.0 + LATE)).then(|| greater(land, state.acceleration - change))
+        gone
     }
 }
 

@@ -1,0 +1,74 @@
+//! Moves next to nothing: shorter than a step or than the last digit of a program, in between long ones.
+
+use super::oracle::AXES;
+use super::rig::{HZ, Rig};
+
+/// Intervals between the steps of an axis, in seconds.
+fn intervals(rig: &Rig, axis: usize) -> Vec<f64> {
+    let times: Vec<u64> = rig.trace.iter().filter(|p| p.steps >> axis & 1 != 0).map(|p| p.at).collect();
+    times.windows(2).map(|w| (w[1] - w[0]) as f64 / HZ as f64).collect()
+}
+
+fn machine(scale: f64, rate: f64, acceleration: f64) -> Rig {
+    let mut text = String::from("$0=1\n$11=0.01\n");
+    for axis in 0..AXES {
+        text += &format!("$10{axis}={scale}\n$11{axis}={}\n$12{axis}={acceleration}\n", rate * 60.0);
+    }
+    Rig::with(&text)
+}
+
+/// Rounding makes a step of a tenth of a nanometre; it gets no less time than half a step takes.
+#[test]
+fn a_hairs_breadth_is_no_faster_than_its_axis() {
+    let mut rig = machine(80.0, 100.0, 500.0);
+    rig.run_clean("G0 X10.0062499\nG0 X10.0062501\nG0 X30\n");
+    let least = intervals(&rig, 0).into_iter().fold(f64::MAX, f64::min);
+    assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
+}
+
+/// An axis stands while others make moves too short for a step: it comes down to the speed of a corner for that, and goes up
+/// again from there.
+#[test]
+fn a_wait_for_crumbs_is_a_corner() {
+    let mut rig = machine(80.0, 100.0, 500.0);
+    let crumbs = "Y0.005\nY0\n".repeat(50);
+    rig.run_clean(&format!("G1 X20 Y0 F6000\n{crumbs}X20.0125\nX60\n"));
+    let speeds: Vec<f64> = intervals(&rig, 0).iter().map(|seconds| 1.0 / 80.0 / seconds).collect();
+    // Between steps the corner's speed (3.5 mm/s) grows to 5.
+    let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
+    assert!(slowest < 6.0, "{slowest} mm/s");
+    // Over 32 steps (0.4 mm), as smoothed steps jitter: the acceleration with a fifth more, and the corner.
+    let means: Vec<f64> = speeds.chunks(32).map(|w| w.len() as f64 / w.iter().map(|v| 1.0 / v).sum::<f64>()).collect();
+    for pair in means.windows(2) {
+        let change = (pair[1] * pair[1] - pair[0] * pair[0]).abs();
+        assert!(change < 1.2 * 2.0 * 500.0 * 0.4 + 40.0, "{pair:?} mm/s");
+    }
+}
+
+/// Corners between moves shorter than a digit, on a machine with steps shorter still.
+#[test]
+fn corners_between_moves_shorter_than_a_digit() {
+    let mut rig = machine(10_000.0, 10.0, 100.0);
+    let (x, y) = ("X0.0005\n".repeat(2000), "Y0.0005\n".repeat(2000));
+    rig.run_clean(&format!("G91 G1 F600\n{x}{y}"));
+    let last = intervals(&rig, 0);
+    let speed = 10.0 / 10_000.0 / last[last.len() - 10..].iter().sum::<f64>();
+    // The corner rule allows 1.5 mm/s; it is noticed within two digits.
+    assert!(speed < 3.0, "{speed} mm/s into the corner");
+    let back = "X-0.0004 Y0.0003\n".repeat(2000);
+    let mut rig = machine(10_000.0, 10.0, 100.0);
+    rig.run_clean(&format!("G91 G1 F600\n{x}{back}"));
+    let turn = rig.trace.iter().position(|p| p.steps & 1 != 0 && p.directions & 1 != 0).unwrap();
+    let speed = 20.0 / 10_000.0 / ((rig.trace[turn].at - rig.trace[turn - 20].at) as f64 / HZ as f64);
+    assert!(speed < 3.0, "{speed} mm/s into the turn");
+}
+
+/// A move that is cut for the slack, on axes whose steps are as unlike as can be.
+#[test]
+fn slack_on_the_longest_moves() {
+    let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";
+    let mut rig = Rig::with(settings);
+    rig.send(b"G1 X4000 F600000\nG1 X-4000 Z5000\n");
+    rig.run_for(60.0);
+    assert!(rig.place[0] > 0);
+}
