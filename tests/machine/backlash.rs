@@ -76,6 +76,20 @@ fn a_carriage_stands_where_it_is_reported() {
     }
 }
 
+/// Slack that a short move has left over is not taken up while a drill plunges.
+#[test]
+fn a_plunge_drags_no_drill() {
+    let mut mill = compensated("");
+    mill.send("G0 X20\nG0 X19.5\nG1 Z-5 F300\nG1 X19 F1000\n");
+    assert!(mill.run_until_idle());
+    let steps: Vec<u8> = mill.trace().kept().iter().map(|r| r.steps).collect();
+    let plunge = steps.iter().position(|s| s & 4 != 0).unwrap()..steps.iter().rposition(|s| s & 4 != 0).unwrap();
+    assert_eq!(plunge.len(), 5 * 400 - 1);
+    assert!(off(&mill) < 1e-9 && mill.machine_position() == [19.0, 0.0, -5.0]);
+    let places = carriages(&mill);
+    assert!((places[plunge.start][0] - 19.5).abs() < 1e-9, "{:?}", places[plunge.start]);
+}
+
 /// Moves shorter than the slack, there and back: the carriage has not followed the first when the second begins.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {

@@ -8,8 +8,8 @@ use super::measure::Measure;
 use super::planner::{self, DIGIT, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use super::{
-    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, Motion, Motors, Move, Speed, bounded,
-    signed_steps, unsigned_steps,
+    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Motion, Motors,
+    Move, Speed, bounded, signed_steps, unsigned_steps,
 };
 use crate::axes::{Axis, PerAxis};
 use crate::messages::Leg;
@@ -67,6 +67,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         };
         // A probe brakes within its own block.
         if self.backlash.is_on() && !m.no_feed_override {
+            self.take_up_before_plunge(m);
             self.begin_taking_up(m, bend2, chord);
         }
         let steps = self.kinematics.steps(&m.target);
@@ -391,16 +392,34 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>) {
         let taken = self.backlash.finish(&self.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
-        if taken == [0; N] {
+        self.turn_motors(&taken, self.running.line_number);
+    }
+
+    /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
+    #[inline(never)]
+    fn take_up_before_plunge(&mut self, m: &Move<N>) {
+        let moved = self.kinematics.steps(&m.target).zip(&self.planned_steps, i32::wrapping_sub);
+        let aside = moved.iter().take(2).any(|steps| *steps != 0);
+        if BLOCKS >= MOST_BLOCKS_OF_A_MOVE && !aside && moved.iter().any(|steps| *steps != 0) {
+            let mut most = [0; N];
+            most.iter_mut().take(2).for_each(|most| *most = MOST_BACKLASH);
+            let taken = self.backlash.take_up(&most);
+            self.turn_motors(&taken, m.line_number);
+        }
+    }
+
+    /// A block in which motors turn by themselves, from rest to rest.
+    fn turn_motors(&mut self, taken: &[i32; N], line_number: u32) {
+        if *taken == [0; N] {
             return;
         }
-        let way = PerAxis(self.kinematics.way_of_axes(&taken));
+        let way = PerAxis(self.kinematics.way_of_axes(taken));
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let mut block = Block::<N>::EMPTY;
         let steps;
-        (steps, block.directions) = unsigned_steps(&taken);
+        (steps, block.directions) = unsigned_steps(taken);
         block.legs = steps.map(Leg::on_steps);
-        block.line_number = self.running.line_number;
+        block.line_number = line_number;
         block.length = length;
         (block.acceleration, block.limit) = self.limits(&way, length);
         block.jerk = self.jerk_along(&way, length, block.acceleration);

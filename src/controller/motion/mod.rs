@@ -46,6 +46,9 @@ use segment::{Cut, Pacer};
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
 const MOST_BACKLASH: i32 = 10_000;
 
+/// With backlash: what is left of it before a plunge, a cut, the rest of the move.
+const MOST_BLOCKS_OF_A_MOVE: usize = 3;
+
 /// Least speed, mm/s: a step per minute with 40,000 steps/mm.
 const LEAST_SPEED: f32 = 4.0e-7;
 /// Greatest speed and acceleration, far beyond any machine: squares stay within `f32`.
@@ -408,8 +411,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
     pub fn free_blocks(&self) -> usize {
-        // With backlash a move may make two blocks.
-        let spare = usize::from(self.backlash.is_on());
+        let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(BLOCKS) - 1 } else { 0 };
         if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare) }
     }
 
