@@ -28,6 +28,12 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
+/// Whole part of a square root. Once in the image: it is long.
+#[inline(never)]
+pub(crate) fn integer_root(square: u128) -> u128 {
+    square.isqrt()
+}
+
 /// The nearest `f32`. The machine converts 32 bits in one instruction, with the same result.
 #[inline]
 pub(crate) fn wide_to_f32(value: i64) -> f32 {

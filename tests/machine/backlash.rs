@@ -90,6 +90,24 @@ fn a_plunge_drags_no_drill() {
     assert!((places[plunge.start][0] - 19.5).abs() < 1e-9, "{:?}", places[plunge.start]);
 }
 
+/// In a profile of X and Z nothing is waited for: the circles take as long as without slack.
+#[test]
+fn a_profile_is_not_interrupted() {
+    let mut seconds = Vec::new();
+    for slack in ["", "$160=0.05\n$162=0.05\n"] {
+        let mut mill = mill(slack, "");
+        let chords: String = (1..600)
+            .map(|k| f64::from(k) * 0.05)
+            .map(|a| format!("X{:.3} Z{:.3}\n", 5.0 * a.cos(), 5.0 * a.sin()))
+            .collect();
+        mill.send(format!("G0 X5\nG1 F2400\n{chords}G18 G3 X-5 Z0 I-5 K0\n"));
+        assert!(mill.run_until_idle());
+        let kept = mill.trace().kept();
+        seconds.push((kept[kept.len() - 1].at - kept[0].at) as f64 / HZ as f64);
+    }
+    assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
+}
+
 /// Moves shorter than the slack, there and back: the carriage has not followed the first when the second begins.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {

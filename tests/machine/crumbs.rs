@@ -26,6 +26,39 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
+/// Nor is an axis beside it, which makes a real way meanwhile.
+#[test]
+fn beside_a_hairs_breadth_axes_keep_their_rates() {
+    let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
+    let lines: String = (1..2000)
+        .map(|k| format!("X{} Y{:.3}\n", if k % 2 == 0 { "0.0062" } else { "0.0063" }, 0.005 * f64::from(k)))
+        .collect();
+    rig.run_clean(&format!("G0\n{lines}"));
+    let least = intervals(&rig, 1).chunks(16).map(|w| w.iter().sum::<f64>() / w.len() as f64).fold(f64::MAX, f64::min);
+    assert!(1.0 / 400.0 / least < 10.5, "{} mm/s", 1.0 / 400.0 / least);
+}
+
+/// A straight line in short chords, on an axis with coarse steps beside a fine one, is a straight line.
+#[test]
+fn coarse_steps_make_no_corners() {
+    let mut rig = Rig::with("$0=1\n$11=0.01\n$100=250\n$101=8.889\n$110=6000\n$111=6000\n$120=500\n$121=500\n");
+    let lines: String =
+        (1..2000).map(|k| format!("X{:.2} Y{:.3}\n", 0.02 * f64::from(k), 0.004 * f64::from(k))).collect();
+    rig.run_clean(&format!("G1 F1200\n{lines}"));
+    let seconds = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
+    // 40.8 mm at 20 mm/s.
+    assert!(seconds < 2.3, "{seconds} s");
+}
+
+/// With G93 a step that rounding makes of nothing takes its time, and no more.
+#[test]
+fn inverse_time_of_a_hairs_breadth() {
+    let mut rig = machine(80.0, 100.0, 500.0);
+    rig.run_clean("G93 G1 X10.0062499 F60\nG1 X10.0062501 F60\nG1 X20 F60\n");
+    let seconds = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
+    assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
+}
+
 /// An axis stands while others make moves too short for a step: it comes down to the speed of a corner for that, and goes up
 /// again from there.
 #[test]

@@ -464,6 +464,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
     /// belts (CoreXY) X and Y together are the way of a motor.
+    #[inline(never)]
     fn leaves_range(&self) -> bool {
         let belts = self.settings.arrangement() == Arrangement::CoreXy;
         let outside = |place: &PerAxis<Coordinate, N>| {

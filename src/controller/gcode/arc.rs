@@ -13,7 +13,7 @@
 //! absurdly short for their radius.
 
 use crate::error::Error;
-use crate::units::{Coordinate, DECIMAL_ONE};
+use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
 
 /// Radii at start and end may always differ by this: 0.005 mm.
 const RADIUS_TOLERANCE: i64 = DECIMAL_ONE / 200;
@@ -54,7 +54,7 @@ impl Vector {
     }
 
     fn length(self) -> i64 {
-        isqrt(self.square()) as i64
+        integer_root(self.square()) as i64
     }
 }
 
@@ -62,19 +62,11 @@ fn square(value: u64) -> u128 {
     u128::from(value) * u128::from(value)
 }
 
-/// Whole part of a square root; most arcs need only 64 bits.
-fn isqrt(square: u128) -> u128 {
-    match u64::try_from(square) {
-        Ok(square) => u128::from(square.isqrt()),
-        Err(_) => square.isqrt(),
-    }
-}
-
 /// Square roots of both values, times a common power of two that keeps about 62 bits of the greater one.
 fn roots(a: u128, b: u128) -> (i128, i128) {
     // The greater square has two bits to spare afterwards, so its root stays below 2^63.
     let shift = (a.max(b).leading_zeros().saturating_sub(2)) & !1;
-    ((a << shift).isqrt() as i128, (b << shift).isqrt() as i128)
+    (integer_root(a << shift) as i128, integer_root(b << shift) as i128)
 }
 
 /// `numerator / denominator` to the nearest integer.

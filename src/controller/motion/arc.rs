@@ -4,7 +4,7 @@
 
 use super::profile::square_root;
 use crate::axes::{Axis, PerAxis};
-use crate::units::{Coordinate, wide_to_f32};
+use crate::units::{Coordinate, integer_root, wide_to_f32};
 
 /// Fraction bits of the direction vector.
 const UNIT_BITS: u32 = 30;
@@ -68,14 +68,19 @@ pub struct Arc<const N: usize> {
     turn_share: f32,
     /// Angle of the plain arc.
     sweep: f32,
-    /// Chords of the present turn, or of the plain arc.
+    /// Chords of the present turn, or of the plain arc; how many of them are done; and the share of the whole way before them.
+    present: u32,
     done: u32,
+    share_before: f32,
+    /// Share of one of them.
+    share: f32,
 }
 
 /// Length of an integer vector, exact before rounding down.
+#[inline(never)]
 fn integer_length(x: i64, y: i64) -> i64 {
     let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
-    square.isqrt() as i64
+    integer_root(square) as i64
 }
 
 /// `value` × `unit`, rounded to nearest.
@@ -92,6 +97,7 @@ fn whole(value: f32) -> i64 {
     if value.abs() < 2.0e9 { i64::from(value as i32) } else { value as i64 }
 }
 
+#[inline(never)]
 fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
     if length == 0 {
         return [UNIT, 0];
@@ -111,6 +117,7 @@ struct Plain {
 }
 
 impl<const N: usize> ArcGeometry<N> {
+    #[inline(never)]
     fn plain(&self) -> Plain {
         let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
         let start = [of(&self.start, self.axis_0), of(&self.start, self.axis_1)];
@@ -196,18 +203,28 @@ impl<const N: usize> Arc<N> {
             turns_left: geometry.turns,
             turn_share: TURN / angle.abs(),
             sweep,
+            present: 0,
             done: 0,
+            share_before: 0.0,
+            share: 0.0,
         };
-        arc.set_step();
+        arc.begin_turn();
         arc
     }
 
-    /// The angle of the chords that come now.
-    fn set_step(&mut self) {
-        let step = match self.turns_left {
-            0 => self.sweep / self.chords as f32,
-            _ => TURN.copysign(self.sweep) / self.chords_of_turn as f32,
+    /// A turn comes now, or the plain arc.
+    #[inline(never)]
+    fn begin_turn(&mut self) {
+        self.unit = self.first;
+        self.done = 0;
+        self.share_before = (self.geometry.turns - self.turns_left) as f32 * self.turn_share;
+        let (angle, chords, span) = match self.turns_left {
+            0 => (self.sweep, self.chords, 1.0 - self.share_before),
+            _ => (TURN.copysign(self.sweep), self.chords_of_turn, self.turn_share),
         };
+        self.present = chords;
+        self.share = span / chords as f32;
+        let step = angle / chords as f32;
         let half_sine = libm::sinf(0.5 * step);
         let mut turn_bits = UNIT_BITS;
         let mut magnified = step.abs();
@@ -223,16 +240,26 @@ impl<const N: usize> Arc<N> {
 
     /// Where the next chord ends; `None` after the last.
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
-        let turns = self.turns_left > 0;
-        let chords = if turns { self.chords_of_turn } else { self.chords };
-        if self.done >= chords {
+        if self.done >= self.present {
             return None;
         }
         self.done += 1;
-        let ends = self.done == chords;
-        if ends && !turns {
+        let share = self.share_before + self.done as f32 * self.share;
+        if self.done < self.present {
+            self.turn();
+        } else if self.turns_left == 0 {
             return Some(self.geometry.target);
+        } else {
+            // No error of the angle goes from one turn to the next.
+            self.turns_left -= 1;
+            self.begin_turn();
         }
+        Some(self.point(share))
+    }
+
+    /// To the end of the next chord.
+    #[inline(always)]
+    fn turn(&mut self) {
         let [x, y] = self.unit;
         // 2^30 × 2^31 twice: below 2^62.
         let half = 1_i64 << (self.turn_bits - 1);
@@ -244,19 +271,11 @@ impl<const N: usize> Arc<N> {
         let x = x_turned - ((x_turned * excess + half) >> UNIT_BITS);
         let y = y_turned - ((y_turned * excess + half) >> UNIT_BITS);
         self.unit = [x, y];
+    }
 
-        let before = (self.geometry.turns - self.turns_left) as f32 * self.turn_share;
-        let span = if turns { self.turn_share } else { 1.0 - before };
-        let share = before + span * (self.done as f32 / chords as f32);
-        if ends {
-            // No error of the angle goes from one turn to the next.
-            self.unit = self.first;
-            self.turns_left -= 1;
-            self.done = 0;
-            if self.turns_left == 0 {
-                self.set_step();
-            }
-        }
+    /// The place in the present direction from the centre, after this share of the way.
+    #[inline(always)]
+    fn point(&self, share: f32) -> PerAxis<Coordinate, N> {
         let [x, y] = self.unit;
         let radius = self.start_radius + whole(self.radius_change * share);
         let mut point = self.geometry.start;
@@ -271,7 +290,7 @@ impl<const N: usize> Arc<N> {
                 *place + Coordinate(whole(wide_to_f32((*target - *place).0) * share))
             };
         }
-        Some(point)
+        point
     }
 
     /// Length of the way, in mm.

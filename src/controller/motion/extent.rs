@@ -8,6 +8,7 @@ const TURN: f32 = core::f32::consts::TAU;
 const QUARTER: f32 = core::f32::consts::FRAC_PI_2;
 
 /// The least and the greatest coordinates on an arc or helix.
+#[inline(never)]
 pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
     let mut least = arc.start.zip(&arc.target, |a, b| a.min(b));
     let mut greatest = arc.start.zip(&arc.target, |a, b| a.max(b));

@@ -67,7 +67,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         };
         // A probe brakes within its own block.
         if self.backlash.is_on() && !m.no_feed_override {
-            self.take_up_before_plunge(m);
+            if !chord {
+                self.take_up_before_plunge(m);
+            }
             self.begin_taking_up(m, bend2, chord);
         }
         let steps = self.kinematics.steps(&m.target);
@@ -146,6 +148,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let mut directions = 0;
         // The way that the steps stand for, less half a step: what the path must be long at least (see `length`).
         let mut least = 0.0_f32;
+        let mut coarsest = 0.0;
         let mut dominant = 0;
         let places = target_steps.iter().zip(self.planned_steps.iter());
         for (bit, ((to, from), (steps, mm))) in places.zip(steps.iter_mut().zip(self.kinematics.least_mm)).enumerate() {
@@ -155,6 +158,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             }
             if *steps > 0 {
                 least = greater((*steps as f32 - 0.5) * mm, least);
+                coarsest = greater(mm, coarsest);
             }
             dominant = dominant.max(*steps);
         }
@@ -171,17 +175,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
         let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved = if path < least { self.way_of_steps(&steps, directions, length) } else { way };
+        let moved = if path < least { self.way_of_steps(&steps, directions, length, &way) } else { way };
         let (mut acceleration, mut limit) = self.limits(&moved, length);
         block.jerk = self.jerk_along(&moved, length, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
-            Speed::Duration(seconds) => (own / seconds, 0),
+            Speed::Duration(seconds) => (if path < least { length } else { own } / seconds, 0),
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
-            if let Some(motors) = self.take_up(&mut steps, &mut directions, &way, length, acceleration, speed) {
+            if let Some(motors) = self.take_up(&mut steps, &mut directions, &moved, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
                 block.jerk = self.jerk_along(&motors, length, acceleration);
             }
@@ -196,12 +200,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.acceleration = acceleration;
         block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
         block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
-        let (heading, run) = self.heading(&unit, straight, &m.target);
-        let turn2 = curvature::turn2(&self.direction, &heading);
+        let (crumbs, mut heading, mut run) = (self.with_crumbs(&way, straight), &unit, straight);
+        if let Some((direction, length)) = &crumbs {
+            (heading, run) = (direction, *length);
+        }
+        let turn2 = curvature::turn2(&self.direction, heading);
         let lengths = [self.distance, run];
         block.corner2 = planner::corner_speed2(
             &self.direction,
-            &heading,
+            heading,
             turn2,
             lengths,
             &self.acceleration,
@@ -209,7 +216,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         );
         // Moves without a step that led nowhere, some steps' worth of them, are waited for in this block: so it has corners
         // before and behind it.
-        let waits = length > 1.1 * straight && (length - straight) * (dominant as f32 - 0.5) > 2.0 * least;
+        let waits = path > 1.1 * straight && path - straight > 2.0 * coarsest;
         if waits || self.waited {
             let square = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
             block.corner2 = lesser(block.corner2, square * self.junction_deviation * planner::SQUARE_CORNER);
@@ -223,9 +230,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         // A remnant shorter than a digit has no direction to speak of: the corner is that between its neighbours.
         if run >= DIGIT || self.planner.len() == 0 {
-            self.direction = heading;
+            self.direction = *heading;
             self.distance = run;
-            self.turned_at = m.target;
+            self.crumbs = [0.0; N];
         }
         self.planner.push(block, self.overrides);
         if bend2 < UNLIMITED2 {
@@ -248,24 +255,33 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planner.plan();
     }
 
-    /// The direction by which the corner before a block is judged, and the length that stands for. Of moves shorter than a
-    /// digit it is that of as many as are two digits long.
+    /// The direction and length by which the corner before a block shorter than a digit is judged: of as many such blocks as
+    /// are two digits long. `None` for one that is not so short, or if there are not as many.
     #[inline]
-    fn heading(&self, unit: &[f32; N], straight: f32, target: &PerAxis<Coordinate, N>) -> ([f32; N], f32) {
-        if straight >= DIGIT || self.planner.len() == 0 {
-            return (*unit, straight);
-        }
-        let way = target.zip(&self.turned_at, |to, from| (to - from).to_mm());
-        let run = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
-        if run < 2.0 * DIGIT { (*unit, straight) } else { (way.0.map(|part| part / run), run) }
+    fn with_crumbs(&mut self, way: &PerAxis<f32, N>, straight: f32) -> Option<([f32; N], f32)> {
+        if straight >= DIGIT { None } else { self.add_crumb(way) }
     }
 
-    /// The way of the axes in these steps of the motors, as long as `length`.
+    #[inline(never)]
+    fn add_crumb(&mut self, way: &PerAxis<f32, N>) -> Option<([f32; N], f32)> {
+        let mut square = 0.0;
+        for (sum, part) in self.crumbs.iter_mut().zip(way.iter()) {
+            *sum += part;
+            square += *sum * *sum;
+        }
+        let length = square_root(square);
+        (length >= 2.0 * DIGIT).then(|| (self.crumbs.map(|part| part / length), length))
+    }
+
+    /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
     #[cold]
-    fn way_of_steps(&self, steps: &[u32; N], directions: u8, length: f32) -> PerAxis<f32, N> {
-        let way = self.kinematics.way_of_axes(&signed_steps(steps, directions));
-        let own = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
-        PerAxis(way.map(|part| part * (length / own)))
+    fn way_of_steps(&self, steps: &[u32; N], directions: u8, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
+        let stepped = self.kinematics.way_of_axes(&signed_steps(steps, directions));
+        let share = length / square_root(stepped.iter().fold(0.0, |sum, part| sum + part * part));
+        way.zip(
+            &PerAxis(stepped),
+            |way, stepped| if way.abs() > (stepped * share).abs() { way } else { stepped * share },
+        )
     }
 
     /// How far the ends of a move are beyond their steps, in sevenths of a step; for chords only.
@@ -398,9 +414,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
+        // After a way in X and Y the corner is slow anyway; a profile in Z must not be interrupted.
+        let across2 = self.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
+        if BLOCKS < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
+            return;
+        }
         let moved = self.kinematics.steps(&m.target).zip(&self.planned_steps, i32::wrapping_sub);
         let aside = moved.iter().take(2).any(|steps| *steps != 0);
-        if BLOCKS >= MOST_BLOCKS_OF_A_MOVE && !aside && moved.iter().any(|steps| *steps != 0) {
+        if !aside && moved.iter().any(|steps| *steps != 0) {
             let mut most = [0; N];
             most.iter_mut().take(2).for_each(|most| *most = MOST_BACKLASH);
             let taken = self.backlash.take_up(&most);

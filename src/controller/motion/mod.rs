@@ -217,8 +217,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     /// Unit vector of the last block, and how far apart its ends are.
     direction: [f32; N],
     distance: f32,
-    /// The place where that ends.
-    turned_at: PerAxis<Coordinate, N>,
+    /// The way of blocks shorter than a digit since then, mm.
+    crumbs: [f32; N],
     /// The last block has waited for moves without a step that led nowhere.
     waited: bool,
     /// The last block moves motors and no tool: what follows begins at rest.
@@ -317,7 +317,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             carried: 0.0,
             direction: [0.0; N],
             distance: 0.0,
-            turned_at: PerAxis::all(Coordinate::ZERO),
+            crumbs: [0.0; N],
             waited: false,
             tool_stands: false,
             chain: Chain::new(),

@@ -6,6 +6,7 @@
 //! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
 
 use super::jerk::{Bounds, State, cube_root, landing, ramp_distance, ramp_speed};
+use super::planner::Planner;
 use super::profile::{Pace, greater, lesser, square_root};
 use super::segment::{self, Cut, Piece};
 use super::{Hold, Motion};
@@ -79,8 +80,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let State { speed, acceleration } = state;
         let rest = left - way;
         let time = way / speed;
-        // With an even jerk.
-        let to_rest = 3.0 * time;
         let guess = way / greater(speed + 0.5 * acceleration * time, 0.5 * speed);
         let change = bounds.jerk * guess;
         let within = |wanted: f32| greater(lesser(wanted, acceleration + change), acceleration - change);
@@ -89,10 +88,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let to = |end: f32| -> Gone {
             let end2 = speed * speed + (acceleration + end) * way;
             if end2 <= 0.0 {
-                // The braking comes to rest on the way. The block goes on to its end, which it leaves no faster than planned.
-                let exit = if rest > 0.0 { speed } else { lesser(speed, self.planner.target(0, left, bounds).speed) };
-                let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { to_rest };
-                return Gone { seconds, end: State { speed: exit, acceleration: 0.0 } };
+                return Self::come_to_rest(&self.planner, speed, way, left, bounds);
             }
             let last = square_root(end2);
             Gone { seconds: 2.0 * way / (speed + last), end: State { speed: last, acceleration: end } }
@@ -136,7 +132,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.ahead = bounds.acceleration;
         let (aim, distance) = target.beyond(speed, way);
         if aim <= 0.0 && distance <= way {
-            return Gone { seconds: to_rest, end: State { speed: 0.0, acceleration: 0.0 } };
+            return Gone { seconds: 3.0 * time, end: State { speed: 0.0, acceleration: 0.0 } };
         }
         // The bounds of a block that lies ahead plan a ramp. Where the way is too short for it, the running block's own count,
         // or those of the blocks in which the braking for another reason would be eased off.
@@ -155,6 +151,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return Gone { seconds: 2.0 * way / (speed + aim), end: State { speed: aim, acceleration: 0.0 } };
         }
         gone
+    }
+
+    /// The end of a way on which the braking comes to rest: the block goes on to its end, which it leaves no faster than planned.
+    #[inline(never)]
+    fn come_to_rest(planner: &Planner<N, BLOCKS>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Gone {
+        let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
+        // To rest with an even jerk.
+        let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
+        Gone { seconds, end: State { speed: exit, acceleration: 0.0 } }
     }
 }
 
