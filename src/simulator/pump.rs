@@ -768,6 +768,8 @@ impl Simulator {
     fn stop(&mut self) {
         let event = self.stepper.stop();
         self.stopped(event);
+        // What is queued is void, and a full queue would have no room for the word to go on.
+        self.load();
     }
 
     fn stopped(&mut self, event: StepEvent<AXES>) {

@@ -12,6 +12,7 @@ mod kinematics;
 mod known_jobs;
 mod motion_properties;
 mod oracle;
+mod resets;
 mod rig;
 mod seed;
 mod stream;
