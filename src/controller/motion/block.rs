@@ -86,9 +86,16 @@ impl CurveLoad {
         self == Self::NONE
     }
 
-    /// The tighter one. Positive numbers are ordered as their bits are.
-    pub(super) fn and(self, other: Self) -> Self {
+    /// The tighter one of two. Positive numbers are ordered as their bits are.
+    #[inline]
+    pub(super) fn tighter(self, other: Self) -> Self {
         if other.speed2 < self.speed2 { other } else { self }
+    }
+
+    /// The gentler one of two.
+    #[inline]
+    pub(super) fn gentler(self, other: Self) -> Self {
+        if other.speed2 > self.speed2 { other } else { self }
     }
 
     /// What is left of an acceleration `along` the path at a speed². Along the path and across it, the sum of both on each

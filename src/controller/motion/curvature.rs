@@ -21,6 +21,7 @@
 //! on several scales at once: on each it is cut into spans of at least that length, and a new span is compared with the last
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
+use super::block::CurveLoad;
 use super::planner::UNLIMITED2;
 use super::profile::{greater, lesser, square_root};
 use crate::axes::PerAxis;
@@ -42,26 +43,23 @@ const STRAIGHTNESS: f32 = 0.6;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² beyond which a move turns back on itself.
 const REVERSAL: f32 = 4.0 - 2.0e-6;
-/// q² of one radian. What turns more may be corners with straights between, on which a machine is faster than on a bend.
-/// It counts only where the junction deviation leaves the spans within it vague: L/t of up to so many deviations, of
-/// which a radian's own J² is a tenth.
+/// q² of one radian: what turns more need not be a bend, but may be corners with straights between.
 const RADIAN2: f32 = 0.92;
-const VAGUE: f32 = 72.0;
 /// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
 /// Points of which the finest digit counts: words lose their trailing zeros, but not all of them.
 const POINTS: u8 = 32;
 
-/// A limit for some of the blocks.
+/// A limit for some of the blocks, counted back from the newest, which is 0: the nearest and the farthest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bend {
     /// Greatest speed² at their entries.
     pub speed2: f32,
-    /// Speed² at which the bend alone takes all of the acceleration.
-    pub curve2: f32,
-    /// That acceleration, mm/s²: what all axes take in any direction in the plane of the bend.
-    pub acceleration: f32,
-    /// The blocks, counted back from the newest, which is 0: the nearest and the farthest.
+    /// One slower entry is enough: it turns by more than a radian. Where this is done in a corner the machine brakes for it
+    /// and leaves it with the acceleration of the axes, so the whole takes the time that it must.
+    pub once: bool,
+    /// What the bend leaves of the acceleration.
+    pub curve: CurveLoad,
     pub nearest: usize,
     pub farthest: usize,
 }
@@ -92,16 +90,34 @@ struct Span<const N: usize> {
     blocks: u16,
     /// Whether the direction means anything.
     straight: bool,
+    /// The bend between the middle of the span before and its own.
+    curve: CurveLoad,
 }
 
 impl<const N: usize> Span<N> {
-    const NONE: Self = Self { direction: [0.0; N], noise: 0.0, path: 0.0, fast2: 0.0, blocks: 0, straight: false };
+    const NONE: Self = Self {
+        direction: [0.0; N],
+        noise: 0.0,
+        path: 0.0,
+        fast2: 0.0,
+        blocks: 0,
+        straight: false,
+        curve: CurveLoad::NONE,
+    };
 
     /// A single piece.
     fn of(piece: &Piece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
         let noise = if straight { DIGITS_ASIDE * piece.digit / piece.length } else { 0.0 };
-        Self { direction: *piece.direction, noise, path: piece.path, fast2: piece.fast2, blocks: 1, straight }
+        Self {
+            direction: *piece.direction,
+            noise,
+            path: piece.path,
+            fast2: piece.fast2,
+            blocks: 1,
+            straight,
+            ..Self::NONE
+        }
     }
 
     /// How much path lies between its middle and its end; a single piece has its direction up to the end.
@@ -133,33 +149,39 @@ pub(super) struct Piece<'a, const N: usize> {
 struct History<const N: usize>([Span<N>; HISTORY]);
 
 impl<const N: usize> History<N> {
-    #[inline]
-    fn add(&mut self, span: &Span<N>) {
-        let [newest, second, third, _] = self.0;
-        self.0 = [*span, newest, second, third];
-    }
-
-    /// Compares a new span, behind which there are so many blocks, with those before it, from the `first` one on.
-    fn compare(&self, new: &Span<N>, first: usize, behind: usize, rule: &TurnRule<N>, found: &mut impl FnMut(Bend)) {
+    /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
+    /// two single pieces is known already ([`Chain::corner2`]).
+    fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut impl FnMut(Bend)) {
+        let own = usize::from(new.blocks);
         let (mut between, mut blocks, mut fast2) = (0.0, 0, new.fast2);
         for (index, old) in self.0.iter().enumerate() {
             if old.blocks == 0 || !new.straight {
-                return;
+                break;
             }
             fast2 = greater(fast2, old.fast2);
-            if index >= first
-                && old.straight
-                && let Some((speed2, curve2, acceleration)) = rule.span(old, new, between, fast2)
-            {
+            let limit = if old.straight && !(index == 0 && own == 1 && old.blocks == 1) {
+                rule.span_speed2(old, &new, between, fast2)
+            } else {
+                None
+            };
+            if let Some((speed2, once)) = limit {
                 // From the middle of the one to the middle of the other, or where a single piece begins or ends.
-                let own = usize::from(new.blocks);
-                let nearest = behind + if own == 1 { 0 } else { own / 2 };
-                let before = if old.blocks == 1 { 0 } else { usize::from(old.blocks) / 2 };
-                found(Bend { speed2, curve2, acceleration, nearest, farthest: behind + own - 1 + blocks + before });
+                let nearest = behind + own / 2;
+                let farthest = behind + own - 1 + blocks + usize::from(old.blocks) / 2;
+                found(Bend { speed2, once, curve: CurveLoad::NONE, nearest, farthest });
             }
             between += old.path;
             blocks += usize::from(old.blocks);
         }
+        let [first, second, third, _] = self.0;
+        new.curve = rule.bend(&first, &new, fast2);
+        // A corner turns two neighbouring spans at most, a bend all of them.
+        let curve = new.curve.gentler(first.curve).gentler(second.curve);
+        if !curve.is_none() {
+            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
+            found(Bend { speed2: UNLIMITED2, once: false, curve, nearest: behind + own, farthest });
+        }
+        self.0 = [new, first, second, third];
     }
 }
 
@@ -197,6 +219,7 @@ impl<const N: usize> Scale<N> {
             fast2: self.fast2,
             blocks: self.blocks,
             straight,
+            curve: CurveLoad::NONE,
         };
         self.begin(end);
         span
@@ -314,26 +337,15 @@ impl<const N: usize> TurnRule<N> {
         self.junction2(across, sine, turn2)
     }
 
-    /// Greatest speed² between two spans with so much path `between` them, the speed² and acceleration of the bend
-    /// alone; `None` if it is no limit for `fast2`.
+    /// Greatest speed² between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
     #[inline]
-    fn span(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<(f32, f32, f32)> {
+    fn span_speed2(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<(f32, bool)> {
         let all2 = turn2(&old.direction, &new.direction);
         let turn2 = certain(all2, old.noise + new.noise)?;
-        let length = between + old.half() + new.half();
         let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
-        // t = 3·q / (2 + s), within 0.2 % up to a right angle and 5 % up to half a turn (Shafer's arc tangent).
-        let per_turn = (2.0 + sine) / (3.0 * square_root(turn2));
-        let radius = length * per_turn;
-        if turn2 > RADIAN2 && radius > VAGUE * self.deviation {
-            return None;
-        }
-        let acceleration = self.in_plane(&old.direction, &new.direction, all2);
-        let bend2 = acceleration * self.curve_share * radius;
-        let middles = between + 0.5 * (old.path + new.path);
-        let curve2 =
-            if turn2 > RADIAN2 { UNLIMITED2 } else { acceleration * self.curve_share * per_turn * middles };
-        if bend2 > fast2 && curve2 > NOTICEABLE * fast2 {
+        let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
+        let bend2 = self.in_plane(&old.direction, &new.direction, all2) * self.curve_share * radius;
+        if bend2 > fast2 {
             return None;
         }
         let junction2 = if turn2 > REVERSAL {
@@ -347,15 +359,38 @@ impl<const N: usize> TurnRule<N> {
         } else {
             junction2 + bend2
         };
-        (speed2 < fast2 || curve2 < NOTICEABLE * fast2).then_some((speed2, curve2, acceleration))
+        (speed2 < fast2).then_some((speed2, turn2 > RADIAN2))
     }
+
+    /// The bend from the middle of a span to the middle of the next one, if it tells at `fast2`.
+    #[inline]
+    fn bend(&self, old: &Span<N>, new: &Span<N>, fast2: f32) -> CurveLoad {
+        if old.blocks == 0 || !old.straight || !new.straight {
+            return CurveLoad::NONE;
+        }
+        let all2 = turn2(&old.direction, &new.direction);
+        let Some(turn2) = certain(all2, old.noise + new.noise).filter(|turn2| *turn2 < RADIAN2) else {
+            return CurveLoad::NONE;
+        };
+        // A radian's sine is 0.88: what it matters is within the share that is not noticed.
+        let radius = 0.5 * (old.path + new.path) * radius_of(turn2, 1.0);
+        let acceleration = self.in_plane(&old.direction, &new.direction, all2);
+        let curve2 = acceleration * self.curve_share * radius;
+        if curve2 < NOTICEABLE * fast2 { CurveLoad::new(curve2, acceleration) } else { CurveLoad::NONE }
+    }
+}
+
+/// Radius of a bend for its length: 1/t, t = 3·q / (2 + s) within 0.2 % up to a right angle and 5 % up to half a turn
+/// (Shafer's approximation of the arc tangent).
+#[inline]
+fn radius_of(turn2: f32, sine: f32) -> f32 {
+    (2.0 + sine) / (3.0 * square_root(turn2))
 }
 
 impl<const N: usize> Chain<N> {
     pub(super) const fn new() -> Self {
         let none = History([Span::NONE; HISTORY]);
-        let scale =
-            Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
+        let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
         Self { pieces: none, scales: [scale; SCALES], whole: 0, digit: LastDigit::NONE }
     }
 
@@ -384,7 +419,6 @@ impl<const N: usize> Chain<N> {
     pub(super) fn extend(&mut self, piece: &Piece<'_, N>, rule: &TurnRule<N>, mut found: impl FnMut(Bend)) {
         let digit = piece.digit;
         let new = Span::of(piece);
-        self.pieces.compare(&new, 1, 0, rule, &mut found);
         let mut scale_length = SHORTEST;
         let mut whole = 0;
         while whole < SCALES && scale_length <= piece.length {
@@ -398,7 +432,7 @@ impl<const N: usize> Chain<N> {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
-        self.pieces.add(&new);
+        self.pieces.take(new, 0, rule, &mut found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
         for scale in self.scales.iter_mut().skip(whole) {
@@ -410,8 +444,7 @@ impl<const N: usize> Chain<N> {
             }
             (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
             let span = scale.end(piece.end, digit);
-            scale.history.compare(&span, 0, 0, rule, &mut found);
-            scale.history.add(&span);
+            scale.history.take(span, 0, rule, &mut found);
             scale_length *= 2.0;
         }
     }
@@ -438,10 +471,9 @@ impl<const N: usize> Chain<N> {
             if scale.blocks > 0 {
                 (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
                 let span = scale.end(piece.start, piece.digit);
-                scale.history.compare(&span, 0, 1, rule, found);
-                scale.history.add(&span);
+                scale.history.take(span, 1, rule, found);
             }
-            scale.history.compare(new, 0, 0, rule, found);
+            scale.history.take(*new, 0, rule, found);
         }
     }
 }

@@ -359,7 +359,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.settings = settings;
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
-        self.turns.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
+        self.turns.acceleration =
+            settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
         let jerk = |jerk| if jerk > 0.0 { bounded(jerk, LEAST_JERK, GREATEST_JERK) } else { GREATEST_JERK };
         self.jerk = settings.jerk.0.map(jerk);
         self.planner.jerk_limited = settings.jerk.iter().any(|jerk| *jerk > 0.0);

@@ -29,7 +29,7 @@
 //! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
 //! ramp begins in the middle of a block or from another state.
 
-use super::block::{Block, CurveLoad, Overrides, Ramp};
+use super::block::{Block, Overrides, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, State, ramp_distance, ramp_speed};
 use super::profile::{lesser, square_root};
@@ -196,12 +196,16 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
-        let first = newest.saturating_sub(bend.farthest).max(1);
-        let load = CurveLoad::new(bend.curve2, bend.acceleration);
-        for place in first..(self.len.saturating_sub(bend.nearest)) {
+        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
+        // Where the slow entry has been passed already it is not to be found any more.
+        let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
+        if bend.once && (bend.farthest >= newest || blocks.clone().any(is_slow)) {
+            return;
+        }
+        for place in blocks {
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
-            let curve = if bend.curve2 < UNLIMITED2 { block.curve.and(load) } else { block.curve };
+            let curve = block.curve.tighter(bend.curve);
             block.corner2 = lesser(block.corner2, bend.speed2);
             if bend.speed2 < block.max_entry2 || curve != block.curve {
                 block.max_entry2 = lesser(block.max_entry2, bend.speed2);
