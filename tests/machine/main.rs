@@ -1,5 +1,6 @@
 //! Tests of the whole machine: bytes in, pulses out.
 
+mod axis_speeds;
 mod backlash;
 mod conversations;
 mod crumbs;
@@ -16,3 +17,4 @@ mod resets;
 mod rig;
 mod seed;
 mod stream;
+mod turns;
