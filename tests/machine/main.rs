@@ -12,6 +12,7 @@ mod jerk_in_use;
 mod kinematics;
 mod known_jobs;
 mod motion_properties;
+mod optimum;
 mod oracle;
 mod resets;
 mod rig;

@@ -5,6 +5,9 @@ use super::axis_speeds::{Course, greatest_change};
 use super::estimator::Limits;
 use super::oracle::AXES;
 use super::rig::{HZ, Rig};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use std::f64::consts::PI;
 use std::fmt::Write;
 
@@ -188,4 +191,249 @@ fn a_circle_in_coarse_digits_keeps_its_time() {
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// A part of a path in the plane, from where the one before has ended and in its direction.
+#[derive(Clone, Copy, Debug)]
+enum Part {
+    /// Straight on, in so many pieces.
+    Line(f64, u32),
+    /// A bend of this radius by an angle, in chords of about this length.
+    Arc { radius: f64, angle: f64, chord: f64 },
+    /// A turn in one vertex.
+    Corner(f64),
+}
+
+/// Points along some parts from the origin, without the origin.
+fn points(parts: &[Part]) -> Vec<[f64; AXES]> {
+    let (mut at, mut heading) = ([0.0_f64; 2], 0.0_f64);
+    let mut points = Vec::new();
+    for part in parts {
+        match *part {
+            Part::Line(length, pieces) => {
+                let from = at;
+                for k in 1..=pieces {
+                    let way = length * f64::from(k) / f64::from(pieces);
+                    at = [from[0] + way * heading.cos(), from[1] + way * heading.sin()];
+                    points.push([at[0], at[1], 0.0]);
+                }
+            }
+            Part::Arc { radius, angle, chord } => {
+                let chords = (radius * angle.abs() / chord).ceil().clamp(1.0, MOST_CHORDS);
+                let turn = angle / chords;
+                let length = 2.0 * radius * (turn.abs() / 2.0).sin();
+                for _ in 0..chords as u32 {
+                    heading += turn / 2.0;
+                    at = [at[0] + length * heading.cos(), at[1] + length * heading.sin()];
+                    heading += turn / 2.0;
+                    points.push([at[0], at[1], 0.0]);
+                }
+            }
+            Part::Corner(angle) => heading += angle,
+        }
+    }
+    points
+}
+
+/// Chords of one arc at most.
+const MOST_CHORDS: f64 = 300.0;
+
+/// What is drawn. Lengths of lines are shares of the way in which a machine comes to its feed.
+#[derive(Clone, Debug)]
+enum Shape {
+    /// Lines joined by bends of these angles.
+    Fillets(Vec<(f64, f64)>),
+    /// Rows joined by half circles, alternately to both sides.
+    Rows(Vec<f64>),
+    /// Tips of two turns each, all alike.
+    Star { tips: u32, side: f64, sharp: f64 },
+    /// Half circles that grow by this factor.
+    Spiral { halves: u32, growth: f64 },
+    /// Strokes with sharp or round corners.
+    Text(Vec<(f64, f64, bool)>),
+    /// The contour around a polygon, with round joins.
+    Contour { corners: u32, side: f64, turns: u32 },
+}
+
+/// A shape in all its sizes.
+#[derive(Clone, Debug)]
+struct Job {
+    shape: Shape,
+    radius: f64,
+    chord: f64,
+    /// Pieces of each line.
+    pieces: u32,
+    /// Turns of the plane: within itself, about X and about Z; and rise of Z with the path.
+    tilt: [f64; 3],
+    rise: f64,
+    style: Style,
+}
+
+impl Job {
+    /// With lines of about `reach` mm.
+    fn points(&self, reach: f64) -> Vec<[f64; AXES]> {
+        let line = |share: f64| Part::Line((share * reach).max(0.01), self.pieces);
+        let bend = |angle: f64| Part::Arc { radius: self.radius, angle, chord: self.chord };
+        let mut parts = Vec::new();
+        match &self.shape {
+            Shape::Fillets(bends) => {
+                parts.push(line(1.0));
+                for (angle, share) in bends {
+                    parts.extend([bend(*angle), line(*share)]);
+                }
+            }
+            Shape::Rows(rows) => {
+                for (k, share) in rows.iter().enumerate() {
+                    parts.extend([line(*share), bend(if k % 2 == 0 { PI } else { -PI })]);
+                }
+                parts.push(line(1.0));
+            }
+            Shape::Star { tips, side, sharp } => {
+                for _ in 0..*tips {
+                    parts.extend([line(*side), bend(*sharp), line(*side), bend(2.0 * PI / f64::from(*tips) - sharp)]);
+                }
+            }
+            Shape::Spiral { halves, growth } => {
+                parts.push(line(0.7));
+                for k in 0..*halves {
+                    let radius = (self.radius * growth.powi(k as i32)).min(5.0);
+                    parts.push(Part::Arc { radius, angle: PI, chord: self.chord });
+                }
+                parts.push(line(0.7));
+            }
+            Shape::Text(strokes) => {
+                for (angle, share, round) in strokes {
+                    parts.extend([line(*share), if *round { bend(*angle) } else { Part::Corner(*angle) }]);
+                }
+                parts.push(line(0.3));
+            }
+            Shape::Contour { corners, side, turns } => {
+                for _ in 0..corners * turns {
+                    parts.extend([line(*side), bend(2.0 * PI / f64::from(*corners))]);
+                }
+            }
+        }
+        self.turned(points(&parts))
+    }
+
+    /// In a plane in space.
+    fn turned(&self, points: Vec<[f64; AXES]>) -> Vec<[f64; AXES]> {
+        let [within, about_x, about_z] = self.tilt.map(f64::sin_cos);
+        let rotated = |(sin, cos): (f64, f64), a: f64, b: f64| (a * cos - b * sin, a * sin + b * cos);
+        let (mut path, mut before) = (0.0, [0.0; AXES]);
+        points
+            .into_iter()
+            .map(|point| {
+                path += (point[0] - before[0]).hypot(point[1] - before[1]);
+                before = point;
+                let (x, y) = rotated(within, point[0], point[1]);
+                let (y, z) = rotated(about_x, y, self.rise * path);
+                let (x, y) = rotated(about_z, x, y);
+                [x, y, z]
+            })
+            .collect()
+    }
+}
+
+/// Even over the orders of magnitude.
+fn log_uniform(from: f64, to: f64) -> impl Strategy<Value = f64> {
+    (from.ln()..to.ln()).prop_map(f64::exp)
+}
+
+fn shapes() -> impl Strategy<Value = Shape> {
+    let angle = || prop_oneof![2 => 0.2..PI, 1 => Just(PI / 2.0), 1 => Just(PI)];
+    let turn = move || (angle(), any::<bool>()).prop_map(|(angle, left)| if left { angle } else { -angle });
+    prop_oneof![
+        4 => prop::collection::vec((turn(), 0.2..1.2), 1..4).prop_map(Shape::Fillets),
+        3 => prop::collection::vec(0.3..1.2, 1..4).prop_map(Shape::Rows),
+        2 => (4_u32..8, 0.1..0.5, 1.6..3.0).prop_map(|(tips, side, sharp)| Shape::Star { tips, side, sharp }),
+        2 => (2_u32..8, 1.0..2.0).prop_map(|(halves, growth)| Shape::Spiral { halves, growth }),
+        2 => prop::collection::vec((turn(), 0.02..0.3, any::<bool>()), 4..20).prop_map(Shape::Text),
+        2 => (3_u32..7, 0.1..0.6, 1_u32..3).prop_map(|(corners, side, turns)| Shape::Contour { corners, side, turns }),
+    ]
+}
+
+fn jobs() -> impl Strategy<Value = Job> {
+    let style = prop_oneof![3 => (2_usize..6).prop_map(Style::mm), 1 => (3_usize..6).prop_map(Style::inches)];
+    let tilt = prop_oneof![
+        2 => (0.0..2.0 * PI).prop_map(|within| ([within, 0.0, 0.0], 0.0)),
+        1 => Just(([0.0; 3], 0.0)),
+        1 => (prop::array::uniform3(0.0..2.0 * PI), prop_oneof![Just(0.0), -0.3..0.3]),
+    ];
+    (shapes(), log_uniform(0.002, 5.0), log_uniform(0.0005, 1.0), prop_oneof![Just(1_u32), 2_u32..40], tilt, style)
+        .prop_map(|(shape, radius, chord, pieces, (tilt, rise), style)| Job {
+            shape,
+            radius,
+            chord,
+            pieces,
+            tilt,
+            rise,
+            style,
+        })
+}
+
+/// Steps, rate, accelerations, junction deviation; jerk, and the feed.
+fn machines() -> impl Strategy<Value = (Limits, f64, f64)> {
+    let steps = prop::sample::select(vec![[80.0; AXES], [250.0; AXES], [400.0, 320.0, 800.0], [1000.0; AXES]]);
+    let acceleration =
+        prop::sample::select(vec![[500.0; AXES], [500.0, 500.0, 100.0], [1500.0, 1000.0, 400.0], [4000.0; AXES]]);
+    let deviation = prop::sample::select(vec![0.002, 0.01, 0.01, 0.05]);
+    let jerk = prop_oneof![2 => Just(0.0), 1 => log_uniform(5000.0, 100_000.0)];
+    let feed = prop_oneof![2 => Just(100.0), 1 => 15.0..100.0];
+    (steps, acceleration, deviation, jerk, feed).prop_map(
+        |(steps_per_mm, acceleration, junction_deviation, jerk, feed)| {
+            (Limits { steps_per_mm, rate: [100.0; AXES], acceleration, junction_deviation }, jerk, feed)
+        },
+    )
+}
+
+/// Lines in which about the feed is reached, and as short as it can be.
+fn reach(limits: &Limits, feed: f64) -> f64 {
+    (feed * feed / limits.acceleration[0] / 2.0).clamp(0.5, 12.0)
+}
+
+/// A number from the environment.
+fn number(name: &str, default: u64) -> u64 {
+    std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+}
+
+/// The same case for the same number.
+fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
+    let mut seed = [0; 32];
+    seed[..8].copy_from_slice(&case.to_le_bytes());
+    let mut runner = TestRunner::new_with_rng(Config::default(), TestRng::from_seed(RngAlgorithm::ChaCha, &seed));
+    strategy.new_tree(&mut runner).expect("no filters").current()
+}
+
+/// Random shapes on random machines, `OXMILL_FUZZ=N` of them, from `OXMILL_FUZZ_SEED` on: no axis changes its speed by more
+/// than its acceleration, the junction rule for the whole turn and the digits make of it.
+#[test]
+fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
+    let strategy = (machines(), jobs());
+    let (cases, first) = (number("OXMILL_FUZZ", 200), number("OXMILL_FUZZ_SEED", 1));
+    let mut excesses = Vec::new();
+    for case in first..first + cases {
+        let ((limits, jerk, feed), job) = drawn(&strategy, case);
+        let (text, course) = program(&job.points(reach(&limits, feed)), job.style, feed);
+        let settings = settings(&limits, jerk);
+        let rig = run(&settings, &text);
+        for window in WINDOWS {
+            let change = greatest_change(&rig.trace, HZ as f64, &course, &limits, window)
+                .unwrap_or_else(|fault| panic!("case {case}: {fault}\n{settings}{text}"));
+            if change.ratio > 1.0 {
+                excesses.push((
+                    change.ratio,
+                    format!("case {case}: {change}\n    {job:?}\n    {limits:?} jerk {jerk} feed {feed}"),
+                    format!("{settings}{text}"),
+                ));
+            }
+        }
+    }
+    excesses.sort_by(|a, b| b.0.total_cmp(&a.0));
+    if let Some((_, _, job)) = excesses.first() {
+        let file = concat!(env!("CARGO_TARGET_TMPDIR"), "/turn.nc");
+        std::fs::write(file, job).unwrap();
+        let told: Vec<&str> = excesses.iter().take(12).map(|excess| excess.1.as_str()).collect();
+        panic!("{} windows of {cases} jobs, the worst in {file}:\n{}", excesses.len(), told.join("\n"));
+    }
 }
