@@ -32,7 +32,7 @@ use super::oracle::{AXES, Place, Pulse};
 /// Share by which acceleration along and across may exceed that of the axis.
 pub const RAMP: f64 = 0.05;
 /// By how many steps a place may be off.
-const STEPS: f64 = 1.0;
+const STEPS: f64 = 0.6;
 /// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
 const DIGITS: f64 = 2.75;
 /// Places that are read in a window.
@@ -148,7 +148,35 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
 struct Reading {
     step: f64,
     directions: Vec<usize>,
-    counts: Vec<Place>,
+    places: Vec<[f64; AXES]>,
+}
+
+/// Where an axis is at even moments, in steps. At a step it is half way between two places, and between two steps it
+/// is taken to move evenly, which leaves no more than the rounding of the ends of blocks. Where steps are so far apart
+/// that it may rest or turn between them it is at the place that was counted.
+fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<f64> {
+    let mut levels = vec![];
+    let mut before = 0;
+    for (time, place) in places {
+        if place[axis] != before {
+            levels.push((*time, 0.5 * (before + place[axis]) as f64, place[axis] as f64));
+            before = place[axis];
+        }
+    }
+    let far = READINGS as f64 / 4.0 * step;
+    let mut next = 0;
+    (0..=total)
+        .map(|index| {
+            let now = (index as f64 - margin as f64) * step;
+            while next < levels.len() && levels[next].0 <= now {
+                next += 1;
+            }
+            let (Some(a), Some(b)) = (next.checked_sub(1).map(|n| levels[n]), levels.get(next)) else {
+                return next.checked_sub(1).map_or(0.0, |n| levels[n].2);
+            };
+            if b.0 - a.0 > far { a.2 } else { a.1 + (b.1 - a.1) * (now - a.0) / (b.0 - a.0) }
+        })
+        .collect()
 }
 
 fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
@@ -156,21 +184,18 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     let margin = 2 * READINGS;
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
-    let (mut event, mut chord, mut place) = (0, 0, [0; AXES]);
-    let (mut directions, mut counts) = (Vec::with_capacity(total), Vec::with_capacity(total));
+    let axes: [Vec<f64>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
+    let mut chord = 0;
+    let mut reading = Reading { step, directions: Vec::with_capacity(total), places: Vec::with_capacity(total) };
     for index in 0..=total {
         let now = (index as f64 - margin as f64) * step;
-        while event < places.len() && places[event].0 <= now {
-            place = places[event].1;
-            event += 1;
-        }
         while chord + 2 < passed.len() && passed[chord + 1] <= now {
             chord += 1;
         }
-        directions.push(chord);
-        counts.push(place);
+        reading.directions.push(chord);
+        reading.places.push(std::array::from_fn(|axis| axes[axis][index]));
     }
-    Reading { step, directions, counts }
+    reading
 }
 
 /// The greatest change of speed of any axis over a window (s), against what is allowed.
@@ -203,7 +228,7 @@ pub fn greatest_change(
     let places = places(trace, hz);
     let passed = passed(&places, &real, limits)?;
     let reading = read(&places, &passed, window / READINGS as f64);
-    let count = reading.counts.len();
+    let count = reading.places.len();
     let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
         .map(|k| {
             let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
@@ -224,9 +249,9 @@ pub fn greatest_change(
             sum / (READINGS + 1) as f64
         };
         for axis in 0..AXES {
-            let at = |n: usize| reading.counts[k + n * READINGS][axis];
-            let second = (at(2) - 2 * at(1) + at(0)).unsigned_abs() as f64;
-            if second == 0.0 {
+            let at = |n: usize| reading.places[k + n * READINGS][axis];
+            let second = (at(2) - 2.0 * at(1) + at(0)).abs();
+            if second < 0.1 {
                 continue;
             }
             let pitch = 1.0 / limits.steps_per_mm[axis];
