@@ -35,6 +35,8 @@ pub const RAMP: f64 = 0.05;
 const STEPS: f64 = 0.6;
 /// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
 const DIGITS: f64 = 2.75;
+/// Where a smooth curve has a corner: the least change of a direction, rad.
+const CORNER: f64 = 0.3;
 /// Places that are read in a window.
 const READINGS: usize = 8;
 
@@ -49,6 +51,8 @@ pub struct Course {
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
+    /// Whether the chords are those of a smooth curve: nothing is granted but to vertices of [`CORNER`] and more, each alone.
+    pub smooth: bool,
 }
 
 /// Where the change of an axis' speed is the greatest, against what is allowed.
@@ -229,10 +233,16 @@ pub fn greatest_change(
     let passed = passed(&places, &real, limits)?;
     let reading = read(&places, &passed, window / READINGS as f64);
     let count = reading.places.len();
+    let grant = |before: usize, after: usize| granted(chords[before], chords[after], limits, real.feed);
     let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
         .map(|k| {
             let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
-            if before == after { [0.0; AXES] } else { granted(chords[before], chords[after], limits, real.feed) }
+            if !real.smooth {
+                return grant(before, after);
+            }
+            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
+            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
+            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
         })
         .collect();
     // When a vertex is passed is known within a step: the greater of what its neighbours are granted.

@@ -4,6 +4,7 @@ mod axis_speeds;
 mod backlash;
 mod conversations;
 mod crumbs;
+mod curves;
 mod estimator;
 mod examples;
 mod host;

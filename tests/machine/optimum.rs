@@ -22,11 +22,29 @@ pub struct Piece {
     pub most2: f64,
 }
 
-/// The accelerations along the path that every axis can bear on a piece which is entered at `v2`.
-fn range(piece: &Piece, v2: f64, limits: &Limits) -> (f64, f64) {
+/// What bounds the acceleration across and along.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bound {
+    /// Each axis its own.
+    EachAxis,
+    /// Their resultant: no more in any direction than the weakest axis can. On a circle the speed is even.
+    Resultant,
+}
+
+/// The accelerations along the path that the axes can bear on a piece which is entered at `v2`.
+fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     let twice = 2.0 * piece.length;
     // Not below a stop at its end.
     let (mut low, mut high) = (-v2 / twice, f64::INFINITY);
+    if bound == Bound::Resultant {
+        let most = limits.acceleration.iter().copied().fold(f64::INFINITY, f64::min);
+        let across = piece.curvature.iter().map(|x| x * x).sum::<f64>().sqrt() * v2;
+        if across > most {
+            return (1.0, 0.0);
+        }
+        let along = (most * most - across * across).sqrt();
+        return (low.max(-along), along);
+    }
     for axis in 0..AXES {
         let bend = piece.curvature[axis];
         // At the beginning and at the end, where v² is v2 + 2 u length.
@@ -45,12 +63,12 @@ fn range(piece: &Piece, v2: f64, limits: &Limits) -> (f64, f64) {
 }
 
 /// Speed² at each knot, from rest to rest.
-pub fn optimum(pieces: &[Piece], limits: &Limits) -> Vec<f64> {
+pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
     let mut reachable = vec![0.0; pieces.len() + 1];
     for (k, piece) in pieces.iter().enumerate().rev() {
         let exit2 = f64::min(reachable[k + 1], piece.most2);
         let drivable = |v2: f64| {
-            let (low, high) = range(piece, v2, limits);
+            let (low, high) = range(piece, v2, limits, bound);
             low <= high.min((exit2 - v2) / (2.0 * piece.length))
         };
         let (mut low, mut high) = (0.0, piece.entry2.min(piece.most2));
@@ -66,7 +84,7 @@ pub fn optimum(pieces: &[Piece], limits: &Limits) -> Vec<f64> {
     }
     let mut speeds2 = vec![0.0; pieces.len() + 1];
     for (k, piece) in pieces.iter().enumerate() {
-        let (_, most) = range(piece, speeds2[k], limits);
+        let (_, most) = range(piece, speeds2[k], limits, bound);
         let next2 = speeds2[k] + 2.0 * piece.length * most;
         speeds2[k + 1] = next2.min(reachable[k + 1]).min(piece.most2).max(0.0);
     }

@@ -3,7 +3,7 @@
 
 use super::axis_speeds::{Change, Course, greatest_change};
 use super::estimator::Limits;
-use super::optimum::{Piece, optimum, steps};
+use super::optimum::{Bound, Piece, optimum, steps};
 use super::oracle::{AXES, Pulse};
 use super::rig::{HZ, Rig};
 use proptest::prelude::*;
@@ -25,7 +25,7 @@ fn limits(steps_per_mm: f64) -> Limits {
     }
 }
 
-fn settings(limits: &Limits, jerk: f64) -> String {
+pub fn settings(limits: &Limits, jerk: f64) -> String {
     let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
     for axis in 0..AXES {
         writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
@@ -40,13 +40,13 @@ fn settings(limits: &Limits, jerk: f64) -> String {
 
 /// How a program writes its numbers.
 #[derive(Clone, Copy, Debug)]
-struct Style {
+pub struct Style {
     inches: bool,
     decimals: usize,
 }
 
 impl Style {
-    const fn mm(decimals: usize) -> Style {
+    pub const fn mm(decimals: usize) -> Style {
         Style { inches: false, decimals }
     }
 
@@ -61,7 +61,7 @@ impl Style {
 }
 
 /// A program of straight moves through these points, from the origin, and its course. Feed in mm/s.
-fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
+pub fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
     let mut text =
         format!("G{} G90 G94 G17\nG1 F{:.5}\n", if style.inches { 20 } else { 21 }, feed * 60.0 / style.unit());
     let digits = style.decimals;
@@ -70,6 +70,7 @@ fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
         written: vec![[0.0; AXES]],
         digit: style.unit() * 0.1_f64.powi(digits as i32),
         feed,
+        smooth: false,
     };
     let plane = meant.iter().all(|point| point[2] == 0.0);
     for point in meant {
@@ -83,14 +84,14 @@ fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
 }
 
 /// Runs a program to its end.
-fn run(settings: &str, program: &str) -> Rig {
+pub fn run(settings: &str, program: &str) -> Rig {
     let mut rig = Rig::with(settings);
     rig.run_clean(program);
     rig
 }
 
 /// From the first to the last step.
-fn seconds(rig: &Rig) -> f64 {
+pub fn seconds(rig: &Rig) -> f64 {
     (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64
 }
 
@@ -520,7 +521,7 @@ fn by_the_rule(course: &Course, limits: &Limits, excess: f64) -> Vec<Pulse> {
             }));
         }
     }
-    let speeds2 = optimum(&pieces, limits);
+    let speeds2 = optimum(&pieces, limits, Bound::EachAxis);
     steps(&points, &pieces, &speeds2, limits, HZ as f64)
 }
 
