@@ -20,8 +20,9 @@
 //!
 //! **What is uncertain.** D is a second difference with the weights 1, 2, 1: places that are off by u make an error of
 //! 4 u / T.
-//! - Steps: the place that is counted differs by half a step from the one that steps are due for. A block begins and ends
-//!   at whole steps, which is another half: [`STEPS`].
+//! - Steps: an axis steps half way between two places, so that between two steps which follow each other its place is
+//!   known well; but a block begins and ends at whole steps, which is half a step. Where steps are far from each other the
+//!   axis may rest between them or turn, which is another half: [`STEPS`].
 //! - Digits: each coordinate is off by half of the last digit. The path that is driven has this noise, and a controller
 //!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
 //!   coordinate, together √3 of it ([`DIGITS`]).
@@ -31,8 +32,8 @@ use super::oracle::{AXES, Place, Pulse};
 
 /// Share by which acceleration along and across may exceed that of the axis.
 pub const RAMP: f64 = 0.05;
-/// By how many steps a place may be off.
-const STEPS: f64 = 0.6;
+/// By how many steps a place may be off, between two steps that are near each other, and otherwise.
+const STEPS: [f64; 2] = [0.6, 1.0];
 /// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
 const DIGITS: f64 = 2.75;
 /// Where a smooth curve has a corner: the least change of a direction, rad.
@@ -152,13 +153,14 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
 struct Reading {
     step: f64,
     directions: Vec<usize>,
-    places: Vec<[f64; AXES]>,
+    /// Steps, and by how many of them they may be off.
+    places: Vec<[(f64, f64); AXES]>,
 }
 
 /// Where an axis is at even moments, in steps. At a step it is half way between two places, and between two steps it
 /// is taken to move evenly, which leaves no more than the rounding of the ends of blocks. Where steps are so far apart
 /// that it may rest or turn between them it is at the place that was counted.
-fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<f64> {
+fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
     let mut levels = vec![];
     let mut before = 0;
     for (time, place) in places {
@@ -176,9 +178,12 @@ fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize
                 next += 1;
             }
             let (Some(a), Some(b)) = (next.checked_sub(1).map(|n| levels[n]), levels.get(next)) else {
-                return next.checked_sub(1).map_or(0.0, |n| levels[n].2);
+                return (next.checked_sub(1).map_or(0.0, |n| levels[n].2), STEPS[1]);
             };
-            if b.0 - a.0 > far { a.2 } else { a.1 + (b.1 - a.1) * (now - a.0) / (b.0 - a.0) }
+            if b.0 - a.0 > far {
+                return (a.2, STEPS[1]);
+            }
+            (a.1 + (b.1 - a.1) * (now - a.0) / (b.0 - a.0), STEPS[0])
         })
         .collect()
 }
@@ -188,7 +193,7 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     let margin = 2 * READINGS;
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
-    let axes: [Vec<f64>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
+    let axes: [Vec<(f64, f64)>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
     let mut chord = 0;
     let mut reading = Reading { step, directions: Vec::with_capacity(total), places: Vec::with_capacity(total) };
     for index in 0..=total {
@@ -260,14 +265,15 @@ pub fn greatest_change(
         };
         for axis in 0..AXES {
             let at = |n: usize| reading.places[k + n * READINGS][axis];
-            let second = (at(2) - 2.0 * at(1) + at(0)).abs();
+            let second = (at(2).0 - 2.0 * at(1).0 + at(0).0).abs();
             if second < 0.1 {
                 continue;
             }
             let pitch = 1.0 / limits.steps_per_mm[axis];
             let seen = second * pitch / window;
             let granted = mean(axis);
-            let uncertain = 4.0 * (STEPS * pitch + DIGITS * 0.5 * real.digit) / window;
+            let steps = at(2).1 + 2.0 * at(1).1 + at(0).1;
+            let uncertain = (steps * pitch + 4.0 * DIGITS * 0.5 * real.digit) / window;
             let allowed = limits.acceleration[axis] * window * (1.0 + RAMP) + granted + uncertain;
             let ratio = seen / allowed;
             if worst.is_none_or(|worst| ratio > worst.ratio) {

@@ -6,8 +6,10 @@
 //! greatest v² of each knot from which the rest can still be driven; forward: the greatest u that stays below that. The set
 //! of (v², u) is convex and holds (0, 0), so this is the optimum, but for the length of the pieces.
 
+use super::axis_speeds::{Course, granted};
 use super::estimator::Limits;
 use super::oracle::{AXES, Pulse};
+use std::f64::consts::PI;
 
 /// A part of a path that is short enough to have one tangent and one curvature.
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +100,7 @@ pub fn duration(pieces: &[Piece], speeds2: &[f64]) -> f64 {
 
 /// The steps of such a motion along points, one piece between each two of them: each axis steps where it is half a step
 /// on, at the exact time.
-pub fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Limits, hz: f64) -> Vec<Pulse> {
+fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Limits, hz: f64) -> Vec<Pulse> {
     let mut pulses = Vec::new();
     let mut begun = 0.0;
     for (k, piece) in pieces.iter().enumerate() {
@@ -120,4 +122,94 @@ pub fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: 
     }
     pulses.sort_by_key(|pulse| pulse.at);
     pulses
+}
+
+/// The chords of a course as they were meant: unit vectors and lengths.
+fn chords(course: &Course) -> (Vec<[f64; AXES]>, Vec<f64>) {
+    let ways: Vec<[f64; AXES]> =
+        course.meant.windows(2).map(|ends| std::array::from_fn(|i| ends[1][i] - ends[0][i])).collect();
+    let lengths: Vec<f64> = ways.iter().map(|way| norm(*way)).collect();
+    (ways.iter().zip(&lengths).map(|(way, length)| way.map(|part| part / length)).collect(), lengths)
+}
+
+fn norm(v: [f64; AXES]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Angle between two unit vectors.
+fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
+    (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
+}
+
+/// Greatest v² at each vertex by the rule for turns: `a (L / t + d s / (1 - s))` for every span of vertices that is L long
+/// and turns by t, from one vertex to half a circle.
+fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
+    let mut most = vec![feed * feed; chords.len() + 1];
+    for first in 1..chords.len() {
+        let (mut length, mut whole) = (0.0, 0.0);
+        for last in first..chords.len() {
+            whole += angle(chords[last - 1], chords[last]);
+            if last > first {
+                length += lengths[last - 1];
+            }
+            if whole > PI + 1e-6 {
+                break;
+            }
+            let (before, after) = (chords[first - 1], chords[last]);
+            let vector: [f64; AXES] = std::array::from_fn(|i| (after[i] - before[i]).abs());
+            let size = norm(vector);
+            if size < 1e-7 {
+                continue;
+            }
+            let acceleration = (0..AXES)
+                .filter(|&i| vector[i] > 1e-9)
+                .map(|i| limits.acceleration[i] * size / vector[i])
+                .fold(f64::INFINITY, f64::min);
+            let corner = norm(granted(before, after, limits, f64::INFINITY)) / size;
+            let speed2 = acceleration * length / angle(before, after) + corner * corner;
+            for vertex in &mut most[first..=last] {
+                *vertex = vertex.min(speed2);
+            }
+        }
+    }
+    most
+}
+
+/// The parts that a chord is cut into: two at least, so that it can begin and end at rest.
+fn parts(length: f64) -> u32 {
+    (length / 0.05).ceil().clamp(2.0, 100.0) as u32
+}
+
+/// Steps of a machine that takes a course by the rule for turns, as fast as that allows. `excess`: allows so many times the
+/// v² in turns.
+pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
+    let (chords, lengths) = chords(course);
+    let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);
+    let bend = |at: usize| -> [f64; AXES] {
+        if at == 0 || at >= chords.len() {
+            return [0.0; AXES];
+        }
+        std::array::from_fn(|i| (chords[at][i] - chords[at - 1][i]) / (0.5 * (lengths[at] + lengths[at - 1])))
+    };
+    let (mut pieces, mut points) = (Vec::new(), vec![course.written[0]]);
+    for (k, chord) in chords.iter().enumerate() {
+        let count = parts(lengths[k]);
+        for part in 0..count {
+            let mut curvature = [0.0; AXES];
+            if count == 2 {
+                // A bend that is taken as fast as it allows leaves no acceleration for a ramp.
+                let used = bend(k + part as usize);
+                let across = (0..AXES).map(|i| used[i].abs() / limits.acceleration[i]).fold(0.0, f64::max);
+                curvature = used.map(|x| x / excess / (across * most[k].max(most[k + 1])).max(1.0));
+            }
+            let entry2 = if part == 0 { excess * most[k] } else { f64::INFINITY };
+            let (length, most2) = (lengths[k] / f64::from(count), course.feed * course.feed);
+            pieces.push(Piece { tangent: *chord, curvature, length, entry2, most2 });
+            let share = f64::from(part + 1) / f64::from(count);
+            let ends = [course.written[k], course.written[k + 1]];
+            points.push(std::array::from_fn(|i| ends[0][i] + (ends[1][i] - ends[0][i]) * share));
+        }
+    }
+    let speeds2 = optimum(&pieces, limits, Bound::EachAxis);
+    steps(&points, &pieces, &speeds2, limits, hz)
 }
