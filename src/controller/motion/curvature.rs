@@ -269,17 +269,23 @@ fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
     square
 }
 
-/// What of q² noise cannot explain; `None` if nothing.
+/// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
 #[inline]
-fn certain(turn2: f32, noise: f32) -> Option<f32> {
+fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if turn2 < STRAIGHT || turn2 <= noise * noise {
         return None;
     }
+    let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
     if noise * noise <= CERTAIN * CERTAIN * turn2 {
-        return Some(turn2);
+        return Some((turn2, sine));
     }
-    let turn = square_root(turn2) - noise;
-    Some(turn * turn).filter(|turn2| *turn2 >= STRAIGHT)
+    // q = 2·sin(t/2) and s = cos(t/2) of an angle that is smaller by the noise.
+    let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
+    let cosine = 1.0 - 0.125 * noise * noise;
+    let turn = square_root(turn2);
+    let less = turn * cosine - 2.0 * sine * half;
+    let less2 = less * less;
+    (less > 0.0 && less2 >= STRAIGHT).then_some((less2, sine * cosine + 0.5 * turn * half))
 }
 
 impl<const N: usize> TurnRule<N> {
@@ -328,12 +334,11 @@ impl<const N: usize> TurnRule<N> {
         if !before.straight || !after.straight {
             return UNLIMITED2;
         }
-        let Some(turn2) = certain(all2, before.noise + after.noise) else { return UNLIMITED2 };
+        let Some((turn2, sine)) = certain(all2, before.noise + after.noise) else { return UNLIMITED2 };
         if turn2 > REVERSAL {
             return 0.0;
         }
         let across = self.across(&before.direction, &after.direction, square_root(all2));
-        let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
         self.junction2(across, sine, turn2)
     }
 
@@ -341,8 +346,7 @@ impl<const N: usize> TurnRule<N> {
     #[inline]
     fn span_speed2(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<(f32, bool)> {
         let all2 = turn2(&old.direction, &new.direction);
-        let turn2 = certain(all2, old.noise + new.noise)?;
-        let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
+        let (turn2, sine) = certain(all2, old.noise + new.noise)?;
         let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
         let bend2 = self.in_plane(&old.direction, &new.direction, all2) * self.curve_share * radius;
         if bend2 > fast2 {
@@ -369,11 +373,10 @@ impl<const N: usize> TurnRule<N> {
             return CurveLoad::NONE;
         }
         let all2 = turn2(&old.direction, &new.direction);
-        let Some(turn2) = certain(all2, old.noise + new.noise).filter(|turn2| *turn2 < RADIAN2) else {
+        let Some((turn2, sine)) = certain(all2, old.noise + new.noise).filter(|(turn2, _)| *turn2 < RADIAN2) else {
             return CurveLoad::NONE;
         };
-        // A radian's sine is 0.88: what it matters is within the share that is not noticed.
-        let radius = 0.5 * (old.path + new.path) * radius_of(turn2, 1.0);
+        let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
         let acceleration = self.in_plane(&old.direction, &new.direction, all2);
         let curve2 = acceleration * self.curve_share * radius;
         if curve2 < NOTICEABLE * fast2 { CurveLoad::new(curve2, acceleration) } else { CurveLoad::NONE }
