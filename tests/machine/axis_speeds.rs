@@ -25,7 +25,9 @@
 //!   axis may rest between them or turn, which is another half: [`STEPS`].
 //! - Digits: each coordinate is off by half of the last digit. The path that is driven has this noise, and a controller
 //!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
-//!   coordinate, together √3 of it ([`DIGITS`]).
+//!   coordinate, together √3 of it ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these over
+//!   l, and a turn by both of its directions: by so much it may be taken for less, which is how much a reversal between
+//!   two pieces that are not much longer than a digit can be mistaken for a corner.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -36,6 +38,10 @@ pub const RAMP: f64 = 0.05;
 const STEPS: [f64; 2] = [0.6, 1.0];
 /// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
 const DIGITS: f64 = 2.75;
+/// The three coordinates of a point together.
+const POINT: f64 = 1.75;
+/// As long as a path turns by less than this it keeps its direction, rad.
+const STRAIGHT: f64 = 0.25;
 /// Where a smooth curve has a corner: the least change of a direction, rad.
 const CORNER: f64 = 0.3;
 /// Places that are read in a window.
@@ -96,20 +102,22 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed.
-pub fn granted(before: [f64; AXES], after: [f64; AXES], limits: &Limits, feed: f64) -> [f64; AXES] {
+/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed. `unsure`:
+/// how much of the turn may be noise, rad; the speed is then that of the rest.
+pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: f64, limits: &Limits, feed: f64) -> [f64; AXES] {
     let turn = minus(after, before);
     let size = norm(turn);
     if size < 1e-12 {
         return [0.0; AXES];
     }
-    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = (1 - s²) / (1 + s) without the small difference.
-    let s = (1.0 - size * size / 4.0).max(0.0).sqrt();
+    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = sin²(t / 2) / (1 + s) without the small difference.
+    let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure).max(1e-9);
+    let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)
         .filter(|&i| turn[i] != 0.0)
         .map(|i| limits.acceleration[i] * size / turn[i].abs())
         .fold(f64::INFINITY, f64::min);
-    let speed2 = acceleration * limits.junction_deviation * s * (1.0 + s) / (size * size / 4.0);
+    let speed2 = acceleration * limits.junction_deviation * s * (1.0 + s) / (sine * sine);
     turn.map(|part| speed2.sqrt().min(feed) * part.abs())
 }
 
@@ -207,6 +215,20 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     reading
 }
 
+/// By how much the direction of each chord may be off, rad: by what the path was before, up to its end, and by what comes,
+/// from its start.
+fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
+    let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
+    let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
+        let like = others.take_while(|other| norm(minus(chords[*other], chords[k])) < STRAIGHT);
+        2.0 * POINT * 0.5 * course.digit / like.map(length).sum::<f64>()
+    };
+    [
+        (0..chords.len()).map(|k| kept(k, &mut (0..=k).rev())).collect(),
+        (0..chords.len()).map(|k| kept(k, &mut (k..chords.len()))).collect(),
+    ]
+}
+
 /// The greatest change of speed of any axis over a window (s), against what is allowed.
 ///
 /// # Errors
@@ -238,12 +260,15 @@ pub fn greatest_change(
     let passed = passed(&places, &real, limits)?;
     let reading = read(&places, &passed, window / READINGS as f64);
     let count = reading.places.len();
-    let grant = |before: usize, after: usize| granted(chords[before], chords[after], limits, real.feed);
+    let [behind, ahead] = unsure(&real, &chords);
+    let grant = |before: usize, after: usize| {
+        granted(chords[before], chords[after], behind[before] + ahead[after], limits, real.feed)
+    };
     let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
         .map(|k| {
             let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
             if !real.smooth {
-                return grant(before, after);
+                return if before == after { [0.0; AXES] } else { grant(before, after) };
             }
             let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
             let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));

@@ -151,7 +151,7 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
             let turn = minus(tangents[0], before.tangent);
             // Ends of smooth parts that join smoothly differ by a piece.
             if norm(turn) > 0.02 {
-                let jump = granted(before.tangent, tangents[0], &LIMITS, f64::INFINITY);
+                let jump = granted(before.tangent, tangents[0], 0.0, &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
             }
         }

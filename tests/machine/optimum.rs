@@ -165,7 +165,7 @@ fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, fe
                 .filter(|&i| vector[i] > 1e-9)
                 .map(|i| limits.acceleration[i] * size / vector[i])
                 .fold(f64::INFINITY, f64::min);
-            let corner = norm(granted(before, after, limits, f64::INFINITY)) / size;
+            let corner = norm(granted(before, after, 0.0, limits, f64::INFINITY)) / size;
             let speed2 = acceleration * length / angle(before, after) + corner * corner;
             for vertex in &mut most[first..=last] {
                 *vertex = vertex.min(speed2);
