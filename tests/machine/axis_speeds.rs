@@ -27,7 +27,8 @@
 //!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
 //!   coordinate, together √3 of it ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these over
 //!   l, and a turn by both of its directions: by so much it may be taken for less, which is how much a reversal between
-//!   two pieces that are not much longer than a digit can be mistaken for a corner.
+//!   two pieces that are not much longer than a digit can be mistaken for a corner. And where a vertex is it does not tell
+//!   from a bend as wide as the noise of the points on both sides, which is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -102,22 +103,28 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed. `unsure`:
-/// how much of the turn may be noise, rad; the speed is then that of the rest.
-pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: f64, limits: &Limits, feed: f64) -> [f64; AXES] {
+/// What noise may make of a turn: less by so much, rad, and a bend of this radius in place of a vertex, mm.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unsure {
+    turn: f64,
+    radius: f64,
+}
+
+/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed.
+pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: &Limits, feed: f64) -> [f64; AXES] {
     let turn = minus(after, before);
     let size = norm(turn);
     if size < 1e-12 {
         return [0.0; AXES];
     }
     // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = sin²(t / 2) / (1 + s) without the small difference.
-    let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure).max(1e-9);
+    let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure.turn).max(1e-9);
     let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)
         .filter(|&i| turn[i] != 0.0)
         .map(|i| limits.acceleration[i] * size / turn[i].abs())
         .fold(f64::INFINITY, f64::min);
-    let speed2 = acceleration * limits.junction_deviation * s * (1.0 + s) / (sine * sine);
+    let speed2 = acceleration * (limits.junction_deviation * s * (1.0 + s) / (sine * sine) + unsure.radius);
     turn.map(|part| speed2.sqrt().min(feed) * part.abs())
 }
 
@@ -262,7 +269,8 @@ pub fn greatest_change(
     let count = reading.places.len();
     let [behind, ahead] = unsure(&real, &chords);
     let grant = |before: usize, after: usize| {
-        granted(chords[before], chords[after], behind[before] + ahead[after], limits, real.feed)
+        let unsure = Unsure { turn: behind[before] + ahead[after], radius: POINT * real.digit };
+        granted(chords[before], chords[after], unsure, limits, real.feed)
     };
     let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
         .map(|k| {

@@ -6,7 +6,7 @@
 //! greatest v² of each knot from which the rest can still be driven; forward: the greatest u that stays below that. The set
 //! of (v², u) is convex and holds (0, 0), so this is the optimum, but for the length of the pieces.
 
-use super::axis_speeds::{Course, granted};
+use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
 use super::oracle::{AXES, Pulse};
 use std::f64::consts::PI;
@@ -165,7 +165,7 @@ fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, fe
                 .filter(|&i| vector[i] > 1e-9)
                 .map(|i| limits.acceleration[i] * size / vector[i])
                 .fold(f64::INFINITY, f64::min);
-            let corner = norm(granted(before, after, 0.0, limits, f64::INFINITY)) / size;
+            let corner = norm(granted(before, after, Unsure::default(), limits, f64::INFINITY)) / size;
             let speed2 = acceleration * length / angle(before, after) + corner * corner;
             for vertex in &mut most[first..=last] {
                 *vertex = vertex.min(speed2);
