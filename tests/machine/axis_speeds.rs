@@ -51,7 +51,7 @@ const READINGS: usize = 8;
 /// A program of straight feed moves.
 #[derive(Clone, Debug)]
 pub struct Course {
-    /// Ends of the moves as they were meant, the first one is where the machine stands; mm.
+    /// Ends of the moves as they were meant, the first one is where the machine is; mm.
     pub meant: Vec<[f64; AXES]>,
     /// The same as the program says them, mm.
     pub written: Vec<[f64; AXES]>,
@@ -209,17 +209,17 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
     let axes: [Vec<(f64, f64)>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
+    let places = (0..=total).map(|index| std::array::from_fn(|axis| axes[axis][index])).collect();
     let mut chord = 0;
-    let mut reading = Reading { step, directions: Vec::with_capacity(total), places: Vec::with_capacity(total) };
+    let mut directions = Vec::with_capacity(total);
     for index in 0..=total {
         let now = (index as f64 - margin as f64) * step;
         while chord + 2 < passed.len() && passed[chord + 1] <= now {
             chord += 1;
         }
-        reading.directions.push(chord);
-        reading.places.push(std::array::from_fn(|axis| axes[axis][index]));
+        directions.push(chord);
     }
-    reading
+    Reading { step, directions, places }
 }
 
 /// By how much the direction of each chord may be off, rad: by what the path was before, up to its end, and by what comes,
@@ -234,6 +234,33 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
         (0..chords.len()).map(|k| kept(k, &mut (0..=k).rev())).collect(),
         (0..chords.len()).map(|k| kept(k, &mut (k..chords.len()))).collect(),
     ]
+}
+
+/// What each axis is granted from one reading to that a window later.
+fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
+    let [behind, ahead] = unsure(course, chords);
+    let grant = |before: usize, after: usize| {
+        let unsure = Unsure { turn: behind[before] + ahead[after], radius: POINT * course.digit };
+        granted(chords[before], chords[after], unsure, limits, course.feed)
+    };
+    let pairs: Vec<[f64; AXES]> = (0..directions.len() - READINGS)
+        .map(|k| {
+            let (before, after) = (directions[k], directions[k + READINGS]);
+            if !course.smooth {
+                return if before == after { [0.0; AXES] } else { grant(before, after) };
+            }
+            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
+            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
+            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
+        })
+        .collect();
+    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
+    (0..pairs.len())
+        .map(|k| {
+            let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
+            std::array::from_fn(|a| near.iter().map(|pair| pair[a]).fold(0.0, f64::max))
+        })
+        .collect()
 }
 
 /// The greatest change of speed of any axis over a window (s), against what is allowed.
@@ -267,29 +294,7 @@ pub fn greatest_change(
     let passed = passed(&places, &real, limits)?;
     let reading = read(&places, &passed, window / READINGS as f64);
     let count = reading.places.len();
-    let [behind, ahead] = unsure(&real, &chords);
-    let grant = |before: usize, after: usize| {
-        let unsure = Unsure { turn: behind[before] + ahead[after], radius: POINT * real.digit };
-        granted(chords[before], chords[after], unsure, limits, real.feed)
-    };
-    let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
-        .map(|k| {
-            let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
-            if !real.smooth {
-                return if before == after { [0.0; AXES] } else { grant(before, after) };
-            }
-            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
-            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
-            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
-        })
-        .collect();
-    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
-    pairs = (0..pairs.len())
-        .map(|k| {
-            let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
-            std::array::from_fn(|a| near.iter().map(|pair| pair[a]).fold(0.0, f64::max))
-        })
-        .collect();
+    let pairs = grants(&real, &chords, &reading.directions, limits);
     let mut worst: Option<Change> = None;
     for k in 0..count - 2 * READINGS {
         let mean = |axis: usize| {

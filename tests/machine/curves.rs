@@ -10,7 +10,7 @@ use super::rig::HZ;
 use super::turns::{Style, program, run, seconds, settings};
 use std::f64::consts::{PI, TAU};
 
-/// 20 ms: half of what a motor needs to a tenth of a turn or so, and long against its steps.
+/// Window in which speeds are compared, s: long enough that steps and digits are 1 % of what the acceleration makes of it.
 const WINDOW: f64 = 0.020;
 /// Length of the chords of the programs, mm.
 const CHORD: f64 = 0.1;

@@ -107,8 +107,8 @@ fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Lim
         let (first2, last2) = (speeds2[k], speeds2[k + 1]);
         let time =
             |share: f64| 2.0 * share * piece.length / (first2.sqrt() + (first2 + (last2 - first2) * share).sqrt());
-        for axis in 0..AXES {
-            let [from, to] = [k, k + 1].map(|n| points[n][axis] * limits.steps_per_mm[axis]);
+        for (axis, steps_per_mm) in limits.steps_per_mm.iter().enumerate() {
+            let [from, to] = [k, k + 1].map(|n| points[n][axis] * steps_per_mm);
             let back = to < from;
             let (low, high) = (from.min(to), from.max(to));
             // The halves in (low, high].
