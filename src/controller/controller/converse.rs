@@ -127,7 +127,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.line_epoch = byte.epoch;
             self.line_before_cancel = before_cancel;
         }
-        match self.line.push(byte.byte, || line_rules(&self.settings)) {
+        let pushed = self.line.push(byte.byte, || line_rules(&self.settings));
+        if pushed != Pushed::More {
+            // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
+            self.answer_status();
+        }
+        match pushed {
             Pushed::More => {}
             Pushed::TooLong => {
                 self.line.clear();

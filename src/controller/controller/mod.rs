@@ -513,10 +513,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Step(message));
         }
-        if self.status_due && self.has_reply_room() {
-            self.status_due = false;
-            self.report_status();
-        }
+        self.answer_status();
         if room.reply
             && let Some(chunk) = self.reply_chunk()
         {

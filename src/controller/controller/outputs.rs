@@ -223,8 +223,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (chunk.len > 0).then_some(chunk)
     }
 
+    /// The report that a `?` has asked for, if there is room for it.
+    pub(super) fn answer_status(&mut self) {
+        if self.status_due && self.has_reply_room() {
+            self.status_due = false;
+            self.report_status();
+        }
+    }
+
     #[inline(never)]
-    pub(super) fn report_status(&mut self) {
+    fn report_status(&mut self) {
         let busy = self.running
             || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);
