@@ -302,6 +302,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let info = self.build_info.clone();
                 let letters = self.option_letters();
                 self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
+                // Grbl has two lines, and strict senders count on it.
+                if self.dialect() != Dialect::Grbl {
+                    self.say(report::firmware);
+                }
                 self.say(report::ok);
             }
             System::SetBuildInfo(text) => {
