@@ -21,14 +21,14 @@ const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
 /// The dialect stands above what `$RST` forgets: it is how this host is spoken to.
 const KEY_DIALECT: u16 = 2000;
-/// Number of the dialect setting.
-const DIALECT: u16 = 900;
-/// Number of the setting that says whether there is a door.
-const DOOR_FITTED: u16 = 903;
-/// Number of the setting of the kinematics.
-const KINEMATICS: u16 = 904;
-/// Number of the setting that makes the reset input an emergency stop.
-const RESET_IS_EMERGENCY_STOP: u16 = 912;
+/// Numbers of settings that are more than values.
+const DIALECT: u16 = Key::Dialect.number();
+const DOOR_FITTED: u16 = Key::DoorFitted.number();
+const HOMING: u16 = Key::Homing.number();
+const KINEMATICS: u16 = Key::Kinematics.number();
+const REPORT_INCHES: u16 = Key::ReportInches.number();
+const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -366,7 +366,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let soft_limits = self.settings.is_on(Key::SoftLimits);
                 self.settings.set(number, value)?;
                 self.changed(number, soft_limits);
-                self.task = Task::Storing(Answer::Host);
+                self.task = Task::Storing(Answer::Setting(number));
             }
         }
         Ok(())
@@ -377,13 +377,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
+        let is_resolution = AxisKey::Resolution.axis(number).is_some();
+        if is_resolution || number == KINEMATICS || (number == HOMING && self.settings.is_on(Key::Homing)) {
             self.lose_place();
         }
-        if number == 13 {
+        if number == REPORT_INCHES {
             self.rare_fields.offset_changed();
         }
-        if number == 22 {
+        if number == HOMING {
             self.store_soft_limits_before_homing(soft_limits);
         }
         self.save_setting(number);
@@ -396,7 +397,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (false, true) => 1.0,
             (_, false) => 0.0,
         };
-        self.save(20, &record.to_le_bytes());
+        self.save(SOFT_LIMITS, &record.to_le_bytes());
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {

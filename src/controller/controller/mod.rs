@@ -13,6 +13,7 @@
 //! * [`cycles`]: homing and probing
 //! * [`door`]: the safety door and parking
 //! * [`converse`]: lines are dispatched and `$` commands answered
+//! * [`settings_lock`]: settings that allow no motion, and what the host knows of it
 
 mod converse;
 mod cycles;
@@ -21,6 +22,7 @@ mod execute;
 mod inputs;
 mod outputs;
 mod realtime;
+mod settings_lock;
 mod stops;
 
 use crate::axes::{AxisMask, PerAxis};
@@ -34,7 +36,7 @@ use crate::messages::{
 };
 use crate::motion::{Arc, Motion, MotionSettings};
 use crate::protocol::line::Line;
-use crate::protocol::report::{self, RareFields};
+use crate::protocol::report::RareFields;
 use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::step_rates::StepRates;
@@ -42,6 +44,7 @@ use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
 use door::DoorState;
 use execute::Task;
+use settings_lock::SettingsLock;
 
 /// Longest startup line and build info that is stored.
 const STORED_TEXT: usize = 80;
@@ -158,8 +161,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     wiring_sent: Option<Wiring>,
     /// What that was made of.
     wiring_source: Option<WiringSource>,
-    /// The settings of this revision can be run.
-    runnable: Option<u32>,
+    settings_lock: SettingsLock,
     /// Stores that have not been answered yet.
     unstored: u8,
     store_failed: bool,
@@ -294,7 +296,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             pins_sent: None,
             wiring_sent: None,
             wiring_source: None,
-            runnable: None,
+            settings_lock: SettingsLock::UNKNOWN,
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,
@@ -361,8 +363,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.store_failed = true;
             }
             Event::Connected => {
-                self.say(report::welcome);
-                self.tell_failure();
+                self.greet();
                 self.tell_lock();
             }
             Event::Disconnected => self.host_left(),

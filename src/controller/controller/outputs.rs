@@ -205,8 +205,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// The welcome line. What a host is told once, it may not have heard before.
+    pub(super) fn greet(&mut self) {
+        self.say(report::welcome);
+        self.tell_failure();
+        self.settings_lock.host_greeted();
+    }
+
     /// At each welcome line until the host has asked for the record: nobody may have listened to the first one.
-    pub(super) fn tell_failure(&mut self) {
+    fn tell_failure(&mut self) {
         if self.restart.is_failure() && !self.restart_told {
             let restart = self.restart.clone();
             self.say(|out| report::failure(out, &restart));

@@ -234,8 +234,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.probe_succeeded = false;
         self.rare_fields = RareFields::default();
         self.status_due = false;
-        self.say(report::welcome);
-        self.tell_failure();
+        self.greet();
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;
             self.say(|out| report::message(out, "Check Limits"));
