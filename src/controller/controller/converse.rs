@@ -7,8 +7,8 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{CUT, LINES_DEPTH, LineByte, PinView, Record, Store, input};
-use crate::protocol::line::{self, Line, Pushed};
+use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, Store, input};
+use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -83,70 +83,35 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Bytes to lines
 
     pub(super) fn release_held(&mut self) {
-        if let Some(byte) = self.held.take() {
+        if let Some(byte) = self.lines.release() {
             self.line_byte(byte);
         }
     }
 
-    /// Takes a byte of the midst of a line, if nothing has happened for which it would be held or dropped.
-    #[inline]
-    pub(super) fn continues_line(&mut self, byte: LineByte) -> bool {
-        byte.epoch == self.epoch
-            && !byte.damaged
-            && !self.drop_rest
-            && (self.drop_bytes | self.jog_bytes) == 0
-            && self.line.push_plain(byte.byte)
-    }
-
     pub(super) fn line_byte(&mut self, byte: LineByte) {
-        if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
-            // The command that opened this epoch is still on its way through the other queue.
-            self.held = Some(byte);
-            return;
-        }
-        if (byte.epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
-            return;
-        }
-        if self.drop_bytes > 0 || self.drop_rest {
-            // Received before the reset button; the line that the last of them stands in goes to its end.
-            self.drop_bytes = self.drop_bytes.saturating_sub(1);
-            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
-            return;
-        }
-        let before_cancel = self.jog_bytes > 0;
-        self.jog_bytes = self.jog_bytes.saturating_sub(1);
-        if byte.byte == CUT {
-            self.line = Line::new();
-            return;
-        }
-        if byte.damaged {
-            self.line.damage();
+        let taken = self.lines.take(byte, || line_rules(&self.settings));
+        if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
         }
-        if self.line.is_empty() {
-            self.line_epoch = byte.epoch;
-            self.line_before_cancel = before_cancel;
-        }
-        let pushed = self.line.push(byte.byte, || line_rules(&self.settings));
-        if pushed != Pushed::More {
+        if taken.pushed != Pushed::More {
             // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
             self.answer_status();
         }
-        match pushed {
+        match taken.pushed {
             Pushed::More => {}
             Pushed::TooLong => {
-                self.line.clear();
+                self.lines.clear();
                 self.refuse(Error::LineTooLong);
                 self.stop_at_error();
             }
             Pushed::Complete => {
                 // Filled in its place: what is returned by value would be copied with all that it might hold.
                 let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
-                let _ = text.extend_from_slice(self.line.text());
+                let _ = text.extend_from_slice(self.lines.text());
                 if self.must_wait(&text) {
                     self.task = Task::JogWaits;
                 } else {
-                    self.line.clear();
+                    self.lines.clear();
                     self.dispatch(&text);
                 }
             }
@@ -155,23 +120,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A jog behind a jog cancel begins once the machine has stopped, at the place where it stands then.
     fn must_wait(&self, line: &[u8]) -> bool {
-        line.starts_with(b"$J=")
-            && self.mode == (Mode::Jog { cancelling: true })
-            && self.keeps_later_jogs
-            && !self.is_jog_stale()
-    }
-
-    /// Whether the current line was sent before the end of a jog was ordered.
-    fn is_jog_stale(&self) -> bool {
-        self.line_before_cancel || (self.line_epoch.wrapping_sub(self.jog_epoch) as i16) < 0
+        line.starts_with(b"$J=") && self.mode == (Mode::Jog { cancelling: true }) && self.lines.is_jog_behind_cancel()
     }
 
     /// The jog that has waited for the end of the one before it.
     #[inline(never)]
     pub(super) fn begin_waiting_jog(&mut self) {
         let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
-        let _ = text.extend_from_slice(self.line.text());
-        self.line.clear();
+        let _ = text.extend_from_slice(self.lines.text());
+        self.lines.clear();
         self.task = Task::None;
         self.dispatch(&text);
     }
@@ -226,7 +183,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.checked)?;
-        if self.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
+        if self.lines.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
             return Ok(());

@@ -31,11 +31,11 @@ use crate::gcode::{Checked, Dialect, Interpreter};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Restart, Room,
-    Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, Observed, Output, PinView, Restart, Room, Signals,
+    SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Arc, Motion, MotionSettings};
-use crate::protocol::line::Line;
+use crate::protocol::line_intake::LineIntake;
 use crate::protocol::report::RareFields;
 use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
@@ -60,9 +60,6 @@ const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 const WELL_FILLED_US: u32 = 12_000;
 const LOW_WATER_US: u32 = 6_000;
 
-/// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
-const EPOCHS: u16 = 1 << 14;
-
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -85,25 +82,6 @@ pub struct Profile {
 pub struct Controller<const N: usize, const BLOCKS: usize> {
     profile: Profile,
     settings: Settings<N>,
-    /// A byte that came before the realtime command which opened its epoch.
-    held: Option<LineByte>,
-    /// Resets, stops and jog cancels taken.
-    epoch: u16,
-    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
-    reset_epoch: u16,
-    /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
-    jog_epoch: u16,
-    /// Received bytes to be dropped because of a reset button, and whether they end in the midst of a line.
-    drop_bytes: u16,
-    drop_rest: bool,
-    /// Epoch of the first byte of the current line.
-    line_epoch: u16,
-    /// Received bytes that stood before the end of a jog by a hold or a door: jogs among them are dropped.
-    jog_bytes: u16,
-    /// The current line began among them.
-    line_before_cancel: bool,
-    /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
-    keeps_later_jogs: bool,
     mode: Mode,
     alarm: Option<Alarm>,
     /// The machine is where the counters say: it falls with a stop at speed and with sleep, and comes back with homing. Without homing nobody knows better, so it is then a warning and no lock.
@@ -169,7 +147,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// The host knows of the failure before this start.
     restart_told: bool,
     now: Instant,
-    line: Line,
+    lines: LineIntake,
     /// The line of G-code that the task carries out.
     checked: Checked<N>,
     interpreter: Interpreter<N>,
@@ -245,17 +223,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             interpreter: Interpreter::new(),
             motion: Motion::unconfigured(profile.step_clock_hz),
             detour: Motion::unconfigured(profile.step_clock_hz),
-            line: Line::new(),
-            held: None,
-            epoch: 0,
-            reset_epoch: 0,
-            jog_epoch: 0,
-            drop_bytes: 0,
-            drop_rest: false,
-            line_epoch: 0,
-            jog_bytes: 0,
-            line_before_cancel: false,
-            keeps_later_jogs: false,
+            lines: LineIntake::new(),
             mode: Mode::Normal,
             alarm: None,
             trusted: true,
@@ -332,9 +300,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
-        // Those of a host that has gone have gone with it.
-        self.drop_bytes = self.drop_bytes.min(observed.received);
-        self.jog_bytes = self.jog_bytes.min(observed.received);
+        self.lines.observe(observed.received);
         self.motion.observe(&observed);
         self.detour.observe(&observed);
     }
@@ -345,7 +311,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.now = now;
         match event {
             // Nearly all events.
-            Event::Line(byte) if self.continues_line(byte) => {}
+            Event::Line(byte) if self.lines.take_plain(byte) => {}
             event => self.take(event),
         }
     }
@@ -373,7 +339,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether a line byte may be given.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
-            && self.held.is_none()
+            && !self.lines.holds()
             && self.stop.awaited.is_none()
             && !self.mode.is_suspended()
             && self.has_reply_room()

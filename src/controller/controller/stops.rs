@@ -135,7 +135,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 if alarm == Alarm::Underrun {
                     if matches!(self.task, Task::JogWaits) {
-                        self.line.clear();
+                        self.lines.clear();
                     }
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));
@@ -183,7 +183,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
-        self.line.clear();
+        self.lines.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
             if moving {
