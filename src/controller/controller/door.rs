@@ -236,8 +236,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn parked(&mut self) {
         if self.door.asleep {
             self.spindle = SpindleDirection::Off;
-            self.drivers_on = false;
-            self.drivers_off_at = None;
+            self.drivers.switch_off();
             // Axes can be moved by hand now.
             self.lose_place();
             self.mode = Mode::Sleep;
@@ -273,8 +272,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             no_feed_override: true,
         });
         self.detour.start();
-        self.drivers_on = true;
-        self.drivers_off_at = None;
+        self.drivers.switch_on();
     }
 
     fn detour_ended(&self) -> bool {

@@ -28,6 +28,7 @@ mod stops;
 use crate::axes::{AxisMask, PerAxis};
 use crate::error::Alarm;
 use crate::gcode::{Checked, Dialect, Interpreter};
+use crate::machine::drivers::Drivers;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
@@ -127,9 +128,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     pin_view: Option<PinView>,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
-    /// When the drivers go off after the last motion (`$1`).
-    drivers_off_at: Option<Instant>,
-    drivers_on: bool,
+    drivers: Drivers,
     observed: Observed,
     stop: StopState,
     rare_fields: RareFields,
@@ -254,8 +253,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             read_pins: None,
             pin_view: None,
             ganged_motors: GangedMotors::Both,
-            drivers_off_at: None,
-            drivers_on: false,
+            drivers: Drivers::OFF,
             observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0 },
             stop: StopState::NONE,
             rare_fields: RareFields::DUE,
@@ -360,7 +358,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let task =
             if self.mode.is_suspended() { None } else { self.task.wakeup(|until| self.next_look_at_spindle(until)) };
         let spinning_up = self.spinning_up.map(|until| self.next_look_at_spindle(until));
-        [moving, door, task, self.drivers_off_at, spinning_up].into_iter().flatten().min()
+        [moving, door, task, self.drivers.off_at(), spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -518,8 +516,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             segment.power = self.overridden_power(segment.power);
         }
         if message.is_some() {
-            self.drivers_on = true;
-            self.drivers_off_at = None;
+            self.drivers.switch_on();
         }
         message
     }
@@ -555,10 +552,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             _ => {}
         }
-        if self.drivers_off_at.is_some_and(|at| self.now >= at) {
-            self.drivers_off_at = None;
-            self.drivers_on = false;
-        }
+        self.drivers.look(self.now);
     }
 
     /// Nobody knows any more where the machine is.
@@ -577,10 +571,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     fn start_idle_delay(&mut self) {
-        // $1=255 keeps the drivers on for ever.
-        if let delay @ 0..=254 = self.settings.whole(Key::IdleDelay) {
-            self.drivers_off_at = Some(self.now + Duration::millis(u64::from(delay)));
-        }
+        self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
     }
 
     /// Starts queued motion when there is no reason to wait for more of it.

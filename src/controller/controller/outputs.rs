@@ -115,7 +115,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             power: self.resting_power(),
             power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
             coolant: self.coolant,
-            drivers: (self.drivers_on || self.settings.whole(Key::IdleDelay) == 255) && !self.drivers_held_off(),
+            drivers: self.drivers.are_on(self.settings.whole(Key::IdleDelay)) && !self.drivers_held_off(),
         };
         (self.pins_sent != Some(pins)).then(|| {
             self.pins_sent = Some(pins);

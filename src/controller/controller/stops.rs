@@ -157,9 +157,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if moving || homing || drivers_off || alarm == Alarm::DriverFault {
             self.lose_place();
         }
-        // As they are: an axis may drop.
-        self.drivers_off_at = None;
-        self.drivers_on &= !drivers_off;
+        if drivers_off {
+            self.drivers.switch_off();
+        } else {
+            self.drivers.stay();
+        }
         self.spindle_stopped = false;
         self.motion.discard();
         self.interpreter.set_position(self.motion.machine_position());

@@ -1,5 +1,6 @@
-//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle.
+//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers.
 
+pub mod drivers;
 pub mod filter;
 pub mod homing;
 pub mod realtime_override;
