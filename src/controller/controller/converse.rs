@@ -336,7 +336,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_position(self.motion.machine_position());
         let is_resolution = AxisKey::Resolution.axis(number).is_some();
         if is_resolution || number == KINEMATICS || (number == HOMING && self.settings.is_on(Key::Homing)) {
-            self.lose_place();
+            self.reference.lose();
         }
         if number == REPORT_INCHES {
             self.rare_fields.offset_changed();
@@ -387,7 +387,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.mode = Mode::Normal;
             self.alarm = None;
             self.say(|out| report::message(out, "Caution: Unlocked"));
-            if !self.trusted && self.dialect() != Dialect::Grbl {
+            if !self.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
             }
         }
@@ -402,7 +402,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
                 && settings.arrangement() == self.settings.arrangement();
             if !same_steps {
-                self.lose_place();
+                self.reference.lose();
             }
             self.settings.replace(settings);
         }

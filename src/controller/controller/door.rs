@@ -196,7 +196,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.settings.is_on(Key::Parking)
             || !self.settings.is_on(Key::Homing)
             || self.settings.is_on(Key::Laser)
-            || !self.trusted
+            || !self.reference.is_trusted()
             || modal.no_parking
         {
             return None;
@@ -238,7 +238,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.spindle = SpindleDirection::Off;
             self.drivers.switch_off();
             // Axes can be moved by hand now.
-            self.lose_place();
+            self.reference.lose();
             self.mode = Mode::Sleep;
         } else {
             self.mode = Mode::Door(Door::Parked);

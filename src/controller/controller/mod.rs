@@ -25,11 +25,12 @@ mod realtime;
 mod settings_lock;
 mod stops;
 
-use crate::axes::{AxisMask, PerAxis};
+use crate::axes::PerAxis;
 use crate::error::Alarm;
 use crate::gcode::{Checked, Dialect, Interpreter};
 use crate::machine::drivers::Drivers;
 use crate::machine::realtime_override::Overrides;
+use crate::machine::reference::Reference;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
     Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, Observed, Output, PinView, Restart, Room, Signals,
@@ -85,10 +86,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     settings: Settings<N>,
     mode: Mode,
     alarm: Option<Alarm>,
-    /// The machine is where the counters say: it falls with a stop at speed and with sleep, and comes back with homing. Without homing nobody knows better, so it is then a warning and no lock.
-    trusted: bool,
-    /// Axes homed since it fell.
-    homed: AxisMask,
+    reference: Reference,
     /// The step queue has held [`WELL_FILLED_US`] since motion began.
     well_filled: bool,
     /// Motion has been started and not come to its end.
@@ -225,8 +223,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             lines: LineIntake::new(),
             mode: Mode::Normal,
             alarm: None,
-            trusted: true,
-            homed: AxisMask::NONE,
+            reference: Reference::ASSUMED,
             running: false,
             well_filled: false,
             input_ended: false,
@@ -277,7 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
             self.mode = Mode::Alarm;
-            self.lose_place();
+            self.reference.lose();
         }
         self.restart = restart;
     }
@@ -289,7 +286,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
-            self.lose_place();
+            self.reference.lose();
         }
         self.initialise();
     }
@@ -428,7 +425,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
     /// a power-up or a sleep with homing on, until it has been homed.
     pub fn is_trusted(&self) -> bool {
-        self.trusted
+        self.reference.is_trusted()
     }
 
     /// The settings that hold.
@@ -555,15 +552,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.drivers.look(self.now);
     }
 
-    /// Nobody knows any more where the machine is.
-    fn lose_place(&mut self) {
-        self.trusted = false;
-        self.homed = AxisMask::NONE;
-    }
-
     /// With homing on, what goes to a place of the machine waits for a position that is true.
     fn must_home_first(&self) -> bool {
-        !self.trusted
+        !self.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
             && self.settings.is_on(Key::Homing)
             && self.settings.is_on(Key::TrustNeeded)

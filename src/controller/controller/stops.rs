@@ -125,7 +125,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
                 if moving {
-                    self.lose_place();
+                    self.reference.lose();
                 }
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
@@ -155,7 +155,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
         if moving || homing || drivers_off || alarm == Alarm::DriverFault {
-            self.lose_place();
+            self.reference.lose();
         }
         if drivers_off {
             self.drivers.switch_off();
@@ -188,12 +188,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.lines.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
-            if moving {
-                self.lose_place();
-            }
-            if homing {
-                self.lose_place();
-            }
+            self.reference.lose();
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }

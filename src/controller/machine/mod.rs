@@ -4,6 +4,7 @@ pub mod drivers;
 pub mod filter;
 pub mod homing;
 pub mod realtime_override;
+pub mod reference;
 pub mod signals;
 pub mod spindle;
 pub mod state;
