@@ -114,6 +114,21 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     }
 }
 
+/// What a sender may open with, in one write.
+#[test]
+fn a_report_comes_before_the_line_that_follows_its_question() {
+    for dialect in ["grbl", "oxmill"] {
+        let mut program =
+            oxmill(&["serve", "--stdio", "--dialect", dialect]).stdin(Stdio::piped()).spawn().expect("it starts");
+        program.stdin.take().expect("a pipe").write_all(b"?\n").expect("the device reads");
+        let mut said = String::new();
+        program.stdout.take().expect("a pipe").read_to_string(&mut said).expect("text");
+        program.wait().expect("the device ends with its input");
+        let lines: Vec<&str> = said.lines().collect();
+        assert!(matches!(lines[..], [.., report, "ok"] if report.starts_with("<Idle|")), "{dialect}: {said}");
+    }
+}
+
 #[test]
 fn a_device_on_standard_input_greets_and_answers() {
     let mut program = oxmill(&["serve", "--stdio", "--speed", "max"]).stdin(Stdio::piped()).spawn().expect("it starts");

@@ -134,8 +134,8 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 old += u32::from(found == *before);
                 new += u32::from(found == *after);
             }
-            // And it goes on storing.
-            assert!(say(&mut again, "$132=12.5").ends_with("ok\r\n"));
+            // And it still stores; a set that cannot be run may be told of after the `ok`.
+            assert!(say(&mut again, "$132=12.5").contains("ok\r\n"));
             let mut last = power_up(again.store().power_cycled().unwrap());
             assert!(say(&mut last, "$$").contains("$132=12.500\r\n"));
         }
