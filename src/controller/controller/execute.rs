@@ -513,8 +513,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.settings.is_on(Key::SoftLimits) && !self.must_home_first()
     }
 
-    /// Whether the settings allow no motion at all; then the host has been told which.
+    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
+        if self.is_store_damaged() {
+            self.tell_damage();
+            return Some(Error::StoreReadFailed);
+        }
         let revision = Some(self.settings.revision());
         if self.runnable == revision {
             return None;
