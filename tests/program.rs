@@ -167,3 +167,23 @@ fn a_damaged_store_is_told_and_locks() {
         assert!(run(&arguments).status.success(), "it is clean again");
     }
 }
+
+/// What has no end is not read to its end, and what is too long for what it should be is refused by name.
+#[cfg(unix)]
+#[test]
+fn files_are_read_with_a_bound() {
+    let job = file("bounded.nc", "G1 X1 F300\n");
+    let long = file("too_long.toml", &"# a remark\n".repeat(100_000));
+    for option in ["--store", "--settings", "--machine"] {
+        for path in [Path::new("/dev/zero"), &long] {
+            let output = run(&["run", text(&job), option, text(path)]);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{option} {}: {said}", path.display());
+            assert!(said.contains(text(path)) && said.contains("it has more than "), "{option}: {said}");
+        }
+    }
+    let output = run(&["run", "/dev/zero"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(said.contains("/dev/zero") && said.contains("a line has more than a million bytes"), "{said}");
+}

@@ -1,6 +1,7 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::command_line::{Dialect, MachineOptions, Run};
+use crate::file;
 use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
@@ -13,7 +14,6 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::{Key, SCALARS};
-use std::fs;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::time::Instant;
@@ -57,7 +57,8 @@ pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
-        let text = fs::read(path).with_context(|| format!("cannot read the settings file {}", path.display()))?;
+        let text = file::read(path, file::TEXT)
+            .with_context(|| format!("cannot read the settings file {}", path.display()))?;
         for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
