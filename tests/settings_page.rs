@@ -10,6 +10,9 @@ const HEAD: &str = "# Settings
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked with a message that names the setting, until it is mended. Nothing is clamped silently.
 
+When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
+listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log).
+
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only. This page is made from the table in `src/controller/settings.rs`.
 
 | $ | setting | unit | values | default | Grbl 1.1 |
