@@ -504,7 +504,7 @@ impl<F: Flash> Log<F> {
             }
         }
         if damage {
-            // It has not been told yet, or nobody has confirmed it.
+            // It has not been confirmed.
             let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
             end = self.copy(target, end, &entry)?;
         }
@@ -633,8 +633,8 @@ impl<F: Flash> Log<F> {
         while let Some((address, outline)) = self.record_from(next)? {
             next = address + outline.size();
             if coming.kind == REMOVE {
-                let stands = outline.kind == PUT && coming.replaces(outline.key);
-                if stands && !self.is_replaced(outline.key, next)? {
+                let holds_it = outline.kind == PUT && coming.replaces(outline.key);
+                if holds_it && !self.is_replaced(outline.key, next)? {
                     return Ok(false);
                 }
             } else if outline.kind == REMOVE || outline.key == coming.key {

@@ -196,7 +196,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 enum Damage {
     /// There is none.
     None,
-    /// Nobody has looked since the last welcome line.
+    /// The settings have not been listed since the last welcome line.
     Untold,
     /// `$$` has been answered at this moment.
     Listed(Instant),
@@ -488,7 +488,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.trusted
     }
 
-    /// Whether stored settings were damaged and nobody has confirmed that they are right.
+    /// Whether stored settings were damaged and have not been confirmed.
     pub fn is_store_damaged(&self) -> bool {
         self.damage != Damage::None
     }
