@@ -11,6 +11,9 @@ board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-
 pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
 for it with `error:9`. Nothing is clamped silently.
 
+When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
+listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log).
+
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not
 have need this dialect. This page is made from the table in `src/controller/settings.rs`.
 

@@ -578,6 +578,10 @@ impl Restart {
     }
 }
 
+/// Key of the record by which a store tells that it has been damaged and has lost others. It is empty, and holds until it is
+/// removed.
+pub const STORE_DAMAGED: u16 = 65_534;
+
 /// A record of the settings store: a key and up to 100 bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {

@@ -38,7 +38,7 @@ impl Store {
 
     /// The store in a file. A file that does not exist yet becomes an empty store.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut image = match fs::read(path) {
+        let mut image = match crate::file::read(path, 2 * SECTOR as usize) {
             Ok(bytes) => Image::from_bytes(&bytes)
                 .with_context(|| format!("{} is not a flash image of this simulator", path.display()))?,
             Err(error) if error.kind() == ErrorKind::NotFound => {

@@ -2,12 +2,12 @@
 
 use super::execute::{Answer, Task};
 use super::outputs::dialect;
-use super::{Controller, STORED_TEXT};
+use super::{Controller, Damage, LOOKING, STORED_TEXT};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, Store, input};
+use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, STORE_DAMAGED, Store, input};
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
@@ -76,6 +76,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.settings.restore(DIALECT, f32::from_le_bytes(bytes));
                 }
             }
+            STORE_DAMAGED => self.damage = Damage::Untold,
             _ => {}
         }
     }
@@ -384,14 +385,33 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if let Some((_, error)) = self.emergency_now() {
                 return Err(error);
             }
+            let damaged = self.is_store_damaged();
+            if damaged {
+                self.confirm_damage()?;
+            }
             self.mode = Mode::Normal;
             self.alarm = None;
             self.say(|out| report::message(out, "Caution: Unlocked"));
             if !self.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
             }
+            if damaged {
+                self.task = Task::Storing(Answer::Host);
+                return Ok(());
+            }
         }
         self.say(report::ok);
+        Ok(())
+    }
+
+    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage.
+    fn confirm_damage(&mut self) -> Result<(), Error> {
+        if !matches!(self.damage, Damage::Listed(at) if self.now >= at + LOOKING) {
+            self.tell_damage();
+            return Err(Error::StoreReadFailed);
+        }
+        self.damage = Damage::None;
+        self.forget(STORE_DAMAGED..STORE_DAMAGED + 1);
         Ok(())
     }
 
@@ -507,6 +527,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.task = Task::Listing(listing, line + 1);
         } else {
             self.task = Task::None;
+            if listing == Listing::Settings && self.is_store_damaged() {
+                self.damage = Damage::Listed(self.now);
+                self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
+            }
             self.say(report::ok);
         }
         true

@@ -524,8 +524,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.settings_lock.setting(settings.revision(), unrunnable)
     }
 
-    /// Whether the settings allow no motion at all; then the host has been told which.
+    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
+        if self.is_store_damaged() {
+            self.tell_damage();
+            return Some(Error::StoreReadFailed);
+        }
         self.locking_setting()?;
         if let Some(setting) = self.settings_lock.name_at_line() {
             self.name_locking(setting);

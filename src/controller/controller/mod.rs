@@ -62,6 +62,9 @@ const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 const WELL_FILLED_US: u32 = 12_000;
 const LOW_WATER_US: u32 = 6_000;
 
+
+/// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
+const LOOKING: Duration = Duration::secs(2);
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -140,6 +143,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Stores that have not been answered yet.
     unstored: u8,
     store_failed: bool,
+    damage: Damage,
     restart: Restart,
     /// The host knows of the failure before this start.
     restart_told: bool,
@@ -159,6 +163,20 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Moves of its own while the job is held: parking.
     detour: Motion<N, 2>,
     motion: Motion<N, BLOCKS>,
+}
+
+/// What has become of damage that the store has told of ([`STORE_DAMAGED`]). Settings may be lost, and with them what keeps
+/// the machine from harm, so it is locked until somebody has looked at them and confirms it.
+///
+/// [`STORE_DAMAGED`]: crate::messages::STORE_DAMAGED
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Damage {
+    /// There is none.
+    None,
+    /// The settings have not been listed since the last welcome line.
+    Untold,
+    /// `$$` has been answered at this moment.
+    Listed(Instant),
 }
 
 /// All that [`Wiring`] depends on.
@@ -263,6 +281,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,
+            damage: Damage::None,
             restart: Restart::POWER,
             restart_told: false,
             now: Instant::from_ticks(0),
@@ -287,6 +306,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
             self.reference.lose();
+        }
+        if self.is_store_damaged() {
+            self.mode = Mode::Alarm;
         }
         self.initialise();
     }
@@ -426,6 +448,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// a power-up or a sleep with homing on, until it has been homed.
     pub fn is_trusted(&self) -> bool {
         self.reference.is_trusted()
+    }
+
+    /// Whether stored settings were damaged and have not been confirmed.
+    pub fn is_store_damaged(&self) -> bool {
+        self.damage != Damage::None
     }
 
     /// The settings that hold.

@@ -3,7 +3,7 @@
 use super::cycles::Probing;
 use super::door::DoorState;
 use super::execute::Task;
-use super::{Controller, StopReason, StopState};
+use super::{Controller, Damage, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::gcode::Dialect;
@@ -231,6 +231,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.probe_succeeded = false;
         self.rare_fields = RareFields::default();
         self.status_due = false;
+        if self.is_store_damaged() {
+            self.damage = Damage::Untold;
+        }
         self.greet();
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;
@@ -256,9 +259,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    pub(super) fn tell_damage(&mut self) {
+        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
+        self.say(|out| report::message(out, text));
+    }
+
     /// What a host has to do before the machine goes on.
     pub(super) fn tell_lock(&mut self) {
         match self.mode {
+            Mode::Alarm if self.is_store_damaged() => self.tell_damage(),
             Mode::Alarm => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
             Mode::Critical => self.say(|out| report::message(out, "Reset to continue")),
             _ => {}
