@@ -99,12 +99,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn line_byte(&mut self, byte: LineByte) {
-        if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
+        if byte.byte == CUT {
+            self.hosts_cut = byte.epoch;
+        } else if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
             // The command that opened this epoch is still on its way through the other queue.
             self.held = Some(byte);
             return;
-        }
-        if (byte.epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
+        } else if (byte.epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
             return;
         }
         if self.drop_bytes > 0 || self.drop_rest {

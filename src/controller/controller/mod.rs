@@ -99,6 +99,9 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     jog_bytes: u16,
     /// The current line began among them.
     line_before_cancel: bool,
+    /// Hosts that have gone (wrapping): all of them, and those whose last line has been read.
+    hosts_gone: u16,
+    hosts_cut: u16,
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     mode: Mode,
@@ -259,6 +262,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             trusted: true,
             homed: AxisMask::NONE,
             running: false,
+            hosts_gone: 0,
+            hosts_cut: 0,
             well_filled: false,
             input_ended: false,
             task: Task::None,
@@ -365,7 +370,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.tell_failure();
                 self.tell_lock();
             }
-            Event::Disconnected => self.host_left(),
+            Event::Disconnected(hosts_gone) => {
+                self.hosts_gone = hosts_gone;
+                self.host_left();
+            }
         }
     }
 
