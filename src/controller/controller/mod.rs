@@ -102,6 +102,8 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Hosts that have gone (wrapping): all of them, and those whose last line has been read.
     hosts_gone: u16,
     hosts_cut: u16,
+    /// A startup line has been echoed: the answer to it follows on the same line.
+    echoed: bool,
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     mode: Mode,
@@ -264,6 +266,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             running: false,
             hosts_gone: 0,
             hosts_cut: 0,
+            echoed: false,
             well_filled: false,
             input_ended: false,
             task: Task::None,

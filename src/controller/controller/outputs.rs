@@ -199,10 +199,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let mut text = Text::new();
         make(&mut text);
         // The next host would take the answer to a line of one that has gone for one of its own.
-        let unheard = self.hosts_gone != self.hosts_cut && report::is_answer(&text);
+        let unheard = self.hosts_gone != self.hosts_cut && !self.echoed && report::is_answer(&text);
         if unheard || self.replies.capacity() - self.replies.len() < text.len() {
             return;
         }
+        self.echoed = text.last() == Some(&b':');
         for byte in text {
             let _ = self.replies.push_back(byte);
         }

@@ -182,3 +182,31 @@ fn a_startup_line_waits_for_the_inputs() {
     assert!(said.contains("ALARM:1\r\n") && !said.contains(">G0X1"), "{said}");
     assert_eq!(second.machine().pulses(), [0, 0, 0]);
 }
+
+#[test]
+fn a_flood_of_resets_tears_no_welcome() {
+    let mut mill = mill();
+    mill.send([0x18; 500]);
+    let said = mill.take_output();
+    let count = said.matches("\r\nGrbl 1.1h ['$' for help]\r\n").count();
+    assert!(count > 30);
+    assert_eq!(said, "\r\nGrbl 1.1h ['$' for help]\r\n".repeat(count));
+    mill.send("G21\n");
+    assert_eq!(mill.take_output(), "ok\r\n");
+}
+
+/// The board's link is in the way: commands pass the lines that it has room for (255 and 192 bytes), and no more.
+#[test]
+fn what_finds_no_room_waits_in_the_port() {
+    for (lines, passes) in [(80, true), (100, false)] {
+        let mut mill = mill();
+        // The first of five bytes is in the way of all others.
+        mill.send("G4P9\n");
+        mill.send("G21F\n".repeat(lines));
+        mill.send("?");
+        assert_eq!(mill.take_output().contains("<Idle"), passes, "{lines}");
+        assert_eq!(mill.unread(), 5 * lines + usize::from(!passes));
+        mill.disconnect();
+        assert_eq!(mill.unread(), 255);
+    }
+}
