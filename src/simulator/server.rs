@@ -4,13 +4,14 @@
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.
 //!
 //! One client is served at a time, as one program has a serial port open; on TCP another one is told so and turned away.
-//! A client has gone when it closes its side, also while nobody reads from it because the machine has no room: then the
-//! port is closed (`$914` says what becomes of the job), and what it sent and the board has not received is thrown away.
+//! A client has gone when it closes its side. Then the port is closed (`$914` says what becomes of the job), and what it
+//! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
 
 use crate::command_line::{Serve, Speed};
 use crate::job::{check_power, power_up};
 use crate::pump::Simulator;
 use anyhow::{Context, Result, anyhow};
+use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
@@ -18,9 +19,10 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes of a client that wait in front of the board's link, as in a host's port. With so many the client is not read, and
-/// realtime commands behind them wait too.
+/// Bytes of a client that wait in front of the board's link, as in a host's port.
 const PORT: usize = 1 << 14;
+/// Bytes of a client that are read ahead of that. With more the client is told to wait.
+const AHEAD: usize = 1 << 26;
 /// Bytes that are read at a time.
 const PIECE: usize = 1024;
 /// Pieces of answers that may wait for a slow client.
@@ -43,12 +45,8 @@ enum Happened {
     Connected(Client),
     /// Somebody has connected; the thread that reads from it needs the sender.
     Knocked(TcpStream, SyncSender<Happened>),
-    /// Bytes of the client of this number.
-    Bytes(u64, Vec<u8>),
-    /// The client of this number has gone.
-    Left(u64),
-    /// The link itself has come to its end.
-    Ended,
+    /// Bytes of the client have come, or it has gone: see its [`Inbox`].
+    Heard,
     /// A line of the pin protocol; the answer goes to the sender.
     Pins(String, Sender<String>),
 }
@@ -71,9 +69,9 @@ pub fn serve(options: &Serve) -> Result<()> {
         io::stdout().flush()?;
         thread::spawn(move || serve_tcp(&listener, &sender));
     } else if options.link.stdio {
-        let gate = Arc::new(Gate::default());
-        let (answers, written) = writer(io::stdout(), gate.clone());
-        thread::spawn(move || serve_stdio(Client { number: 0, gate, answers, stream: None }, &sender));
+        let inbox = Arc::new(Inbox::default());
+        let (answers, written) = writer(io::stdout(), inbox.clone());
+        thread::spawn(move || serve_stdio(Client { inbox, answers, stream: None, is_program: true }, &sender));
         device.run(&receiver)?;
         // The device is gone, and so is who could give the writer more: what it still has goes out.
         return written.join().map_err(|_| anyhow!("the answers could not be written"));
@@ -88,29 +86,49 @@ fn listen(address: &str) -> Result<TcpListener> {
     TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))
 }
 
-/// What the threads of a client and the loop know of it together.
+/// Bytes of a client on their way from the thread that reads them to the loop.
 #[derive(Default)]
-struct Gate {
-    state: Mutex<GateState>,
+struct Inbox {
+    state: Mutex<InboxState>,
     changed: Condvar,
 }
 
 #[derive(Default)]
-struct GateState {
-    /// Bytes that wait for the controller.
-    unread: usize,
+struct InboxState {
+    bytes: VecDeque<u8>,
+    /// The client sends nothing more.
+    ended: bool,
     /// The client is served no more.
     closed: bool,
 }
 
-impl Gate {
-    fn state(&self) -> MutexGuard<'_, GateState> {
+impl Inbox {
+    fn state(&self) -> MutexGuard<'_, InboxState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn set_unread(&self, unread: usize) {
-        self.state().unread = unread;
+    fn push(&self, bytes: &[u8]) {
+        self.state().bytes.extend(bytes);
+    }
+
+    /// At most so many bytes.
+    fn take(&self, most: usize) -> Vec<u8> {
+        let mut state = self.state();
+        let length = most.min(state.bytes.len());
         self.changed.notify_all();
+        state.bytes.drain(..length).collect()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.state().bytes.is_empty()
+    }
+
+    fn end(&self) {
+        self.state().ended = true;
+    }
+
+    fn has_ended(&self) -> bool {
+        self.state().ended
     }
 
     fn close(&self) {
@@ -125,7 +143,7 @@ impl Gate {
     /// Waits until there is room for more. `false` if the client has gone meanwhile.
     fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
-        while !state.closed && state.unread >= PORT {
+        while !state.closed && state.bytes.len() >= AHEAD {
             let (next, waited) = self.changed.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner);
             state = next;
             if waited.timed_out() && hung_up() {
@@ -138,22 +156,23 @@ impl Gate {
 
 /// A client as the loop knows it.
 struct Client {
-    number: u64,
-    gate: Arc<Gate>,
+    inbox: Arc<Inbox>,
     answers: SyncSender<Vec<u8>>,
     /// To see whether it is still there.
     stream: Option<TcpStream>,
+    /// Standard input: all of it is carried out.
+    is_program: bool,
 }
 
 impl Client {
     fn has_gone(&self) -> bool {
-        self.stream.as_ref().is_some_and(hung_up)
+        self.inbox.has_ended() || self.stream.as_ref().is_some_and(hung_up)
     }
 
     fn let_go(self) {
-        self.gate.close();
+        self.inbox.close();
         if let Some(stream) = self.stream {
-            // Its reader wakes up. A client that has gone already is as well.
+            // Its reader wakes up. That of a client that has gone has ended.
             let _ = stream.shutdown(Shutdown::Read);
         }
     }
@@ -186,72 +205,58 @@ struct Device {
     /// A moment of the host's clock and the virtual time (in ticks) that belongs to it.
     anchor: (Instant, u64),
     client: Option<Client>,
-    /// Clients on TCP so far.
-    clients: u64,
+    /// Clients on TCP that have come when the one before was about to go.
+    waiting: VecDeque<(TcpStream, SyncSender<Happened>)>,
     /// An answer that the client had no room for.
     kept: Option<Vec<u8>>,
-    ended: bool,
 }
 
 impl Device {
     fn new(simulator: Simulator, speed: Speed, reset_on_connect: bool) -> Self {
         let anchor = (Instant::now(), simulator.clock().now());
-        Self { simulator, speed, reset_on_connect, anchor, client: None, clients: 0, kept: None, ended: false }
+        Self { simulator, speed, reset_on_connect, anchor, client: None, waiting: VecDeque::new(), kept: None }
     }
 
     fn run(mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
+            // What came is dated with the time at which it came.
             self.pass_time();
+            self.fetch();
             if !self.answer() {
                 self.left();
             }
             check_power(&self.simulator)?;
             let active = self.simulator.is_active();
-            if self.ended && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
+            if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
                 // Lines that are unread now wait for a host that will not come. The writer ends when the last answer has
                 // been written and its sender is gone.
                 return Ok(());
             }
-            self.tell_room();
-            let happened = match self.speed {
+            let mut happened = match self.speed {
                 Speed::Max if active => receiver.try_recv().ok(),
                 _ => match receiver.recv_timeout(if active || self.kept.is_some() { BUSY } else { QUIET }) {
                     Ok(happened) => Some(happened),
                     Err(RecvTimeoutError::Timeout) => None,
-                    Err(RecvTimeoutError::Disconnected) if self.ended => {
+                    Err(RecvTimeoutError::Disconnected) if self.client.is_some() => {
                         thread::sleep(BUSY);
                         None
                     }
                     Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 },
             };
-            // What came is dated with the time at which it came.
             self.pass_time();
-            let mut next = happened;
-            while let Some(happened) = next {
-                self.take(happened);
-                next = receiver.try_recv().ok();
+            while let Some(one) = happened {
+                self.take(one);
+                happened = receiver.try_recv().ok();
             }
         }
     }
 
     fn take(&mut self, happened: Happened) {
-        let serves = |number| self.client.as_ref().is_some_and(|client| client.number == number);
         match happened {
             Happened::Connected(client) => self.connected(client),
             Happened::Knocked(stream, sender) => self.knocked(stream, sender),
-            Happened::Bytes(number, bytes) if serves(number) => {
-                self.simulator.send(bytes);
-                self.tell_room();
-            }
-            Happened::Left(number) if serves(number) => {
-                // What it has been told by now it may still read.
-                self.answer();
-                self.left();
-            }
-            // One that is served no more.
-            Happened::Bytes(..) | Happened::Left(_) => {}
-            Happened::Ended => self.ended = true,
+            Happened::Heard => {}
             Happened::Pins(line, reply) => {
                 let answer = self.simulator.pin_line(&line);
                 // A client that has gone in the meantime needs no answer.
@@ -260,29 +265,52 @@ impl Device {
         }
     }
 
-    /// Serves a TCP client, or turns it away.
-    fn knocked(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
-        if let Some(client) = &self.client {
-            if !client.has_gone() {
-                thread::spawn(move || turn_away(&stream));
+    /// Passes on what the client has sent, as far as its port has room, and notices its end.
+    fn fetch(&mut self) {
+        loop {
+            let Some(client) = &self.client else { return };
+            let ended = client.inbox.has_ended();
+            let bytes = client.inbox.take(PORT.saturating_sub(self.simulator.unread()).min(PIECE));
+            if !bytes.is_empty() {
+                self.simulator.send(bytes);
+            } else if ended && !client.is_program {
+                // What it has been told by now it may still read.
+                self.answer();
+                return self.left();
+            } else {
                 return;
             }
-            // Its reader has not told so yet.
-            self.answer();
-            self.left();
         }
+    }
+
+    /// Whether the program on standard input has been passed on, or waits for a machine that waits for a host.
+    fn is_done(&self) -> bool {
+        let has_room = self.simulator.unread() < PORT;
+        self.client.as_ref().is_some_and(|client| {
+            client.is_program && client.inbox.has_ended() && (client.inbox.is_empty() || !has_room)
+        })
+    }
+
+    /// Serves a TCP client, or turns it away.
+    fn knocked(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
+        match &self.client {
+            None => self.admit(stream, sender),
+            // Its reader is about to tell so.
+            Some(client) if client.has_gone() => self.waiting.push_back((stream, sender)),
+            Some(_) => {
+                thread::spawn(move || turn_away(&stream));
+            }
+        }
+    }
+
+    fn admit(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
         // Answers are short and each is waited for. A client that does not read holds its writer for so long at a time.
         let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
-        self.clients += 1;
-        let (number, gate) = (self.clients, Arc::new(Gate::default()));
-        let (answers, _) = writer(back, gate.clone());
-        self.connected(Client { number, gate: gate.clone(), answers, stream: Some(watched) });
-        thread::spawn(move || {
-            if pass_bytes(&mut &stream, number, &gate, &sender, || hung_up(&stream)) {
-                let _ = sender.send(Happened::Left(number));
-            }
-        });
+        let inbox = Arc::new(Inbox::default());
+        let (answers, _) = writer(back, inbox.clone());
+        self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
+        thread::spawn(move || pass_bytes(&mut &stream, &inbox, &sender, || hung_up(&stream)));
     }
 
     fn connected(&mut self, client: Client) {
@@ -304,12 +332,8 @@ impl Device {
             self.kept = None;
             self.simulator.disconnect();
         }
-    }
-
-    /// Lets the reader know how much waits for the controller.
-    fn tell_room(&self) {
-        if let Some(client) = &self.client {
-            client.gate.set_unread(self.simulator.unread());
+        for (stream, sender) in std::mem::take(&mut self.waiting) {
+            self.knocked(stream, sender);
         }
     }
 
@@ -362,36 +386,34 @@ impl Device {
     }
 }
 
-/// Reads until the other side is done or gone. `false` if the loop has ended.
-fn pass_bytes(
-    reader: &mut impl Read,
-    number: u64,
-    gate: &Gate,
-    sender: &SyncSender<Happened>,
-    hung_up: impl Fn() -> bool,
-) -> bool {
+/// Reads until the other side is done or gone, or is served no more.
+fn pass_bytes(reader: &mut impl Read, inbox: &Inbox, sender: &SyncSender<Happened>, hung_up: impl Fn() -> bool) {
     let mut buffer = [0; PIECE];
-    while gate.wait_for_room(&hung_up) {
+    while inbox.wait_for_room(&hung_up) {
         match reader.read(&mut buffer) {
             Ok(0) => break,
             Ok(length) => {
-                if sender.send(Happened::Bytes(number, buffer[..length].to_vec())).is_err() {
-                    return false;
+                inbox.push(&buffer[..length]);
+                // A loop that has as much to do as this looks into the inbox as well.
+                if let Err(TrySendError::Disconnected(_)) = sender.try_send(Happened::Heard) {
+                    return;
                 }
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(_) => break,
         }
     }
-    true
+    inbox.end();
+    // Without a loop there is nobody to be told.
+    let _ = sender.send(Happened::Heard);
 }
 
 /// A thread that writes answers until nobody can give it any, or nobody takes them.
-fn writer(mut link: impl Write + Send + 'static, gate: Arc<Gate>) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
+fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         while let Ok(bytes) = receiver.recv() {
-            if !write_out(&mut link, &bytes, &gate) {
+            if !write_out(&mut link, &bytes, &inbox) {
                 return;
             }
         }
@@ -400,14 +422,14 @@ fn writer(mut link: impl Write + Send + 'static, gate: Arc<Gate>) -> (SyncSender
 }
 
 /// Writes all of it, unless the client has gone, or is served no more and does not read.
-fn write_out(link: &mut impl Write, mut bytes: &[u8], gate: &Gate) -> bool {
+fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> bool {
     while !bytes.is_empty() {
         match link.write(bytes) {
             Ok(0) => return false,
             Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
             Err(error) => match error.kind() {
                 io::ErrorKind::Interrupted => {}
-                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut if !gate.is_closed() => thread::sleep(BUSY),
+                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut if !inbox.is_closed() => thread::sleep(BUSY),
                 _ => return false,
             },
         }
@@ -436,12 +458,10 @@ fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
 }
 
 fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
-    let (number, gate) = (client.number, client.gate.clone());
+    let inbox = client.inbox.clone();
     // A pipe that has ended is read to its end all the same: it is a program, and all of it is there.
-    if sender.send(Happened::Connected(client)).is_ok()
-        && pass_bytes(&mut io::stdin().lock(), number, &gate, sender, || false)
-    {
-        let _ = sender.send(Happened::Ended);
+    if sender.send(Happened::Connected(client)).is_ok() {
+        pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false);
     }
 }
 
@@ -475,7 +495,7 @@ fn serve_pin_client(stream: &std::net::TcpStream, sender: &SyncSender<Happened>)
 mod pty {
     //! A pseudo terminal that a sender opens like a serial port. Several programs that have it open are one client.
 
-    use super::{Client, Gate, Happened, LOOK, PIECE, hung_up, writer};
+    use super::{Client, Happened, Inbox, LOOK, PIECE, hung_up, writer};
     use anyhow::{Context, Result, bail};
     use nix::fcntl::{FcntlArg, OFlag, fcntl};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -514,7 +534,7 @@ mod pty {
         }
         println!("pty {}", path.display());
         io::stdout().flush()?;
-        thread::spawn(move || Port { master, path, sender, clients: 0, client: None }.serve());
+        thread::spawn(move || Port { master, path, sender, client: None }.serve());
         Ok(())
     }
 
@@ -527,8 +547,7 @@ mod pty {
 
     /// The client that has the port open.
     struct Open {
-        number: u64,
-        gate: Arc<Gate>,
+        inbox: Arc<Inbox>,
         writer: thread::JoinHandle<()>,
     }
 
@@ -536,7 +555,6 @@ mod pty {
         master: File,
         path: PathBuf,
         sender: SyncSender<Happened>,
-        clients: u64,
         client: Option<Open>,
     }
 
@@ -552,10 +570,11 @@ mod pty {
                     thread::sleep(CLOSED);
                     continue;
                 };
-                if readable && client.gate.wait_for_room(|| self::hung_up(&self.master)) {
+                if readable && client.inbox.wait_for_room(|| self::hung_up(&self.master)) {
                     let mut buffer = [0; PIECE];
                     if let Ok(length @ 1..) = (&self.master).read(&mut buffer) {
-                        self.sender.send(Happened::Bytes(client.number, buffer[..length].to_vec())).ok()?;
+                        client.inbox.push(&buffer[..length]);
+                        self.sender.send(Happened::Heard).ok()?;
                     }
                 } else if hung_up || readable {
                     self.closed()?;
@@ -577,11 +596,11 @@ mod pty {
         fn opened(&mut self) -> Option<()> {
             let back = self.master.try_clone().ok()?;
             let _ = make_raw(&self.master);
-            self.clients += 1;
-            let (number, gate) = (self.clients, Arc::new(Gate::default()));
-            let (answers, writer) = writer(back, gate.clone());
-            self.sender.send(Happened::Connected(Client { number, gate: gate.clone(), answers, stream: None })).ok()?;
-            self.client = Some(Open { number, gate, writer });
+            let inbox = Arc::new(Inbox::default());
+            let (answers, writer) = writer(back, inbox.clone());
+            let client = Client { inbox: inbox.clone(), answers, stream: None, is_program: false };
+            self.sender.send(Happened::Connected(client)).ok()?;
+            self.client = Some(Open { inbox, writer });
             Some(())
         }
 
@@ -589,10 +608,10 @@ mod pty {
         /// keep them for the next one.
         fn closed(&mut self) -> Option<()> {
             if let Some(client) = self.client.take() {
-                client.gate.close();
                 let mut rest = [0; PIECE];
                 while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
-                self.sender.send(Happened::Left(client.number)).ok()?;
+                client.inbox.end();
+                self.sender.send(Happened::Heard).ok()?;
                 // The loop has let go of it then, and nothing is written any more.
                 client.writer.join().ok()?;
                 let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();

@@ -579,7 +579,8 @@ mod tests {
         both.usb(b"G4P0\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
         // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
-        let cuts = |both: &Both<16>| both.queues.lines.iter().filter(|b| b.byte == CUT).map(|b| b.epoch).collect::<Vec<_>>();
+        let cuts =
+            |both: &Both<16>| both.queues.lines.iter().filter(|b| b.byte == CUT).map(|b| b.epoch).collect::<Vec<_>>();
         assert_eq!((cuts(&both), both.entrance.gone()), (vec![0, 1], 1));
         // The other one may be the next.
         both.usb(b"G1 Y");
