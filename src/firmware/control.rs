@@ -62,7 +62,7 @@ pub struct Control {
     line_bytes_out: u32,
     /// [`HOSTS_CAME`] and [`HOSTS_WENT`] as they were.
     hosts_came: u8,
-    hosts_went: u8,
+    hosts_went: u16,
     job: Option<Job>,
     /// Wiring facts for which there was no room.
     unsent_wiring: Option<Wiring>,
@@ -139,7 +139,7 @@ impl Control {
         if went != self.hosts_went {
             self.observe();
             self.hosts_went = went;
-            self.controller.event(now, Event::Disconnected);
+            self.controller.event(now, Event::Disconnected(went));
         }
         if came != self.hosts_came {
             self.hosts_came = came;

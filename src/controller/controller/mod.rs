@@ -87,6 +87,10 @@ pub struct Profile {
 pub struct Controller<const N: usize, const BLOCKS: usize> {
     profile: Profile,
     settings: Settings<N>,
+    /// Hosts that have gone (wrapping).
+    hosts_gone: u16,
+    /// A startup line has been echoed: the answer to it follows on the same line.
+    echoed: bool,
     mode: Mode,
     alarm: Option<Alarm>,
     reference: Reference,
@@ -243,6 +247,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             alarm: None,
             reference: Reference::ASSUMED,
             running: false,
+            hosts_gone: 0,
+            echoed: false,
             well_filled: false,
             input_ended: false,
             task: Task::None,
@@ -349,7 +355,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.greet();
                 self.tell_lock();
             }
-            Event::Disconnected => self.host_left(),
+            Event::Disconnected(hosts_gone) => {
+                self.hosts_gone = hosts_gone;
+                self.host_left();
+            }
         }
     }
 

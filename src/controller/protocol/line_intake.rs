@@ -53,6 +53,8 @@ pub struct LineIntake {
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     line: Line,
+    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    hosts_cut: u16,
 }
 
 impl Default for LineIntake {
@@ -76,7 +78,13 @@ impl LineIntake {
             line_before_cancel: false,
             keeps_later_jogs: false,
             line: Line::new(),
+            hosts_cut: 0,
         }
+    }
+
+    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    pub fn hosts_cut(&self) -> u16 {
+        self.hosts_cut
     }
 
     /// Takes a byte from the middle of a line, if nothing has happened for which it would be held or dropped.
@@ -91,12 +99,14 @@ impl LineIntake {
 
     /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
     pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> Rules) -> Taken {
-        if is_before(self.epoch, byte.epoch) {
+        if byte.byte == CUT {
+            // Its epoch is the number of the host that has gone.
+            self.hosts_cut = byte.epoch;
+        } else if is_before(self.epoch, byte.epoch) {
             // The command that opened this epoch is still on its way through the other queue.
             self.held = Some(byte);
             return Taken::NOTHING;
-        }
-        if is_before(byte.epoch, self.reset_epoch) {
+        } else if is_before(byte.epoch, self.reset_epoch) {
             return Taken::NOTHING;
         }
         if self.drop_bytes > 0 || self.drop_rest {

@@ -38,6 +38,11 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
+/// Whether a text is the one answer that a line gets.
+pub fn is_answer(text: &[u8]) -> bool {
+    text == b"ok\r\n" || text.starts_with(b"error:")
+}
+
 /// `ALARM:N`
 pub fn alarm(out: &mut Text, code: u8) {
     put(out, b"ALARM:");
