@@ -581,7 +581,9 @@ mod tests {
                 _ => [60.0 - size, 60.0 - size, -0.2 * i as f64],
             };
             let speed = if i % 10 == 0 { 50.0 } else { 2.0 + f64::from(i) / 4.0 };
-            drawing.add(Sample { seconds, time: 0.5, speed, rapid: i % 10 == 0, from: at, to, new_block: true });
+            let rapid = i % 10 == 0;
+            let known_at = seconds + 0.25;
+            drawing.add(Sample { seconds, time: 0.5, speed, known_at, rapid, from: at, to, new_block: true });
             seconds += 0.5;
             at = to;
         }

@@ -76,9 +76,14 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
+    /// Greatest path speed: a mean over some milliseconds or more, less what the rounding to steps may have added to it.
     pub peak_speed_mm_s: f64,
+    /// Greatest change of path speed per time, measured likewise: that of ramps. What curves and corners take across the
+    /// path is no part of it.
     pub peak_acceleration_mm_s2: f64,
+    /// Greatest speed of each axis, measured likewise.
     pub peak_axis_speed_mm_s: [f64; AXES],
+    /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
     pub peak_axis_acceleration_mm_s2: [f64; AXES],
     /// Over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
