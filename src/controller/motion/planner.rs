@@ -215,6 +215,15 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         }
     }
 
+    pub(super) fn last(&self) -> Option<&Block<N>> {
+        self.block(self.len.checked_sub(1)?)
+    }
+
+    /// Removes the last block, which must not be running; another one has to follow.
+    pub(super) fn take_back(&mut self) {
+        self.len = self.len.saturating_sub(1);
+    }
+
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
     pub(super) fn push(&mut self, mut block: Block<N>, overrides: Overrides) -> bool {
         if self.len >= BLOCKS {
