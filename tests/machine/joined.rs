@@ -44,7 +44,10 @@ fn a_line_in_tiny_chords_takes_the_time_of_one() {
                     let ratio = pieces / whole;
                     println!("{angle} {decimals} {scale} {chord} {jerk:?}: {ratio}");
                     assert_eq!(place, end);
-                    assert!(ratio < 1.02, "{pieces} s for {whole} s: {chord} mm at {angle}°, {scale} steps/mm {jerk:?}");
+                    assert!(
+                        ratio < 1.02,
+                        "{pieces} s for {whole} s: {chord} mm at {angle}°, {scale} steps/mm {jerk:?}"
+                    );
                 }
             }
         }
