@@ -19,23 +19,33 @@ const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
 /// Powers of ten up to [`DECIMAL_PLACES`].
 const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000];
 
-/// Reads a number (sign, digits, at most one point) from the start of `text`: its value and how many bytes it took;
-/// `None` without any digit. Values beyond ±9.2 × 10¹¹ become that.
-pub fn read(text: &[u8], digits: Digits) -> Option<(Decimal, usize)> {
+/// A number as it was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Number {
+    /// Its value; what is beyond ±9.2 × 10¹¹ becomes that.
+    pub value: Decimal,
+    /// Bytes of its text.
+    pub used: usize,
+    /// Digits behind the point, up to [`DECIMAL_PLACES`].
+    pub places: u8,
+}
+
+/// Reads a number (sign, digits, at most one point) from the start of `text`; `None` without any digit.
+pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
     let signs = usize::from(negative || text.first() == Some(&b'+'));
     let text = text.get(signs..).unwrap_or(&[]);
-    let (value, used) = match read_short(text) {
-        Some(((mantissa, power), used)) => (i64::from(mantissa) * i64::from(power), used),
+    let (value, used, places) = match read_short(text) {
+        Some(short) => short,
         None => read_long(text, digits)?,
     };
-    Some((Decimal(if negative { -value } else { value }), signs + used))
+    Some(Number { value: Decimal(if negative { -value } else { value }), used: signs + used, places })
 }
 
-/// A number as programs mostly write them, up to eight digits of which seven at most stand behind the point, as two
-/// factors; `None` for all others.
+/// A number as programs mostly write them, up to eight digits of which seven at most are behind the point: its value, the
+/// bytes it took and the digits behind the point; `None` for all others.
 #[inline]
-fn read_short(text: &[u8]) -> Option<((u32, u32), usize)> {
+fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     let mut mantissa: u32 = 0;
     let mut used = 0;
     // How many bytes are used up to the point.
@@ -54,12 +64,12 @@ fn read_short(text: &[u8]) -> Option<((u32, u32), usize)> {
         return None;
     }
     let power = POWERS.get((DECIMAL_PLACES as usize).checked_sub(fraction)?)?;
-    Some(((mantissa, *power), used))
+    Some((i64::from(mantissa) * i64::from(*power), used, fraction as u8))
 }
 
-/// The value, without a sign, and how many bytes it took.
+/// The same for any number.
 #[inline(never)]
-fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize)> {
+fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     let mut used = 0;
     let limit = match digits {
         Digits::Exact => u32::MAX,
@@ -91,7 +101,7 @@ fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize)> {
     if count == 0 {
         return None;
     }
-    Some((scaled(mantissa, fraction, zeros), used))
+    Some((scaled(mantissa, fraction, zeros), used, fraction as u8))
 }
 
 /// `mantissa` × 10^(`zeros` - `fraction`).
@@ -112,11 +122,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn exact(text: &str) -> Option<(i64, usize)> {
-        read(text.as_bytes(), Digits::Exact).map(|(value, used)| (value.0, used))
+        read(text.as_bytes(), Digits::Exact).map(|number| (number.value.0, number.used))
     }
 
     fn eight(text: &str) -> Option<(i64, usize)> {
-        read(text.as_bytes(), Digits::Eight).map(|(value, used)| (value.0, used))
+        read(text.as_bytes(), Digits::Eight).map(|number| (number.value.0, number.used))
     }
 
     /// The document's table of conversions keeps eight digits.

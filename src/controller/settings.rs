@@ -122,6 +122,7 @@ pub const SCALARS: [Entry; Key::COUNT] = [
     entry(914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false),
     entry(915, "Spindle at-speed input (0 none, 1 low at speed, 2 high at speed)", "", Kind::Whole(0, 2), 0.0, false),
     entry(916, "Longest time from spindle on to at speed", "s", Kind::Real, 10.0, false),
+    entry(917, "Acceleration in curves, share of $120 to $122", "%", Kind::Whole(10, 1000), 100.0, false),
 ];
 
 /// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
@@ -202,11 +203,12 @@ pub enum Key {
     HoldWithoutHost,
     AtSpeed,
     AtSpeedWithin,
+    CurveAcceleration,
 }
 
 impl Key {
     /// How many there are.
-    pub const COUNT: usize = 60;
+    pub const COUNT: usize = 61;
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -582,6 +584,7 @@ mod tests {
             (Key::EmergencyDriversOff, 913),
             (Key::HoldWithoutHost, 914),
             (Key::AtSpeedWithin, 916),
+            (Key::CurveAcceleration, 917),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

@@ -21,8 +21,8 @@
 //!   the corner and the corner itself the block's acceleration acts for less than the time to the interval after it.
 //! - On a chain of moves without a sharp corner v² is at most a·R, a along the normal, with R from three points of it: the
 //!   ends of neighbouring moves, and points about [`REACHES`] away to both sides, which are taken where the path turns by
-//!   less than [`GENTLE`] between them. Every point may be half a digit off; the part of the bend that this can explain is
-//!   taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
+//!   less than [`GENTLE`] between them. The junction deviation grants a jump for the whole of the turn on top. Every point
+//!   may be half a digit off; the part of the bend that this can explain is taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
 //! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line from the
 //!   start of the first to the end of the last, which every point between is within half a step of.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
@@ -122,15 +122,17 @@ impl Limits {
     }
 
     /// Greatest path speed at the corner between two directions.
-    pub fn junction(&self, before: [f64; AXES], after: [f64; AXES]) -> f64 {
+    ///
+    /// `noise`: by how much the digits of its points may have turned it, rad.
+    pub fn junction(&self, before: [f64; AXES], after: [f64; AXES], noise: f64) -> f64 {
         let turn: [f64; AXES] = std::array::from_fn(|a| after[a] - before[a]);
         let size = norm(turn);
-        if size < 1e-4 {
+        let angle = 2.0 * (size / 2.0).min(1.0).asin() - noise;
+        if angle < 1e-4 {
             return f64::INFINITY;
         }
         // Half of the angle between the reversed first and the second direction: π/2 straight on, 0 for a reversal.
-        let cosine = -(0..AXES).map(|a| before[a] * after[a]).sum::<f64>();
-        let half = ((1.0 - cosine) / 2.0).sqrt();
+        let half = (angle / 2.0).cos();
         let acceleration = self.along(self.acceleration, turn.map(|t| t / size));
         (acceleration * self.junction_deviation * half / (1.0 - half)).sqrt()
     }
@@ -369,6 +371,7 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     let slack = before.slack + after.slack;
     let acceleration = before.acceleration.max(after.acceleration) * (1.0 + TOLERANCE + slack);
     let noise = DIGIT / before.length.min(after.length);
+    let turned = 2.0 * NOISE * (1.0 / before.length + 1.0 / after.length);
     let straight = (0..AXES).all(|i| (after.unit[i] - before.unit[i]).abs() <= noise.max(1e-4));
     if straight {
         let allowed = acceleration * time + a.rounding + b.rounding + (noise + slack) * a.speed.max(b.speed);
@@ -377,7 +380,7 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
         }
         return Ok(());
     }
-    let junction = limits.junction(before.unit, after.unit) * (1.0 + TOLERANCE + slack);
+    let junction = limits.junction(before.unit, after.unit, turned) * (1.0 + TOLERANCE + slack);
     for reading in [a, b] {
         if reading.speed > junction + acceleration * time + reading.rounding {
             return Err(format!("{} mm/s, {time} s round a corner for {junction} mm/s", reading.speed));
@@ -393,11 +396,13 @@ fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     let second: [f64; AXES] = std::array::from_fn(|i| c[i] - b[i]);
     let (l1, l2) = (norm(first), norm(second));
     let turn: [f64; AXES] = std::array::from_fn(|i| second[i] / l2 - first[i] / l1);
-    let sure = norm(turn) - 2.0 * NOISE * (1.0 / l1 + 1.0 / l2);
+    let noise = 2.0 * NOISE * (1.0 / l1 + 1.0 / l2);
+    let sure = norm(turn) - noise;
     if !(sure > 0.0 && norm(turn) < greatest_turn) {
         return f64::INFINITY;
     }
-    limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure
+    let junction = limits.junction(first.map(|x| x / l1), second.map(|x| x / l2), noise);
+    limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure + junction * junction
 }
 
 /// The speeds on both sides of a corner against the bend that it is a part of.

@@ -1,8 +1,10 @@
 //! Tests of the whole machine: bytes in, pulses out.
 
+mod axis_speeds;
 mod backlash;
 mod conversations;
 mod crumbs;
+mod curves;
 mod estimator;
 mod examples;
 mod host;
@@ -12,8 +14,10 @@ mod joined;
 mod kinematics;
 mod known_jobs;
 mod motion_properties;
+mod optimum;
 mod oracle;
 mod resets;
 mod rig;
 mod seed;
 mod stream;
+mod turns;

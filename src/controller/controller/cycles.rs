@@ -228,5 +228,5 @@ pub(super) const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 
 
 /// A move that the operator's overrides leave alone.
 fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
-    Move { target, speed, power: 0, scale_power: false, line_number, no_feed_override: true }
+    Move { target, speed, power: 0, scale_power: false, line_number, no_feed_override: true, digit: 0.0 }
 }

@@ -271,6 +271,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             scale_power: false,
             line_number: 0,
             no_feed_override: true,
+            digit: 0.0,
         });
         self.detour.start();
         self.drivers_on = true;

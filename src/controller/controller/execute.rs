@@ -436,6 +436,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             scale_power: laser && self.spindle == SpindleDirection::CounterClockwise,
             line_number: self.checked.line_number,
             no_feed_override: jog,
+            digit: self.checked.digit,
         }
     }
 

@@ -652,6 +652,7 @@ fn motion_settings<const N: usize>(settings: &Settings<N>, profile: &Profile) ->
         jerk: settings.axes(AxisKey::Jerk),
         backlash: settings.axes(AxisKey::Backlash),
         junction_deviation: settings.value(Key::JunctionDeviation),
+        curve_share: settings.value(Key::CurveAcceleration) * 0.01,
         arc_tolerance: settings.value(Key::ArcTolerance),
         step_clock_hz: profile.step_clock_hz,
     }

@@ -43,6 +43,8 @@ pub struct Checked<const N: usize> {
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: Motion<N>,
+    /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
+    pub digit: f32,
     /// What follows the motion.
     pub flow: Flow,
     pub(super) modal: Modal,
@@ -88,6 +90,7 @@ impl<const N: usize> Checked<N> {
         uses_machine_place: false,
         store: None,
         motion: Motion::None,
+        digit: 0.0,
         flow: Flow::None,
         modal: Modal::INITIAL,
         g92: PerAxis::all(Coordinate::ZERO),
@@ -620,6 +623,7 @@ impl<'a, const N: usize> Check<'a, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
+        checked.digit = last_digit(checked.modal.units, self.line.places);
         checked.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
@@ -710,6 +714,25 @@ impl<'a, const N: usize> Check<'a, N> {
             FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
             FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
         }
+    }
+}
+
+/// The last of so many digits behind the point, mm.
+fn last_digit(units: Units, places: u8) -> f32 {
+    match units {
+        Units::Mm => match places {
+            0..=2 => 1.0e-2,
+            3 => 1.0e-3,
+            4 => 1.0e-4,
+            5 => 1.0e-5,
+            _ => 1.0e-6,
+        },
+        Units::Inch => match places {
+            0..=3 => 2.54e-2,
+            4 => 2.54e-3,
+            5 => 2.54e-4,
+            _ => 2.54e-5,
+        },
     }
 }
 

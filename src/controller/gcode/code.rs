@@ -41,7 +41,7 @@ mod tests {
 
     #[test]
     fn codes() {
-        let code = |text: &str| Code::of(read(text.as_bytes(), Digits::Exact).unwrap().0);
+        let code = |text: &str| Code::of(read(text.as_bytes(), Digits::Exact).unwrap().value);
         assert_eq!(code("38.2"), Code { whole: 38, hundredths: 20 });
         assert_eq!(code("92.10"), Code { whole: 92, hundredths: 10 });
         assert_eq!(code("92.001"), Code { whole: 92, hundredths: 0 });

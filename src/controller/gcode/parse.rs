@@ -45,6 +45,8 @@ pub(super) struct Parsed<const N: usize> {
     /// Axes that carry one.
     pub axes: AxisMask,
     pub axis: PerAxis<Decimal, N>,
+    /// The most digits behind the point of an axis word.
+    pub places: u8,
     pub i: Decimal,
     pub j: Decimal,
     pub k: Decimal,
@@ -80,6 +82,7 @@ impl<const N: usize> Parsed<N> {
             values: Letters::default(),
             axes: AxisMask::NONE,
             axis: PerAxis::all(zero),
+            places: 0,
             i: zero,
             j: zero,
             k: zero,
@@ -97,11 +100,11 @@ impl<const N: usize> Parsed<N> {
     pub fn read(&mut self, line: &[u8], dialect: Dialect) -> Result<(), Error> {
         let digits = if dialect == Dialect::Grbl { Digits::Eight } else { Digits::Exact };
         for word in Words::of(line, digits) {
-            let Word { letter, value } = word?;
+            let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value)?,
+                _ => self.take_value(letter, value, places)?,
             }
         }
         Ok(())
@@ -159,7 +162,7 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    fn take_value(&mut self, letter: u8, value: Decimal) -> Result<(), Error> {
+    fn take_value(&mut self, letter: u8, value: Decimal, places: u8) -> Result<(), Error> {
         let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
         if axis.is_none() && !VALUES.has(letter) {
             return Err(Error::UnsupportedCommand);
@@ -177,6 +180,7 @@ impl<const N: usize> Parsed<N> {
         if let Some(axis) = axis {
             self.axis.set(axis, value);
             self.axes = self.axes.with(axis);
+            self.places = self.places.max(places);
         }
         match letter {
             b'F' => self.f = value,

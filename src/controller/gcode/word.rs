@@ -6,7 +6,7 @@ use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode
 use super::offsets::StoredOffset;
 use crate::error::Error;
 use crate::messages::SpindleDirection;
-use crate::number::{self, Digits};
+use crate::number::{self, Digits, Number};
 use crate::units::Decimal;
 
 /// A letter and its number.
@@ -14,6 +14,8 @@ use crate::units::Decimal;
 pub(super) struct Word {
     pub letter: u8,
     pub value: Decimal,
+    /// Digits behind the point.
+    pub places: u8,
 }
 
 /// The words of a line, up to the first fault.
@@ -31,8 +33,8 @@ impl<'a> Words<'a> {
         if !letter.is_ascii_uppercase() {
             return Err(Error::ExpectedLetter);
         }
-        let (value, used) = number::read(number, self.digits).ok_or(Error::BadNumber)?;
-        Ok((Word { letter, value }, number.get(used..).unwrap_or(&[])))
+        let Number { value, used, places } = number::read(number, self.digits).ok_or(Error::BadNumber)?;
+        Ok((Word { letter, value, places }, number.get(used..).unwrap_or(&[])))
     }
 }
 

@@ -1,7 +1,7 @@
-//! A block: one straight move with everything that planning and stepping need to know of it, in 64 bytes at most.
+//! A block: one straight move with everything that planning and stepping need to know of it, in 68 bytes at most.
 
 use super::jerk::Bounds;
-use super::profile::lesser;
+use super::profile::{greater, lesser, square_root};
 use crate::messages::Leg;
 
 /// What a block's programmed speed means.
@@ -45,9 +45,68 @@ pub(super) struct Block<const N: usize> {
     pub jerk: f32,
     /// How the entry is planned with a jerk limit.
     pub ramp: Ramp,
+    /// What a bend leaves of the acceleration.
+    pub curve: CurveLoad,
     pub power: u16,
     pub directions: u8,
     pub flags: u8,
+}
+
+/// The upper half of an `f32`: rounded down by 0.8 % at most.
+fn upper(value: f32) -> u16 {
+    (value.to_bits() >> 16) as u16
+}
+
+fn of_upper(upper: u16) -> f32 {
+    f32::from_bits(u32::from(upper) << 16)
+}
+
+/// A bend on which the block lies. At its full speed v² = a·R it takes all of the acceleration a, at a lower one the share
+/// r = v²/(a·R); what is left is for speeding up and braking.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CurveLoad {
+    speed2: u16,
+    acceleration: u16,
+}
+
+/// Least share of the acceleration that a bend leaves: both together exceed it by 3 %, and the machine can always brake.
+const LEAST_SHARE: f32 = 0.25;
+
+impl CurveLoad {
+    /// Straight.
+    pub(super) const NONE: Self = Self { speed2: 0x7F80, acceleration: 0 };
+
+    /// A bend that takes all of `acceleration` (mm/s²) at the speed².
+    pub(super) fn new(speed2: f32, acceleration: f32) -> Self {
+        Self { speed2: upper(speed2), acceleration: upper(acceleration) }
+    }
+
+    #[inline]
+    pub(super) fn is_none(self) -> bool {
+        self == Self::NONE
+    }
+
+    /// The tighter one of two. Positive numbers are ordered as their bits are.
+    #[inline]
+    pub(super) fn tighter(self, other: Self) -> Self {
+        if other.speed2 < self.speed2 { other } else { self }
+    }
+
+    /// The gentler one of two.
+    #[inline]
+    pub(super) fn gentler(self, other: Self) -> Self {
+        if other.speed2 > self.speed2 { other } else { self }
+    }
+
+    /// What is left of an acceleration `along` the path at a speed². Along the path and across it, the sum of both on each
+    /// axis is within its limit, either as parts of a circle, a·√(1 - r²), or as shares, 1 - r of what the path's own
+    /// direction allows.
+    #[inline(never)]
+    fn left(self, along: f32, speed2: f32) -> f32 {
+        let share = lesser(speed2 / of_upper(self.speed2), 1.0);
+        let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
+        lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
+    }
 }
 
 /// The way from a block's entry to the next anchor: an entry at which the machine may be at the planned speed and without
@@ -69,14 +128,12 @@ impl Ramp {
 
     #[inline]
     pub(super) fn new(distance: f32, ceiling2: f32, bounds: Bounds) -> Self {
-        let upper = |value: f32| (value.to_bits() >> 16) as u16;
         Self { distance, ceiling2, acceleration: upper(bounds.acceleration), jerk: upper(bounds.jerk) }
     }
 
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {
-        let whole = |upper: u16| f32::from_bits(u32::from(upper) << 16);
-        Bounds { acceleration: whole(self.acceleration), jerk: whole(self.jerk) }
+        Bounds { acceleration: of_upper(self.acceleration), jerk: of_upper(self.jerk) }
     }
 }
 
@@ -93,6 +150,7 @@ impl<const N: usize> Block<N> {
         entry2: 0.0,
         jerk: 1.0,
         ramp: Ramp::ANCHOR,
+        curve: CurveLoad::NONE,
         power: 0,
         directions: 0,
         flags: 0,
@@ -109,6 +167,12 @@ impl<const N: usize> Block<N> {
             self.programmed * overrides.feed
         };
         lesser(wanted, self.limit)
+    }
+
+    /// Greatest acceleration along the path at a speed².
+    #[inline]
+    pub(super) fn acceleration_at(&self, speed2: f32) -> f32 {
+        if self.curve.is_none() { self.acceleration } else { self.curve.left(self.acceleration, speed2) }
     }
 
     /// What bounds changes of speed in the block.
@@ -130,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_block_is_no_larger_than_said() {
-        assert_eq!(size_of::<Block<3>>(), 64);
+        assert_eq!(size_of::<Block<3>>(), 68);
         let bounds = Bounds { acceleration: 500.0, jerk: 12_345.0 };
         let kept = Ramp::new(1.0, 2.0, bounds).bounds();
         assert_eq!(kept.acceleration, 500.0);

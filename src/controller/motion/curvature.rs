@@ -1,87 +1,267 @@
-//! How much a chain of short moves bends, from points that lie far enough apart.
+//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords.
 //!
-//! The corner rule looks at two moves and takes what lies between them for a corner. On a curve that somebody has cut into
-//! chords this allows any speed, if only the chords are short: the corners are then as flat as one likes, and the
-//! acceleration v²/R across the path is that of the curve. Here the bend is measured:
+//! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
+//! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,
+//! the same for the whole turn however it is distributed over L:
 //!
 //! ```text
-//!        B        direction AB to direction BC turns by q (difference of unit vectors),
-//!      /   \      over the mean of both lengths: curvature = |q| / mean, exact on a circle for equal lengths
-//!    A       C
+//!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
+//!    \  2    between the middles of two spans      v² - J²  = a·L/t      (of several pieces each)
+//!     '---.  a corner: L = 0                       v        = J
+//!          \ 3
 //! ```
-//! Each point may be off by [`NOISE`], the last digit of the program. Neighbouring points say little where chords are
-//! short: a digit of 1 um on chords of 0.1 mm is a bend of R = 10 mm that is not there. Points far apart say little where
-//! the bend is short. So the chain is looked at in spans of several lengths at once, from each the part of the bend that
-//! noise cannot explain is taken, and the tightest counts: a straight line with noise is straight, and a circle is measured
-//! by the longest span that turns by no more than [`MOST_TURN`].
+//! The first form is exact where both ends are single pieces, which turn at their ends only. A span of several pieces has
+//! the direction of the path in its middle; the second form is stricter, and tends to v² = a·R on a long curve.
 //!
-//! What A, B and C tell is the limit for everything from A to C. A corner of θ in the middle of spans of length L is taken
-//! for a bend of v² = a·L/θ. No machine is faster than √(2·a·L) where it has to brake for that corner within L, so for
-//! θ about half a radian nothing is slowed by a span that holds a corner and nothing else; a sharper one ends the chain.
+//! The program's points are rounded: each may be off by half of the last digit on each axis. That turns a span of length l
+//! by 1.5 digits / l at most, and so much of q is left out (`noise`). So a straight line whose points are rounded is straight,
+//! and points that are finer than the path lose nothing.
+//!
+//! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is looked at
+//! on several scales at once: on each it is cut into spans of at least that length, and a new span is compared with the last
+//! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
+use super::block::CurveLoad;
 use super::planner::UNLIMITED2;
-use super::profile::square_root;
+use super::profile::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
 
-/// How far a programmed point may be from the meant one, mm. Three decimals: half a digit in each of two axes is 0.0007.
-/// Four decimals of an inch: 0.0018 at worst, 0.001 in the mean.
-const NOISE: f32 = 0.0008;
-/// |difference of unit vectors|² of 0.6 rad: spans that turn more are left to the shorter ones, and a corner that does
-/// ends the chain.
-pub(super) const MOST_TURN: f32 = 0.36;
-/// Lengths of the spans, mm. Noise takes 4·NOISE·R/L² off a curvature: 1 % at R = 3·L², so the longest serves R = 200 mm,
-/// where 1000 mm/s² allow 450 mm/s. On a small circle L is 0.3·R at least, and noise takes 4 % mm / R. The shortest
-/// turns by 0.6 rad at R = 0.1 mm; below that the corner rule is the stricter one with its usual 0.01 mm.
-const SPANS: [f32; 8] = [0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
-/// A span whose ends are closer than this share of its path is no chord of a bend.
-const STRAIGHTNESS: f32 = 0.9;
+/// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a
+/// radian of a bend of R = 100 mm.
+const SCALES: usize = 14;
+const SHORTEST: f32 = 1.0 / 256.0;
+/// Spans that a new one is compared with.
+const HISTORY: usize = 4;
+/// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
+const DIGITS_ASIDE: f32 = 1.5;
+/// A turn of which noise can explain less than this share is taken as it is.
+const CERTAIN: f32 = 1.0 / 64.0;
+/// A span whose ends are closer than this share of its path is no chord of a bend: that of half a circle has 0.64.
+const STRAIGHTNESS: f32 = 0.6;
+/// q² below which a path is straight: the cosine of 0.999999 at which Grbl stops to compute.
+const STRAIGHT: f32 = 2.0e-6;
+/// q² beyond which a move turns back on itself.
+const REVERSAL: f32 = 4.0 - 2.0e-6;
+/// q² of one radian: what turns more need not be a bend, but may be corners with straights between.
+const RADIAN2: f32 = 0.92;
+/// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
+pub(super) const NOTICEABLE: f32 = 3.2;
+/// Points of which the finest digit counts: words lose their trailing zeros, but not all of them.
+const POINTS: u8 = 32;
 
-/// The limit for the entries of some blocks.
+/// A limit for some of the blocks, counted back from the newest, which is 0: the nearest and the farthest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bend {
-    /// Greatest speed².
+    /// Greatest speed² at their entries.
     pub speed2: f32,
-    /// It holds for the entries of so many blocks, from the newest back.
-    pub blocks: usize,
+    /// One slower entry is enough: it turns by more than a radian. Where this is done in a corner the machine brakes for it
+    /// and leaves it with the acceleration of the axes, so the whole takes the time that it must.
+    pub once: bool,
+    /// What the bend leaves of the acceleration.
+    pub curve: CurveLoad,
+    pub nearest: usize,
+    pub farthest: usize,
 }
 
-/// The points of one span length: the last one, and what is known of the span that ended there.
+/// What the rule must know of the machine.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TurnRule<const N: usize> {
+    /// Of each axis, mm/s².
+    pub acceleration: [f32; N],
+    /// Junction deviation, mm.
+    pub deviation: f32,
+    /// Share of the acceleration that bends may take.
+    pub curve_share: f32,
+}
+
+/// A span of the path with the direction from its start to its end.
 #[derive(Clone, Copy, Debug)]
 struct Span<const N: usize> {
-    knot: PerAxis<Coordinate, N>,
-    /// Path and blocks since.
-    path: f32,
-    blocks: usize,
-    /// The span before: unit vector, length, blocks. No blocks: there is none that tells anything.
+    /// Unit vector.
     direction: [f32; N],
-    length: f32,
-    before: usize,
+    /// By how much the rounding of its ends may have turned it, rad.
+    noise: f32,
+    /// Length of the path, mm.
+    path: f32,
+    /// Greatest speed² in it under any override.
+    fast2: f32,
+    /// Moves in it; 0: there is none.
+    blocks: u16,
+    /// Whether the direction means anything.
+    straight: bool,
+    /// The bend between the middle of the span before and its own.
+    curve: CurveLoad,
+}
+
+impl<const N: usize> Span<N> {
+    const NONE: Self = Self {
+        direction: [0.0; N],
+        noise: 0.0,
+        path: 0.0,
+        fast2: 0.0,
+        blocks: 0,
+        straight: false,
+        curve: CurveLoad::NONE,
+    };
+
+    /// A single piece.
+    fn of(piece: &Piece<'_, N>) -> Self {
+        let straight = piece.length > 0.0;
+        let noise = if straight { DIGITS_ASIDE * piece.digit / piece.length } else { 0.0 };
+        Self {
+            direction: *piece.direction,
+            noise,
+            path: piece.path,
+            fast2: piece.fast2,
+            blocks: 1,
+            straight,
+            ..Self::NONE
+        }
+    }
+
+    /// How much path lies between its middle and its end; a single piece has its direction up to the end.
+    #[inline]
+    fn half(&self) -> f32 {
+        if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
+    }
+}
+
+/// A straight piece of the path: the newest block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece<'a, const N: usize> {
+    pub start: &'a PerAxis<Coordinate, N>,
+    pub end: &'a PerAxis<Coordinate, N>,
+    /// Unit vector.
+    pub direction: &'a [f32; N],
+    /// From start to end, mm.
+    pub length: f32,
+    /// The same with moves too short for a step, mm.
+    pub path: f32,
+    /// Greatest speed² under any override.
+    pub fast2: f32,
+    /// The last digit of the program, mm.
+    pub digit: f32,
+}
+
+/// The spans before, the newest first.
+#[derive(Clone, Copy, Debug)]
+struct History<const N: usize>([Span<N>; HISTORY]);
+
+impl<const N: usize> History<N> {
+    /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
+    /// two single pieces is known already ([`Chain::corner2`]).
+    fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut impl FnMut(Bend)) {
+        let own = usize::from(new.blocks);
+        let (mut between, mut blocks, mut fast2) = (0.0, 0, new.fast2);
+        for (index, old) in self.0.iter().enumerate() {
+            if old.blocks == 0 || !new.straight {
+                break;
+            }
+            fast2 = greater(fast2, old.fast2);
+            let limit = if old.straight && !(index == 0 && own == 1 && old.blocks == 1) {
+                rule.span_speed2(old, &new, between, fast2)
+            } else {
+                None
+            };
+            if let Some((speed2, once)) = limit {
+                // From the middle of the one to the middle of the other, or where a single piece begins or ends.
+                let nearest = behind + own / 2;
+                let farthest = behind + own - 1 + blocks + usize::from(old.blocks) / 2;
+                found(Bend { speed2, once, curve: CurveLoad::NONE, nearest, farthest });
+            }
+            between += old.path;
+            blocks += usize::from(old.blocks);
+        }
+        let [first, second, third, _] = self.0;
+        new.curve = rule.bend(&first, &new, fast2);
+        // A corner turns two neighbouring spans at most, a bend all of them.
+        let curve = new.curve.gentler(first.curve).gentler(second.curve);
+        if !curve.is_none() {
+            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
+            found(Bend { speed2: UNLIMITED2, once: false, curve, nearest: behind + own, farthest });
+        }
+        self.0 = [new, first, second, third];
+    }
+}
+
+/// One scale: the spans before, and the one that has been begun.
+#[derive(Clone, Copy, Debug)]
+struct Scale<const N: usize> {
+    history: History<N>,
+    /// Where it begins, how long its path is, its greatest speed² and its blocks.
+    start: PerAxis<Coordinate, N>,
+    path: f32,
+    fast2: f32,
+    blocks: u16,
+}
+
+impl<const N: usize> Scale<N> {
+    /// Begins a span.
+    #[inline]
+    fn begin(&mut self, start: &PerAxis<Coordinate, N>) {
+        self.start = *start;
+        self.path = 0.0;
+        self.fast2 = 0.0;
+        self.blocks = 0;
+    }
+
+    /// Ends the span and begins the next.
+    fn end(&mut self, end: &PerAxis<Coordinate, N>, digit: f32) -> Span<N> {
+        let way = end.zip(&self.start, |to, from| (to - from).to_mm());
+        let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        let straight = length > 0.0 && length >= STRAIGHTNESS * self.path;
+        let shortness = if straight { 1.0 / length } else { 0.0 };
+        let span = Span {
+            direction: way.0.map(|part| part * shortness),
+            noise: DIGITS_ASIDE * digit * shortness,
+            path: self.path,
+            fast2: self.fast2,
+            blocks: self.blocks,
+            straight,
+            curve: CurveLoad::NONE,
+        };
+        self.begin(end);
+        span
+    }
+}
+
+/// The program's last digit: the finest of its last 32 to 64 points.
+#[derive(Clone, Copy, Debug)]
+struct LastDigit {
+    finest: f32,
+    before: f32,
+    points: u8,
+}
+
+impl LastDigit {
+    const NONE: Self = Self { finest: f32::INFINITY, before: f32::INFINITY, points: 0 };
+
+    fn with(&mut self, digit: f32) -> f32 {
+        if self.points >= POINTS {
+            *self = Self { finest: f32::INFINITY, before: self.finest, points: 0 };
+        }
+        self.points += 1;
+        self.finest = lesser(digit, self.finest);
+        lesser(self.finest, self.before)
+    }
 }
 
 /// The end of the queue as a chain of points.
 #[derive(Clone, Debug)]
 pub(super) struct Chain<const N: usize> {
-    spans: [Span<N>; SPANS.len()],
-    /// So many of the spans are no longer than the last piece: its ends are their points, and what they know stands here
-    /// only. On moves that are long anyway nothing is gathered at all.
+    /// The last single pieces.
+    pieces: History<N>,
+    scales: [Scale<N>; SCALES],
+    /// So many scales are no longer than the last piece: their spans are the single pieces. On moves that are long
+    /// anyway nothing is gathered at all.
     whole: usize,
-    direction: [f32; N],
-    length: f32,
+    digit: LastDigit,
 }
 
-/// A piece of the path: where it ends, its unit vector and length.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Piece<'a, const N: usize> {
-    pub start: &'a PerAxis<Coordinate, N>,
-    pub end: &'a PerAxis<Coordinate, N>,
-    pub direction: &'a [f32; N],
-    pub length: f32,
-}
-
-/// |difference|² of two unit vectors.
+/// q² of two unit vectors.
 #[inline]
-pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
+fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
     let mut square = 0.0;
     for (a, b) in before.iter().zip(after) {
         square += (b - a) * (b - a);
@@ -89,135 +269,214 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
     square
 }
 
-/// Speed² on a path that turns from one unit vector to the other between the middles of two pieces of these lengths;
-/// `turn2` is |difference of the vectors|².
-///
-/// The acceleration is the greatest that every axis takes in any direction of the plane of the curve: with the normal n and
-/// the tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the curve. So the speed on a circle is even.
-pub(super) fn bend_speed2<const N: usize>(
-    before: &[f32; N],
-    after: &[f32; N],
-    turn2: f32,
-    lengths: [f32; 2],
-    acceleration: &[f32; N],
-) -> f32 {
-    let [first, second] = lengths;
-    // Each end of a piece turns it by NOISE / length.
-    let noise = 2.0 * NOISE * (first + second) / (first * second);
-    // A turn that is all noise; or back, which is a corner and no bend.
-    if turn2 <= noise * noise || turn2 >= 3.999 {
-        return UNLIMITED2;
+/// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
+#[inline]
+fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
+    if turn2 < STRAIGHT || turn2 <= noise * noise {
+        return None;
     }
-    let sure = square_root(turn2) - noise;
-    let (normal, tangent) = (1.0 / turn2, 1.0 / (4.0 - turn2));
-    let mut least2 = UNLIMITED2;
-    for ((a, b), limit) in before.iter().zip(after).zip(acceleration) {
-        let (difference, sum) = (b - a, b + a);
-        let share2 = difference * difference * normal + sum * sum * tangent;
-        if share2 * least2 > limit * limit {
-            least2 = limit * limit / share2;
+    let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
+    if noise * noise <= CERTAIN * CERTAIN * turn2 {
+        return Some((turn2, sine));
+    }
+    // q = 2·sin(t/2) and s = cos(t/2) of an angle that is smaller by the noise.
+    let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
+    let cosine = 1.0 - 0.125 * noise * noise;
+    let turn = square_root(turn2);
+    let less = turn * cosine - 2.0 * sine * half;
+    let less2 = less * less;
+    (less > 0.0 && less2 >= STRAIGHT).then_some((less2, sine * cosine + 0.5 * turn * half))
+}
+
+impl<const N: usize> TurnRule<N> {
+    /// Greatest acceleration along the change of direction at which no axis exceeds its own.
+    #[inline]
+    fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
+        let mut least = UNLIMITED2;
+        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
+            let part = (after - before).abs();
+            if part * least > limit * turn {
+                least = limit * turn / part;
+            }
         }
+        least
     }
-    square_root(least2) * 0.5 * (first + second) / sure
+
+    /// Greatest acceleration that every axis takes in any direction of the plane of a turn: with the normal n and the
+    /// tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the bend. So the speed on a circle is even.
+    #[inline]
+    fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
+        let normal = 1.0 / turn2;
+        // Of a turn straight back only the normal is known; the shorter spans know the rest.
+        let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
+        let mut least2 = UNLIMITED2;
+        for ((a, b), limit) in before.iter().zip(after).zip(self.acceleration) {
+            let (difference, sum) = (b - a, b + a);
+            let share2 = difference * difference * normal + sum * sum * tangent;
+            if share2 * least2 > limit * limit {
+                least2 = limit * limit / share2;
+            }
+        }
+        square_root(least2)
+    }
+
+    /// J² of a turn: v² = a·d·s / (1 - s). 1 - s is a small difference for gentle turns; with q² = 4·(1 - s²) it is
+    /// computed as q² / (4·(1 + s)) instead.
+    #[inline]
+    fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
+        across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
+    }
+
+    /// Greatest speed² at the corner between two pieces.
+    #[inline]
+    fn corner2(&self, before: &Span<N>, after: &Span<N>) -> f32 {
+        let all2 = turn2(&before.direction, &after.direction);
+        if !before.straight || !after.straight {
+            return UNLIMITED2;
+        }
+        let Some((turn2, sine)) = certain(all2, before.noise + after.noise) else { return UNLIMITED2 };
+        if turn2 > REVERSAL {
+            return 0.0;
+        }
+        let across = self.across(&before.direction, &after.direction, square_root(all2));
+        self.junction2(across, sine, turn2)
+    }
+
+    /// Greatest speed² between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
+    #[inline]
+    fn span_speed2(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<(f32, bool)> {
+        let all2 = turn2(&old.direction, &new.direction);
+        let (turn2, sine) = certain(all2, old.noise + new.noise)?;
+        let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
+        let bend2 = self.in_plane(&old.direction, &new.direction, all2) * self.curve_share * radius;
+        if bend2 > fast2 {
+            return None;
+        }
+        let junction2 = if turn2 > REVERSAL {
+            0.0
+        } else {
+            self.junction2(self.across(&old.direction, &new.direction, square_root(all2)), sine, turn2)
+        };
+        let speed2 = if old.blocks == 1 && new.blocks == 1 {
+            let speed = 0.5 * (square_root(junction2) + square_root(junction2 + 4.0 * bend2));
+            speed * speed
+        } else {
+            junction2 + bend2
+        };
+        (speed2 < fast2).then_some((speed2, turn2 > RADIAN2))
+    }
+
+    /// The bend from the middle of a span to the middle of the next one, if it tells at `fast2`.
+    #[inline]
+    fn bend(&self, old: &Span<N>, new: &Span<N>, fast2: f32) -> CurveLoad {
+        if old.blocks == 0 || !old.straight || !new.straight {
+            return CurveLoad::NONE;
+        }
+        let all2 = turn2(&old.direction, &new.direction);
+        let Some((turn2, sine)) = certain(all2, old.noise + new.noise).filter(|(turn2, _)| *turn2 < RADIAN2) else {
+            return CurveLoad::NONE;
+        };
+        let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
+        let acceleration = self.in_plane(&old.direction, &new.direction, all2);
+        let curve2 = acceleration * self.curve_share * radius;
+        if curve2 < NOTICEABLE * fast2 { CurveLoad::new(curve2, acceleration) } else { CurveLoad::NONE }
+    }
+}
+
+/// Radius of a bend for its length: 1/t, t = 3·q / (2 + s) within 0.2 % up to a right angle and 5 % up to half a turn
+/// (Shafer's approximation of the arc tangent).
+#[inline]
+fn radius_of(turn2: f32, sine: f32) -> f32 {
+    (2.0 + sine) / (3.0 * square_root(turn2))
 }
 
 impl<const N: usize> Chain<N> {
     pub(super) const fn new() -> Self {
-        let span = Span {
-            knot: PerAxis::all(Coordinate::ZERO),
-            path: 0.0,
-            blocks: 0,
-            direction: [0.0; N],
-            length: 0.0,
-            before: 0,
-        };
-        Self { spans: [span; SPANS.len()], whole: 0, direction: [0.0; N], length: 0.0 }
+        let none = History([Span::NONE; HISTORY]);
+        let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
+        Self { pieces: none, scales: [scale; SCALES], whole: 0, digit: LastDigit::NONE }
     }
 
-    /// Begins anew at a corner.
-    pub(super) fn restart(&mut self, place: &PerAxis<Coordinate, N>) {
+    /// Forgets what lies before this point: the machine comes to rest there.
+    pub(super) fn restart(&mut self, start: &PerAxis<Coordinate, N>) {
         self.whole = 0;
-        for span in &mut self.spans {
-            span.knot = *place;
-            span.path = 0.0;
-            span.blocks = 0;
-            span.before = 0;
+        self.pieces = History([Span::NONE; HISTORY]);
+        for scale in &mut self.scales {
+            scale.history = self.pieces;
+            scale.begin(start);
         }
     }
 
-    /// Goes on with a straight piece, the next block, and tells what bends have been found.
-    pub(super) fn extend(&mut self, piece: &Piece<'_, N>, acceleration: &[f32; N], mut found: impl FnMut(Bend)) {
-        let whole = SPANS.iter().take_while(|span| **span <= piece.length).count();
+    /// The program's last digit, mm, with that of one more point.
+    pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
+        self.digit.with(digit)
+    }
+
+    /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.
+    pub(super) fn corner2(&self, piece: &Piece<'_, N>, rule: &TurnRule<N>) -> f32 {
+        let [before, ..] = &self.pieces.0;
+        if before.blocks == 0 { UNLIMITED2 } else { rule.corner2(before, &Span::of(piece)) }
+    }
+
+    /// Adds the newest block, which has been pushed already, and tells what bends are found.
+    pub(super) fn extend(&mut self, piece: &Piece<'_, N>, rule: &TurnRule<N>, mut found: impl FnMut(Bend)) {
+        let digit = piece.digit;
+        let new = Span::of(piece);
+        let mut scale_length = SHORTEST;
+        let mut whole = 0;
+        while whole < SCALES && scale_length <= piece.length {
+            scale_length *= 2.0;
+            whole += 1;
+        }
         if self.whole < whole {
-            // Shorter spans end where the piece begins. It is the newest block already.
-            self.advance(self.whole, whole, piece.start, 0.0, 0, acceleration, &mut |bend: Bend| {
-                found(Bend { blocks: bend.blocks + 1, ..bend });
-            });
+            self.end_before(piece, &new, whole, rule, &mut found);
         }
-        for span in self.spans.iter_mut().take(self.whole).skip(whole) {
-            span.knot = *piece.start;
-            span.direction = self.direction;
-            span.length = self.length;
-            span.before = 1;
-            span.path = 0.0;
-            span.blocks = 0;
+        for scale in self.scales.iter_mut().take(self.whole).skip(whole) {
+            scale.history = self.pieces;
+            scale.begin(piece.start);
         }
-        self.advance(whole, whole, piece.end, piece.length, 1, acceleration, &mut found);
+        self.pieces.take(new, 0, rule, &mut found);
         self.whole = whole;
-        self.direction = *piece.direction;
-        self.length = piece.length;
-    }
-
-    /// Makes `place` a point of the spans from `first` on: of those before `forced` in any case, and of those that are long
-    /// enough with `path` and `blocks` more, up to the first that is not.
-    #[allow(clippy::too_many_arguments, reason = "one loop for both ends of a piece")]
-    #[inline]
-    fn advance(
-        &mut self,
-        first: usize,
-        forced: usize,
-        place: &PerAxis<Coordinate, N>,
-        mut path: f32,
-        mut blocks: usize,
-        acceleration: &[f32; N],
-        found: &mut impl FnMut(Bend),
-    ) {
-        for (index, (span, limit)) in self.spans.iter_mut().zip(SPANS).enumerate().skip(first) {
-            span.path += path;
-            span.blocks += blocks;
-            if span.path < limit && index >= forced {
+        let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
+        for scale in self.scales.iter_mut().skip(whole) {
+            scale.path += path;
+            scale.fast2 = greater(scale.fast2, fast2);
+            scale.blocks = scale.blocks.saturating_add(blocks);
+            if scale.path < scale_length {
                 return;
             }
-            if span.blocks == 0 {
-                continue;
+            (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
+            let span = scale.end(piece.end, digit);
+            scale.history.take(span, 0, rule, &mut found);
+            scale_length *= 2.0;
+        }
+    }
+
+    /// A piece longer than the scales up to `whole`: their spans end where it begins, and it is compared with them.
+    #[inline(never)]
+    fn end_before(
+        &mut self,
+        piece: &Piece<'_, N>,
+        new: &Span<N>,
+        whole: usize,
+        rule: &TurnRule<N>,
+        found: &mut impl FnMut(Bend),
+    ) {
+        let (mut path, mut fast2, mut blocks) = (0.0, 0.0, 0);
+        for (index, scale) in self.scales.iter_mut().enumerate().skip(self.whole) {
+            scale.path += path;
+            scale.fast2 = greater(scale.fast2, fast2);
+            scale.blocks = scale.blocks.saturating_add(blocks);
+            if index >= whole {
+                // Longer scales go on with what the last one has ended; the piece comes to it.
+                return;
             }
-            (path, blocks) = (span.path, span.blocks);
-            let way = place.zip(&span.knot, |to, from| (to - from).to_mm());
-            let mut square = 0.0;
-            for part in way.iter() {
-                square += part * part;
+            if scale.blocks > 0 {
+                (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
+                let span = scale.end(piece.start, piece.digit);
+                scale.history.take(span, 1, rule, found);
             }
-            let length = square_root(square);
-            let before = core::mem::replace(&mut span.before, 0);
-            span.knot = *place;
-            span.path = 0.0;
-            span.blocks = 0;
-            if length < STRAIGHTNESS * path || length <= 0.0 {
-                continue;
-            }
-            let direction = way.0.map(|part| part / length);
-            // Where both are single blocks the corner itself has been looked at.
-            if before > 0 && before + blocks > 2 {
-                let turn2 = turn2(&span.direction, &direction);
-                if turn2 <= MOST_TURN {
-                    let lengths = [span.length, length];
-                    let speed2 = bend_speed2(&span.direction, &direction, turn2, lengths, acceleration);
-                    found(Bend { speed2, blocks: before + blocks });
-                }
-            }
-            span.direction = direction;
-            span.length = length;
-            span.before = blocks;
+            scale.history.take(*new, 0, rule, found);
         }
     }
 }

@@ -138,22 +138,24 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub(super) fn curve(&self) -> Option<(Curve, u32)> {
         let run = &self.running;
         let left = run.total - run.done;
+        let planned2 = self.planner.exit2();
+        let acceleration = self.acceleration_towards(planned2);
         if self.hold != Hold::Ramp {
-            let exit2 = self.planner.exit2() * (run.scale * run.scale);
-            let curve = Curve { acceleration: run.acceleration, nominal2: run.nominal2, exit2 };
+            let exit2 = planned2 * (run.scale * run.scale);
+            let curve = Curve { acceleration, nominal2: run.nominal2, exit2 };
             return Some((curve, left));
         }
         if self.pace.speed2 <= 0.0 {
             return None;
         }
-        let way = self.pace.speed2 / (2.0 * run.acceleration);
+        let way = self.pace.speed2 / (2.0 * acceleration);
         if way < 1.0 && self.pace.speed * CRAWL_S < 2.0 {
             return None;
         }
         if way >= left as f32 {
             // All of this block brakes, and the next one goes on with what speed is left.
-            let exit2 = (self.pace.speed2 - 2.0 * run.acceleration * left as f32).max(0.0);
-            let curve = Curve { acceleration: run.acceleration, nominal2: self.pace.speed2, exit2 };
+            let exit2 = (self.pace.speed2 - 2.0 * acceleration * left as f32).max(0.0);
+            let curve = Curve { acceleration, nominal2: self.pace.speed2, exit2 };
             return Some((curve, left));
         }
         // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
@@ -165,6 +167,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let curve =
             Curve { acceleration: self.pace.speed2 / (2.0 * stop as f32), nominal2: self.pace.speed2, exit2: 0.0 };
         Some((curve, stop))
+    }
+
+    /// The running block's acceleration, in units/s²: in a bend what it leaves at the lower of the present speed and the
+    /// planned exit speed², as the reverse pass has counted on.
+    #[inline]
+    fn acceleration_towards(&self, exit2: f32) -> f32 {
+        let run = &self.running;
+        match self.planner.first() {
+            Some(block) if !block.curve.is_none() => {
+                let speed2 = self.pace.speed2 / (run.scale * run.scale);
+                block.acceleration_at(lesser(speed2, exit2)) * run.scale
+            }
+            _ => run.acceleration,
+        }
     }
 
     /// A segment that moves nothing and lets the step task rest.

@@ -2,10 +2,10 @@
 
 use super::arc::Arc;
 use super::backlash;
-use super::block::{Block, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
-use super::curvature::{self, MOST_TURN, Piece};
+use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
+use super::curvature::{NOTICEABLE, Piece};
 use super::measure::Measure;
-use super::planner::{self, DIGIT, UNLIMITED2};
+use super::planner::{SQUARE_CORNER, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use super::{
     GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Motion, Motors,
@@ -44,11 +44,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// ends instead of the steps next to them.
     pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
-        for (axis, most) in Axis::of_machine::<N>().zip(self.acceleration) {
+        for (axis, most) in Axis::of_machine::<N>().zip(self.turns.acceleration) {
             if arc.bends(axis) {
                 acceleration = lesser(acceleration, most);
             }
         }
+        acceleration *= self.turns.curve_share;
         self.queue(m, acceleration * arc.curve_radius(), true)
     }
 
@@ -202,26 +203,27 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.acceleration = acceleration;
         block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
         block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
-        let (crumbs, mut heading, mut run) = (self.with_crumbs(&way, straight), &unit, straight);
-        if let Some((direction, length)) = &crumbs {
-            (heading, run) = (direction, *length);
+        let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+        let digit = self.chain.last_digit(m.digit);
+        if self.tool_stands {
+            self.chain.restart(&start);
         }
-        let turn2 = curvature::turn2(&self.direction, heading);
-        let lengths = [self.distance, run];
-        block.corner2 = planner::corner_speed2(
-            &self.direction,
-            heading,
-            turn2,
-            lengths,
-            &self.acceleration,
-            self.junction_deviation,
-        );
+        let piece = Piece {
+            start: &start,
+            end: &m.target,
+            direction: &unit,
+            length: straight,
+            path: length,
+            fast2: fastest * fastest,
+            digit,
+        };
+        block.corner2 = self.chain.corner2(&piece, &self.turns);
         // Moves without a step that led nowhere, some steps' worth of them, are waited for in this block: so it has corners
         // before and behind it.
         let waits = path > 1.1 * straight && path - straight > 2.0 * coarsest;
         if waits || self.waited {
-            let square = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
-            block.corner2 = lesser(block.corner2, square * self.junction_deviation * planner::SQUARE_CORNER);
+            let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
+            block.corner2 = lesser(block.corner2, square * self.turns.deviation * SQUARE_CORNER);
             self.join.close();
         }
         self.waited = waits;
@@ -232,49 +234,16 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
-        // A remnant shorter than a digit has no direction to speak of: the corner is that between its neighbours.
-        if run >= DIGIT || self.planner.len() == 0 {
-            self.direction = *heading;
-            self.distance = run;
-            self.crumbs = [0.0; N];
+        self.direction = unit;
+        if bend2 < NOTICEABLE * piece.fast2 {
+            block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
         }
         self.planner.push(block, self.overrides);
-        if bend2 < UNLIMITED2 {
-            self.chain_broken = true;
-        } else {
-            if self.chain_broken || turn2 > MOST_TURN {
-                self.chain.restart(&start);
-                self.chain_broken = false;
-                self.chain_speed2 = 0.0;
-            }
-            let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
-            self.chain_speed2 = greater(self.chain_speed2, fastest * fastest);
-            let piece = Piece { start: &start, end: &m.target, direction: &unit, length: straight };
-            self.chain.extend(&piece, &self.acceleration, |bend| {
-                if bend.speed2 < self.chain_speed2 {
-                    self.planner.limit(&bend);
-                }
-            });
+        if !self.join.keeps(&piece) {
+            let planner = &mut self.planner;
+            self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
         }
         self.planner.plan();
-    }
-
-    /// The direction and length by which the corner before a block shorter than a digit is judged: of as many such blocks as
-    /// are two digits long. `None` for one that is not so short, or if there are not as many.
-    #[inline]
-    fn with_crumbs(&mut self, way: &PerAxis<f32, N>, straight: f32) -> Option<([f32; N], f32)> {
-        if straight >= DIGIT { None } else { self.add_crumb(way) }
-    }
-
-    #[inline(never)]
-    fn add_crumb(&mut self, way: &PerAxis<f32, N>) -> Option<([f32; N], f32)> {
-        let mut square = 0.0;
-        for (sum, part) in self.crumbs.iter_mut().zip(way.iter()) {
-            *sum += part;
-            square += *sum * *sum;
-        }
-        let length = square_root(square);
-        (length >= 2.0 * DIGIT).then(|| (self.crumbs.map(|part| part / length), length))
     }
 
     /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
@@ -311,7 +280,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub(super) fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
-        for ((part, most), rate) in way.iter().zip(self.acceleration).zip(self.max_rate) {
+        for ((part, most), rate) in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {
             if *part == 0.0 {
                 continue;
             }
@@ -324,6 +293,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             }
         }
         (acceleration, limit)
+    }
+
+    /// The acceleration that all axes of a way take, whatever its direction.
+    #[inline(never)]
+    fn least_acceleration(&self, way: &PerAxis<f32, N>) -> f32 {
+        let moving = way.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);
+        moving.fold(GREATEST_ACCELERATION, |least, (_, own)| lesser(own, least))
     }
 
     /// Greatest jerk along a way of this length at which no axis goes beyond its own.
@@ -359,7 +335,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             Speed::Feed(feed) => feed,
             Speed::Duration(seconds) => distance / seconds,
         };
-        let share = backlash::share(acceleration, self.junction_deviation, lesser(feed, limit));
+        let share = backlash::share(acceleration, self.turns.deviation, lesser(feed, limit));
         let mut needed = 0.0;
         for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
             needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
@@ -393,7 +369,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if !self.backlash.is_outstanding() {
             return None;
         }
-        let room = backlash::share(acceleration, self.junction_deviation, speed) * length;
+        let room = backlash::share(acceleration, self.turns.deviation, speed) * length;
         let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
         for (most, moved) in most.iter_mut().zip(moved) {
             *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);
@@ -452,9 +428,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.flags = NO_OVERRIDE;
         // The tool stands: a beam would burn a hole.
         block.power = 0;
-        self.chain_broken = true;
         self.tool_stands = true;
-        self.join.close();
+        self.end_join();
         self.planner.push(block, self.overrides);
         self.planner.plan();
     }

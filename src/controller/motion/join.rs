@@ -2,7 +2,7 @@
 //! blocks.
 //!
 //! ```text
-//!            P1 ───┐ half a step of each motor, and no more than digits of the program can make
+//!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
@@ -11,12 +11,12 @@
 //! them allow: two numbers for each motor, however many points there are, and no sum of errors.
 //!
 //! A block is taken back by restoring the end of the queue as it was before; so lengths, corners and curvature are those of
-//! a program that has the joined move in it. It never has begun, and what the blocks before have been promised is kept: it
-//! can be entered as fast as before.
+//! a program that has the joined move in it. The chain of [`super::curvature`] gets a piece when nothing more is joined to it:
+//! until then the queue ends there, at rest. A block that is taken back has never begun, and what the blocks before it count
+//! on is kept: it can be entered as fast as before.
 
-use super::curvature::Chain;
+use super::curvature::Piece;
 use super::kinematics::Kinematics;
-use super::planner::DIGIT;
 use super::profile::{greater, lesser, square_root};
 use super::{Motion, Move, Speed};
 use crate::axes::PerAxis;
@@ -25,27 +25,23 @@ use crate::units::{Coordinate, DECIMAL_ONE};
 /// Longest move that is joined in any axis: 512 blocks of 0.04 mm are a look-ahead of 20 mm, in which 100 mm/s are braked
 /// at 250 mm/s². Longer ones stay the blocks that they are.
 const MOST_PIECE: i64 = DECIMAL_ONE / 25;
-/// Longest joined move, mm. On a curve it ends where its chord is a digit off; its corners stay flatter than what a junction
-/// deviation of a digit allows.
+/// Longest joined move, mm.
 const MOST_JOINED: f32 = 0.5;
+/// The last digit counts as no less than this, mm: numbers with 24 bits are off by as much at 0.5 m from the last point.
+const LEAST_DIGIT: f32 = 1.0e-4;
 /// Path by straight line beyond which points wind for a purpose: rounding to digits makes it the square root of 3 at most.
 const MOST_WINDING: f32 = 1.75;
 
-/// The end of the queue before the last block: all that [`Motion::append`] changes but the planner.
-#[derive(Clone, Debug)]
+/// The end of the queue before the last block: all that [`Motion::append`] changes but planner and chain.
+#[derive(Clone, Copy, Debug)]
 struct End<const N: usize> {
     planned: PerAxis<Coordinate, N>,
     block_end: PerAxis<Coordinate, N>,
     planned_steps: PerAxis<i32, N>,
     carried: f32,
     direction: [f32; N],
-    distance: f32,
-    crumbs: [f32; N],
     waited: bool,
     tool_stands: bool,
-    chain_broken: bool,
-    chain_speed2: f32,
-    chain: Chain<N>,
 }
 
 /// What is known of the last block of the queue.
@@ -53,6 +49,8 @@ struct End<const N: usize> {
 pub(super) struct Join<const N: usize> {
     /// It may be taken back for a longer one.
     open: bool,
+    /// The chain has not got its piece yet.
+    kept: bool,
     /// No point of it has been looked at.
     fresh: bool,
     /// The motor with the longest way, how far it has come, and the slopes to it that all points allow each motor.
@@ -65,6 +63,12 @@ pub(super) struct Join<const N: usize> {
     path: f32,
     /// Moves that made no block since the queue was empty.
     moves: usize,
+    /// Of its piece of the path, for the chain: from end to end, the path and greatest speed².
+    length: f32,
+    block_path: f32,
+    fast2: f32,
+    /// The program's last digit.
+    digit: f32,
     /// What its moves have in common.
     speed: Speed,
     power: u16,
@@ -76,6 +80,7 @@ pub(super) struct Join<const N: usize> {
 impl<const N: usize> Join<N> {
     pub(super) const NONE: Self = Self {
         open: false,
+        kept: false,
         fresh: false,
         main: 0,
         reach: 0.0,
@@ -83,6 +88,10 @@ impl<const N: usize> Join<N> {
         half_mm: [0.0; N],
         path: 0.0,
         moves: 0,
+        length: 0.0,
+        block_path: 0.0,
+        fast2: 0.0,
+        digit: 0.0,
         speed: Speed::Rapid,
         power: 0,
         scale_power: false,
@@ -93,26 +102,38 @@ impl<const N: usize> Join<N> {
             planned_steps: PerAxis::all(0),
             carried: 0.0,
             direction: [0.0; N],
-            distance: 0.0,
-            crumbs: [0.0; N],
             waited: false,
             tool_stands: false,
-            chain_broken: true,
-            chain_speed2: 0.0,
-            chain: Chain::new(),
         },
     };
 
     /// Takes over the resolution of the motors.
     pub(super) fn configure(&mut self, kinematics: &Kinematics<N>) {
-        self.open = false;
+        self.forget();
         self.half_mm = kinematics.half_mm();
     }
 
-    /// The last block stays as it is.
+    /// The block that is being made stays as it is.
     #[inline]
     pub(super) fn close(&mut self) {
         self.open = false;
+    }
+
+    /// The queue has been cleared.
+    pub(super) fn forget(&mut self) {
+        self.open = false;
+        self.kept = false;
+    }
+
+    /// Keeps the piece of a block that may be taken back from the chain.
+    #[inline]
+    pub(super) fn keeps(&mut self, piece: &Piece<'_, N>) -> bool {
+        self.digit = piece.digit;
+        if self.open {
+            (self.length, self.block_path, self.fast2) = (piece.length, piece.path, piece.fast2);
+        }
+        self.kept = self.open;
+        self.open
     }
 
     /// Whether a move is of the kind of the last block's.
@@ -143,10 +164,11 @@ impl<const N: usize> Join<N> {
         let Some(along) = self.along(way) else { return false };
         self.reach = along;
         let share = 1.0 / along;
+        let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
             // A point and the two ends may each be half a digit off, in this motor and in the main one.
-            let range = lesser(half, DIGIT * (1.0 + slope.abs())) * share.abs();
+            let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);
         }
@@ -167,11 +189,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
         let is_short = |(to, from): (&Coordinate, &Coordinate)| (to.0 - from.0).abs() <= MOST_PIECE;
-        if !is_line || m.no_feed_override || !m.target.iter().zip(self.block_end.iter()).all(is_short) {
-            self.join.open = false;
-            return 0.0;
+        if is_line && !m.no_feed_override && m.target.iter().zip(self.block_end.iter()).all(is_short) {
+            return self.join_short(m, target_steps);
         }
-        self.join_short(m, target_steps)
+        self.join.open = false;
+        if self.join.kept && *target_steps != self.planned_steps {
+            self.end_join();
+        }
+        0.0
     }
 
     #[inline(never)]
@@ -179,21 +204,43 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.planner.len() == 0 {
             self.join.moves = 0;
         }
+        self.join.open &= self.join.is_like(m);
+        self.join.digit = lesser(self.join.digit, m.digit);
         if *target_steps == self.planned_steps {
             // It makes no block, but is a point of the line.
-            self.join.open = self.join.open && self.join.is_like(m) && self.pass_by(m);
+            self.join.open = self.join.open && self.pass_by(m);
             return 0.0;
         }
         if self.join.open
-            && self.join.is_like(m)
             && let Some(promised) = self.continues(m, target_steps)
         {
             self.join.moves += 1;
             self.take_back();
             return promised;
         }
+        self.end_join();
         self.remember(m);
         0.0
+    }
+
+    /// Nothing more is joined to the last block: the chain gets its piece.
+    #[inline(never)]
+    pub(super) fn end_join(&mut self) {
+        let join = &mut self.join;
+        join.open = false;
+        if core::mem::take(&mut join.kept) {
+            let piece = Piece {
+                start: &join.before.block_end,
+                end: &self.block_end,
+                direction: &self.direction,
+                length: join.length,
+                path: join.block_path,
+                fast2: join.fast2,
+                digit: join.digit,
+            };
+            let planner = &mut self.planner;
+            self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
+        }
     }
 
     /// The ways of the motors from where the last block begins.
@@ -245,7 +292,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if moved.iter().all(|steps| *steps == 0) {
             return None;
         }
-        if least.into_iter().any(|(steps, mm)| (steps.unsigned_abs() as f32 - 0.5) * mm > length) {
+        if least.into_iter().any(|(steps, mm)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length) {
             return None;
         }
         if self.backlash.is_on() {
@@ -280,13 +327,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planned_steps = before.planned_steps;
         self.carried = before.carried;
         self.direction = before.direction;
-        self.distance = before.distance;
-        self.crumbs = before.crumbs;
         self.waited = before.waited;
         self.tool_stands = before.tool_stands;
-        self.chain_broken = before.chain_broken;
-        self.chain_speed2 = before.chain_speed2;
-        self.chain.clone_from(&before.chain);
         self.planner.take_back();
     }
 
@@ -301,18 +343,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         join.power = m.power;
         join.scale_power = m.scale_power;
         join.line_number = m.line_number;
-        join.before.planned = self.planned;
-        join.before.block_end = self.block_end;
-        join.before.planned_steps = self.planned_steps;
-        join.before.carried = self.carried;
-        join.before.direction = self.direction;
-        join.before.distance = self.distance;
-        join.before.crumbs = self.crumbs;
-        join.before.waited = self.waited;
-        join.before.tool_stands = self.tool_stands;
-        join.before.chain_broken = self.chain_broken;
-        join.before.chain_speed2 = self.chain_speed2;
-        join.before.chain.clone_from(&self.chain);
+        join.before = End {
+            planned: self.planned,
+            block_end: self.block_end,
+            planned_steps: self.planned_steps,
+            carried: self.carried,
+            direction: self.direction,
+            waited: self.waited,
+            tool_stands: self.tool_stands,
+        };
     }
 
     /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the

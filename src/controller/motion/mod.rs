@@ -35,7 +35,7 @@ use crate::messages::{Leg, Observed, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use backlash::{Backlash, Lead};
 use block::{NO_OVERRIDE, Overrides};
-use curvature::Chain;
+use curvature::{Chain, TurnRule};
 use flight::Flight;
 pub use handover::QUEUED_TIME_MS;
 use join::Join;
@@ -57,6 +57,9 @@ const LEAST_SPEED: f32 = 4.0e-7;
 const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
 const GREATEST_ACCELERATION: f32 = 1.0e7;
+/// Shares of the acceleration that curves may take.
+const LEAST_CURVE_SHARE: f32 = 0.01;
+const GREATEST_CURVE_SHARE: f32 = 100.0;
 /// Jerk within what the settings allow, and what stands for none.
 const LEAST_JERK: f32 = 1.0;
 const GREATEST_JERK: f32 = 1.0e10;
@@ -79,6 +82,8 @@ pub struct MotionSettings<const N: usize> {
     pub jerk: PerAxis<f32, N>,
     /// How far a corner may be cut in thought to find its speed, mm.
     pub junction_deviation: f32,
+    /// Acceleration in curves as a share of `acceleration`; 1 = what the axes are set to.
+    pub curve_share: f32,
     /// Slack of each motor's drive, mm; 0 = none.
     pub backlash: PerAxis<f32, N>,
     /// How far chords may leave an arc, mm.
@@ -113,6 +118,8 @@ pub struct Move<const N: usize> {
     pub line_number: u32,
     /// Overrides leave the move alone (jog, homing, probing).
     pub no_feed_override: bool,
+    /// The last digit of the program's coordinates, mm: how far apart neighbouring points are that it can name; 0 = exact.
+    pub digit: f32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -201,9 +208,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     kinematics: Kinematics<N>,
     backlash: Backlash<N>,
     max_rate: [f32; N],
-    acceleration: [f32; N],
+    turns: TurnRule<N>,
     jerk: [f32; N],
-    junction_deviation: f32,
     step_clock_hz: u32,
     pacer: Pacer,
     overrides: Overrides,
@@ -216,18 +222,12 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     beyond: Option<[i32; N]>,
     /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
     carried: f32,
-    /// Unit vector of the last block, and how far apart its ends are.
+    /// Unit vector of the last block.
     direction: [f32; N],
-    distance: f32,
-    /// The way of blocks shorter than a digit since then, mm.
-    crumbs: [f32; N],
     /// The last block has waited for moves without a step that led nowhere.
     waited: bool,
     /// The last block moves motors and no tool: what follows begins at rest.
     tool_stands: bool,
-    chain_broken: bool,
-    /// Greatest speed² on the chain under any override: bends that allow it need not be noted.
-    chain_speed2: f32,
     long: Option<LongMove<N>>,
 
     running: Running<N>,
@@ -301,15 +301,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 acceleration: PerAxis::all(1.0),
                 jerk: PerAxis::all(0.0),
                 junction_deviation: 0.0,
+                curve_share: 1.0,
                 arc_tolerance: 0.0,
                 step_clock_hz,
             },
             kinematics: Kinematics::ONE,
             backlash: Backlash::NONE,
             max_rate: [1.0; N],
-            acceleration: [1.0; N],
+            turns: TurnRule { acceleration: [1.0; N], deviation: 0.0, curve_share: 1.0 },
             jerk: [GREATEST_JERK; N],
-            junction_deviation: 0.0,
             step_clock_hz,
             pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
@@ -320,14 +320,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             beyond: None,
             carried: 0.0,
             direction: [0.0; N],
-            distance: 0.0,
-            crumbs: [0.0; N],
             waited: false,
             tool_stands: false,
             chain: Chain::new(),
             join: Join::NONE,
-            chain_broken: true,
-            chain_speed2: 0.0,
             long: None,
             running: Running {
                 active: false,
@@ -369,11 +365,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.join.configure(&self.kinematics);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
-        self.acceleration = settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
+        self.turns.acceleration =
+            settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
         let jerk = |jerk| if jerk > 0.0 { bounded(jerk, LEAST_JERK, GREATEST_JERK) } else { GREATEST_JERK };
         self.jerk = settings.jerk.0.map(jerk);
         self.planner.jerk_limited = settings.jerk.iter().any(|jerk| *jerk > 0.0);
-        self.junction_deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
+        self.turns.deviation = bounded(settings.junction_deviation, 0.0, 1.0e3);
+        self.turns.curve_share = bounded(settings.curve_share, LEAST_CURVE_SHARE, GREATEST_CURVE_SHARE);
         self.step_clock_hz = settings.step_clock_hz.max(10_000);
         self.pacer = Pacer::new(self.step_clock_hz);
         let scales = settings.steps_per_mm;
@@ -397,7 +395,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let motors = Motors { lead: self.backlash.lead(), ..motors };
         let steps = motors.tool();
         self.planner.clear();
-        self.join.close();
+        self.join.forget();
         self.long = None;
         self.running.active = false;
         self.far = None;
@@ -413,7 +411,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.block_end = self.planned;
         self.tool_stands = false;
         self.waited = false;
-        self.chain_broken = true;
+        self.chain.restart(&self.planned);
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
@@ -608,7 +606,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // The programmed place, not the nearest step: what follows is measured from it.
         self.planned = *position;
         self.block_end = *position;
-        self.chain_broken = true;
+        self.chain.restart(position);
     }
 
     /// The machine position at a reading of the step counters in the present straight move from rest.

@@ -30,57 +30,14 @@
 //! ramp begins in the middle of a block or from another state.
 
 use super::block::{Block, Overrides, Ramp};
-use super::curvature::{Bend, bend_speed2};
+use super::curvature::Bend;
 use super::jerk::{Bounds, State, ramp_distance, ramp_speed};
 use super::profile::{lesser, square_root};
 
-/// Corners with less change of direction than this are straight: |difference of the unit vectors|² of 2 × 10⁻⁶ is the
-/// cosine of -0.999999 at which Grbl stops to compute.
-const STRAIGHT: f32 = 2.0e-6;
-/// |difference of the unit vectors|² beyond which the move turns back on itself (cosine of 0.999999).
-const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
-/// Last digit of a program, mm: a corner that it can make of a straight line is none.
-pub(super) const DIGIT: f32 = 0.001;
-
 /// Speed² of a square corner by acceleration and deviation: s / (1 - s) with s = √(1/2).
 pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
-
-/// Speed² with which the corner between two directions (unit vectors, `turn2` = |difference|²) may be taken: that of a
-/// circle which touches both and leaves the corner by `deviation`, at the greatest acceleration that no axis minds along
-/// the corner's bisector; and if the corner is a bend of a chain, that of the chain (see `curvature`).
-///
-/// v² = a·d·s / (1 - s) with s = sin(half the inner angle). 1 - s is a small difference for gentle corners; with
-/// |q|² = |current - previous|² = 4·(1 - s²) it is computed as |q|² / (4·(1 + s)) instead.
-pub(super) fn corner_speed2<const N: usize>(
-    previous: &[f32; N],
-    current: &[f32; N],
-    turn2: f32,
-    lengths: [f32; 2],
-    acceleration: &[f32; N],
-    deviation: f32,
-) -> f32 {
-    let [first, second] = lengths;
-    let shorter = lesser(first, second);
-    if turn2 > REVERSAL {
-        return 0.0;
-    }
-    if turn2 < STRAIGHT || turn2 * shorter * shorter < DIGIT * DIGIT {
-        return UNLIMITED2;
-    }
-    let turn = square_root(turn2);
-    let mut least = UNLIMITED2;
-    for ((before, after), limit) in previous.iter().zip(current).zip(acceleration) {
-        let part = (after - before).abs();
-        if part * least > limit * turn {
-            least = limit * turn / part;
-        }
-    }
-    let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
-    let corner2 = least * deviation * sine * (1.0 + sine) / (0.25 * turn2);
-    lesser(corner2, bend_speed2(previous, current, turn2, lengths, acceleration))
-}
 
 /// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
 /// anchor at each of them would cost more than the tighter bounds.
@@ -238,7 +195,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         let slot = self.slot(self.len);
         if let Some(place) = self.blocks.get_mut(slot) {
             *place = block;
-            self.changed = self.len;
+            self.changed = self.changed.min(self.len);
             self.len += 1;
         }
         true
@@ -247,12 +204,21 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// Lowers corners that turn out to lie on a bend. What the machine is too fast for already is braked for, but not in
     /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
     pub(super) fn limit(&mut self, bend: &Bend) {
-        for place in self.len.saturating_sub(bend.blocks).max(1)..self.len {
+        let newest = self.len.saturating_sub(1);
+        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
+        // Where the slow entry has been passed already it is not to be found any more.
+        let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
+        if bend.once && (bend.farthest >= newest || blocks.clone().any(is_slow)) {
+            return;
+        }
+        for place in blocks {
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
+            let curve = block.curve.tighter(bend.curve);
             block.corner2 = lesser(block.corner2, bend.speed2);
-            if bend.speed2 < block.max_entry2 {
-                block.max_entry2 = bend.speed2;
+            if bend.speed2 < block.max_entry2 || curve != block.curve {
+                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
+                block.curve = curve;
                 self.changed = self.changed.min(place);
             }
         }
@@ -266,6 +232,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         } else {
             self.reverse_pass();
         }
+        self.changed = usize::MAX;
     }
 
     /// Applies new overrides to all blocks.
@@ -292,7 +259,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             place -= 1;
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
-            let reachable2 = exit2 + 2.0 * block.acceleration * block.length;
+            let reachable2 = exit2 + 2.0 * block.acceleration_at(exit2) * block.length;
             let entry2 = lesser(block.max_entry2, reachable2);
             if entry2 == block.entry2 && place < self.changed {
                 return;

@@ -2,7 +2,7 @@
 
 use crate::axes::Axis;
 use crate::error::Error;
-use crate::number::{self, Digits};
+use crate::number::{self, Digits, Number};
 use crate::units::Decimal;
 
 /// A `$` command.
@@ -122,7 +122,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
         }
         Some(_) => {
             let (setting, text) = numbered(line.get(1..).unwrap_or(&[]))?;
-            let (value, used) = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
+            let Number { value, used, .. } = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
             if used == text.len() { Ok(System::Set(setting, value)) } else { Err(Error::InvalidStatement) }
         }
     }
@@ -131,7 +131,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
 /// Splits `n=text`. A fraction of `n` is cut off, as Grbl does; a number that no setting can have becomes one that none
 /// has.
 fn numbered(text: &[u8]) -> Result<(u16, &[u8]), Error> {
-    let (index, used) = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
+    let Number { value: index, used, .. } = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
     let rest = text.get(used..).and_then(|t| t.strip_prefix(b"=")).ok_or(Error::InvalidStatement)?;
     let index = if index < Decimal::ZERO { u16::MAX } else { u16::try_from(index.truncate()).unwrap_or(u16::MAX) };
     Ok((index, rest))

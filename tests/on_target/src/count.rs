@@ -279,6 +279,7 @@ fn motion_settings() -> MotionSettings<3> {
         acceleration: PerAxis::all(500.0),
         jerk: PerAxis::all(0.0),
         junction_deviation: 0.01,
+        curve_share: 1.0,
         arc_tolerance: 0.002,
         step_clock_hz: boards::PROFILE.step_clock_hz,
         arrangement: Arrangement::Cartesian,
@@ -309,7 +310,7 @@ fn micrometres(x: i64, y: i64) -> PerAxis<Coordinate, 3> {
 fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
     let target = micrometres(x, y);
     let speed = Speed::Feed(speed);
-    Move { target, speed, power: 0, scale_power: false, line_number: 0, no_feed_override: false }
+    Move { target, speed, power: 0, scale_power: false, line_number: 0, no_feed_override: false, digit: 0.001 }
 }
 
 fn planning(motion: &mut Planner) {

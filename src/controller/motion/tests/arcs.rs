@@ -332,6 +332,7 @@ fn six_axes_have_their_ends() {
         jerk: PerAxis::all(0.0),
         backlash: PerAxis::all(0.0),
         junction_deviation: 0.01,
+        curve_share: 1.0,
         arc_tolerance: 0.002,
         step_clock_hz: 84_000_000,
     };

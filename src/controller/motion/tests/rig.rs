@@ -69,6 +69,7 @@ pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
         jerk: PerAxis::all(0.0),
         backlash: PerAxis::all(0.0),
         junction_deviation: 0.01,
+        curve_share: 1.0,
         arc_tolerance: 0.002,
         step_clock_hz: 96_000_000,
     }
@@ -86,6 +87,7 @@ pub fn to<const N: usize>(target: [f64; N], speed: Speed) -> Move<N> {
         scale_power: false,
         line_number: 0,
         no_feed_override: false,
+        digit: 0.001,
     }
 }
 

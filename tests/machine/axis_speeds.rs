@@ -1,0 +1,286 @@
+//! By how much each axis changes its speed, read from the step times alone, and how much physics and the junction rule
+//! allow. Nothing here is taken from the planner: no spans, no queue, no blocks.
+//!
+//! **What is read.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
+//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. This is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T, so a bound on the
+//! change of speed over every window of length T is, averaged over the same τ, a bound on D. A change that is over within
+//! a fraction of T shows in full: D reaches it when t+T is its moment.
+//!
+//! **What is allowed.** Between τ and τ+T the path turns from one direction to another by t, in any number of vertices.
+//! - Acceleration: `a T` for the axis, along and across the path together, and [`RAMP`] more.
+//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, s = cos(t / 2), with a jump of the axis
+//!   by v times the difference of its two direction cosines. Chords change nothing about the motor: a turn that a program
+//!   makes in several vertices is granted the jump of the *whole* turn, once, and not one jump for each vertex. With
+//!   `v² <= a (L / t + d s / (1 - s))` for a span of length L <= v T the change of velocity is v t <= a T + v_j t: the two
+//!   terms here are that rule, for a path of any form. The sum of single jumps would be a multiple: it is what lets a half
+//!   circle of 0.05 mm in 24 chords pass at 100 mm/s.
+//! - The grant falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed bounds v as well.
+//! - Directions are those of the chords that were meant, before rounding to the program's digits, so that no noise of
+//!   directions enters; what rounding does to the places is a term of its own.
+//!
+//! **What is uncertain.** D is a second difference with the weights 1, 2, 1: places that are off by u make an error of
+//! 4 u / T.
+//! - Steps: an axis steps half way between two places, so that between two steps which follow each other its place is
+//!   known well; but a block begins and ends at whole steps, which is half a step. Where steps are far from each other the
+//!   axis may rest between them or turn, which is another half: [`STEPS`].
+//! - Digits: each coordinate is off by half of the last digit. The path that is driven has this noise, and a controller
+//!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
+//!   coordinate, together √3 of it ([`DIGITS`]).
+
+use super::estimator::Limits;
+use super::oracle::{AXES, Place, Pulse};
+
+/// Share by which acceleration along and across may exceed that of the axis.
+pub const RAMP: f64 = 0.05;
+/// By how many steps a place may be off, between two steps that are near each other, and otherwise.
+const STEPS: [f64; 2] = [0.6, 1.0];
+/// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
+const DIGITS: f64 = 2.75;
+/// Where a smooth curve has a corner: the least change of a direction, rad.
+const CORNER: f64 = 0.3;
+/// Places that are read in a window.
+const READINGS: usize = 8;
+
+/// A program of straight feed moves.
+#[derive(Clone, Debug)]
+pub struct Course {
+    /// Ends of the moves as they were meant, the first one is where the machine stands; mm.
+    pub meant: Vec<[f64; AXES]>,
+    /// The same as the program says them, mm.
+    pub written: Vec<[f64; AXES]>,
+    /// The last digit of the program, mm.
+    pub digit: f64,
+    /// mm/s.
+    pub feed: f64,
+    /// Whether the chords are those of a smooth curve: nothing is granted but to vertices of [`CORNER`] and more, each alone.
+    pub smooth: bool,
+}
+
+/// Where the change of an axis' speed is the greatest, against what is allowed.
+#[derive(Clone, Copy, Debug)]
+pub struct Change {
+    /// Seen over allowed: above 1 it is too much.
+    pub ratio: f64,
+    pub axis: usize,
+    /// s since the first step, and the window.
+    pub at: f64,
+    pub window: f64,
+    /// mm/s.
+    pub seen: f64,
+    pub allowed: f64,
+    /// Of `allowed`: what the junction rule grants.
+    pub granted: f64,
+}
+
+impl std::fmt::Display for Change {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "axis {} changes by {:.2} mm/s within {} ms at {:.4} s: {:.2} times the {:.2} mm/s allowed ({:.2} for the turn)",
+            self.axis,
+            self.seen,
+            self.window * 1000.0,
+            self.at,
+            self.ratio,
+            self.allowed,
+            self.granted
+        )
+    }
+}
+
+fn minus(a: [f64; AXES], b: [f64; AXES]) -> [f64; AXES] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn norm(v: [f64; AXES]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed.
+pub fn granted(before: [f64; AXES], after: [f64; AXES], limits: &Limits, feed: f64) -> [f64; AXES] {
+    let turn = minus(after, before);
+    let size = norm(turn);
+    if size < 1e-12 {
+        return [0.0; AXES];
+    }
+    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = (1 - s²) / (1 + s) without the small difference.
+    let s = (1.0 - size * size / 4.0).max(0.0).sqrt();
+    let acceleration = (0..AXES)
+        .filter(|&i| turn[i] != 0.0)
+        .map(|i| limits.acceleration[i] * size / turn[i].abs())
+        .fold(f64::INFINITY, f64::min);
+    let speed2 = acceleration * limits.junction_deviation * s * (1.0 + s) / (size * size / 4.0);
+    turn.map(|part| speed2.sqrt().min(feed) * part.abs())
+}
+
+/// The trace with where the machine is, as s since the first step and steps.
+fn places(trace: &[Pulse], hz: f64) -> Vec<(f64, Place)> {
+    let first = trace.first().map_or(0, |pulse| pulse.at);
+    let mut place = [0; AXES];
+    let mut places = Vec::with_capacity(trace.len());
+    for pulse in trace {
+        place = pulse.moved(place);
+        places.push(((pulse.at - first) as f64 / hz, place));
+    }
+    places
+}
+
+/// When the machine is at each vertex: it passes all of them in their order, within a step. The middle between the first
+/// and the last moment at which it is there.
+fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<Vec<f64>, String> {
+    let mut from = 0;
+    let at = |index: usize| if index == 0 { [0; AXES] } else { places[index - 1].1 };
+    let time = |index: usize| if index == 0 { 0.0 } else { places[index - 1].0 };
+    let mut times = Vec::with_capacity(course.written.len());
+    for (number, point) in course.written.iter().enumerate() {
+        let target = limits.place(*point);
+        let near = |index: usize| (0..AXES).all(|a| at(index)[a].abs_diff(target[a]) <= 1);
+        let Some(first) = (from..=places.len()).find(|&index| near(index)) else {
+            return Err(format!("vertex {number}, {point:?}, is not passed after {} s", time(from)));
+        };
+        let last = (first..=places.len()).take_while(|&index| near(index)).last().unwrap_or(first);
+        times.push(0.5 * (time(first) + time(last)));
+        from = first;
+    }
+    // The middles of neighbours in the same place of steps are in order, others are by their firsts.
+    for index in 1..times.len() {
+        times[index] = times[index].max(times[index - 1]);
+    }
+    Ok(times)
+}
+
+/// The direction in which the path leads at even moments, and where each axis is.
+struct Reading {
+    step: f64,
+    directions: Vec<usize>,
+    /// Steps, and by how many of them they may be off.
+    places: Vec<[(f64, f64); AXES]>,
+}
+
+/// Where an axis is at even moments, in steps. At a step it is half way between two places, and between two steps it
+/// is taken to move evenly, which leaves no more than the rounding of the ends of blocks. Where steps are so far apart
+/// that it may rest or turn between them it is at the place that was counted.
+fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
+    let mut levels = vec![];
+    let mut before = 0;
+    for (time, place) in places {
+        if place[axis] != before {
+            levels.push((*time, 0.5 * (before + place[axis]) as f64, place[axis] as f64));
+            before = place[axis];
+        }
+    }
+    let far = READINGS as f64 / 4.0 * step;
+    let mut next = 0;
+    (0..=total)
+        .map(|index| {
+            let now = (index as f64 - margin as f64) * step;
+            while next < levels.len() && levels[next].0 <= now {
+                next += 1;
+            }
+            let (Some(a), Some(b)) = (next.checked_sub(1).map(|n| levels[n]), levels.get(next)) else {
+                return (next.checked_sub(1).map_or(0.0, |n| levels[n].2), STEPS[1]);
+            };
+            if b.0 - a.0 > far {
+                return (a.2, STEPS[1]);
+            }
+            (a.1 + (b.1 - a.1) * (now - a.0) / (b.0 - a.0), STEPS[0])
+        })
+        .collect()
+}
+
+fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
+    // From rest to rest: two windows before and after.
+    let margin = 2 * READINGS;
+    let last = places.last().map_or(0.0, |p| p.0);
+    let total = (last / step).ceil() as usize + 2 * margin;
+    let axes: [Vec<(f64, f64)>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
+    let mut chord = 0;
+    let mut reading = Reading { step, directions: Vec::with_capacity(total), places: Vec::with_capacity(total) };
+    for index in 0..=total {
+        let now = (index as f64 - margin as f64) * step;
+        while chord + 2 < passed.len() && passed[chord + 1] <= now {
+            chord += 1;
+        }
+        reading.directions.push(chord);
+        reading.places.push(std::array::from_fn(|axis| axes[axis][index]));
+    }
+    reading
+}
+
+/// The greatest change of speed of any axis over a window (s), against what is allowed.
+///
+/// # Errors
+/// The machine does not follow the course.
+pub fn greatest_change(
+    trace: &[Pulse],
+    hz: f64,
+    course: &Course,
+    limits: &Limits,
+    window: f64,
+) -> Result<Change, String> {
+    // Chords without a length have no direction.
+    let mut real = Course { meant: Vec::new(), written: Vec::new(), ..*course };
+    for (meant, written) in course.meant.iter().zip(&course.written) {
+        if real.meant.last().is_none_or(|last| norm(minus(*meant, *last)) > 1e-9) {
+            real.meant.push(*meant);
+            real.written.push(*written);
+        }
+    }
+    let chords: Vec<[f64; AXES]> = real
+        .meant
+        .windows(2)
+        .map(|ends| {
+            let way = minus(ends[1], ends[0]);
+            way.map(|part| part / norm(way))
+        })
+        .collect();
+    let places = places(trace, hz);
+    let passed = passed(&places, &real, limits)?;
+    let reading = read(&places, &passed, window / READINGS as f64);
+    let count = reading.places.len();
+    let grant = |before: usize, after: usize| granted(chords[before], chords[after], limits, real.feed);
+    let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
+        .map(|k| {
+            let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
+            if !real.smooth {
+                return grant(before, after);
+            }
+            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
+            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
+            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
+        })
+        .collect();
+    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
+    pairs = (0..pairs.len())
+        .map(|k| {
+            let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
+            std::array::from_fn(|a| near.iter().map(|pair| pair[a]).fold(0.0, f64::max))
+        })
+        .collect();
+    let mut worst: Option<Change> = None;
+    for k in 0..count - 2 * READINGS {
+        let mean = |axis: usize| {
+            let sum: f64 = pairs[k..=k + READINGS].iter().map(|pair| pair[axis]).sum();
+            sum / (READINGS + 1) as f64
+        };
+        for axis in 0..AXES {
+            let at = |n: usize| reading.places[k + n * READINGS][axis];
+            let second = (at(2).0 - 2.0 * at(1).0 + at(0).0).abs();
+            if second < 0.1 {
+                continue;
+            }
+            let pitch = 1.0 / limits.steps_per_mm[axis];
+            let seen = second * pitch / window;
+            let granted = mean(axis);
+            let steps = at(2).1 + 2.0 * at(1).1 + at(0).1;
+            let uncertain = (steps * pitch + 4.0 * DIGITS * 0.5 * real.digit) / window;
+            let allowed = limits.acceleration[axis] * window * (1.0 + RAMP) + granted + uncertain;
+            let ratio = seen / allowed;
+            if worst.is_none_or(|worst| ratio > worst.ratio) {
+                let at = (k + READINGS) as f64 * reading.step - 2.0 * window;
+                worst = Some(Change { ratio, axis, at, window, seen, allowed, granted });
+            }
+        }
+    }
+    worst.ok_or_else(|| "nothing moves".to_string())
+}

@@ -1,0 +1,268 @@
+//! Smooth curves that are taken with changing speed: the acceleration across and the ramp along are felt by the same motors
+//! at the same time, and their sum stays within the limit of each axis. And what that costs, beside the shortest time
+//! possible ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
+
+use super::axis_speeds::{Change, Course, granted, greatest_change};
+use super::estimator::Limits;
+use super::optimum::{Bound, Piece, duration, optimum};
+use super::oracle::AXES;
+use super::rig::HZ;
+use super::turns::{Style, program, run, seconds, settings};
+use std::f64::consts::{PI, TAU};
+
+/// 20 ms: half of what a motor needs to a tenth of a turn or so, and long against its steps.
+const WINDOW: f64 = 0.020;
+/// Length of the chords of the programs, mm.
+const CHORD: f64 = 0.1;
+/// Length of the pieces of the reference, mm.
+const FINE: f64 = 0.01;
+
+const LIMITS: Limits =
+    Limits { steps_per_mm: [1000.0; AXES], rate: [100.0; AXES], acceleration: [500.0; AXES], junction_deviation: 0.01 };
+
+type Curve = Box<dyn Fn(f64) -> [f64; AXES]>;
+
+/// A smooth part of a shape, for parameters from 0 to 1, and its feed in mm/s.
+struct Part {
+    curve: Curve,
+    feed: f64,
+}
+
+fn part(feed: f64, curve: impl Fn(f64) -> [f64; AXES] + 'static) -> Part {
+    Part { curve: Box::new(curve), feed }
+}
+
+fn line(feed: f64, from: [f64; 2], to: [f64; 2]) -> Part {
+    part(feed, move |u| [from[0] + (to[0] - from[0]) * u, from[1] + (to[1] - from[1]) * u, 0.0])
+}
+
+/// Around a centre, from one angle to the other.
+fn arc(feed: f64, centre: [f64; 2], radius: f64, angles: [f64; 2]) -> Part {
+    part(feed, move |u| {
+        let angle = angles[0] + (angles[1] - angles[0]) * u;
+        [centre[0] + radius * angle.cos(), centre[1] + radius * angle.sin(), 0.0]
+    })
+}
+
+/// Ten shapes; they begin wherever they do.
+fn shapes() -> Vec<(&'static str, Vec<Part>)> {
+    let rectangle = || {
+        let mut parts = Vec::new();
+        let corners = [[35.0, 5.0], [35.0, 15.0], [5.0, 15.0], [5.0, 5.0]];
+        let sides = [
+            [[5.0, 0.0], [35.0, 0.0]],
+            [[40.0, 5.0], [40.0, 15.0]],
+            [[35.0, 20.0], [5.0, 20.0]],
+            [[0.0, 15.0], [0.0, 5.0]],
+        ];
+        for (k, (side, centre)) in sides.into_iter().zip(corners).enumerate() {
+            let from = (k as f64 - 1.0) * PI / 2.0;
+            parts.extend([line(100.0, side[0], side[1]), arc(100.0, centre, 5.0, [from, from + PI / 2.0])]);
+        }
+        parts
+    };
+    vec![
+        ("ellipse 30 x 8 mm", vec![part(100.0, |u| [30.0 * (TAU * u).cos(), 8.0 * (TAU * u).sin(), 0.0])]),
+        (
+            "the same at 30 degrees",
+            vec![part(100.0, |u| {
+                let (x, y) = (30.0 * (TAU * u).cos(), 8.0 * (TAU * u).sin());
+                [x * 0.75_f64.sqrt() - y * 0.5, x * 0.5 + y * 0.75_f64.sqrt(), 0.0]
+            })],
+        ),
+        (
+            "spiral from 2 to 14 mm",
+            vec![part(100.0, |u| {
+                let radius = 2.0 + 12.0 * u;
+                [radius * (3.0 * TAU * u).cos(), radius * (3.0 * TAU * u).sin(), 0.0]
+            })],
+        ),
+        ("sine of 10 and 40 mm", vec![part(100.0, |u| [120.0 * u, 10.0 * (3.0 * TAU * u).sin(), 0.0])]),
+        ("rounded rectangle, R 5 mm", rectangle()),
+        (
+            "S with feeds of 100, 40 and 80 mm/s",
+            vec![
+                arc(100.0, [0.0, 15.0], 15.0, [-PI / 2.0, PI / 4.0]),
+                arc(40.0, [30.0 * 0.5_f64.sqrt(), 15.0 + 30.0 * 0.5_f64.sqrt()], 15.0, [5.0 * PI / 4.0, PI / 2.0]),
+                arc(80.0, [30.0 * 0.5_f64.sqrt(), 45.0 + 30.0 * 0.5_f64.sqrt()], 15.0, [-PI / 2.0, PI / 2.0]),
+            ],
+        ),
+        ("figure of eight", vec![part(100.0, |u| [25.0 * (TAU * u).sin(), 12.0 * (2.0 * TAU * u).sin(), 0.0])]),
+        (
+            "rosette of five leaves",
+            vec![part(100.0, |u| {
+                let radius = 14.0 + 5.0 * (5.0 * TAU * u).cos();
+                [radius * (TAU * u).cos(), radius * (TAU * u).sin(), 0.0]
+            })],
+        ),
+        (
+            "drop with a point",
+            vec![
+                line(100.0, [0.0, 0.0], [20.0, 20.0]),
+                arc(100.0, [0.0, 40.0], 800.0_f64.sqrt(), [-PI / 4.0, 5.0 * PI / 4.0]),
+                line(100.0, [-20.0, 20.0], [0.0, 0.0]),
+                line(100.0, [0.0, 0.0], [0.0, -20.0]),
+            ],
+        ),
+        (
+            "wave on a slope in space",
+            vec![part(100.0, |u| [90.0 * u, 8.0 * (4.0 * PI * u).sin(), 30.0 * u + 4.0 * (6.0 * PI * u).cos()])],
+        ),
+    ]
+}
+
+fn minus(a: [f64; AXES], b: [f64; AXES]) -> [f64; AXES] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn norm(v: [f64; AXES]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Points on a part that are about so far from each other, from its start on.
+fn along(part: &Part, chord: f64) -> Vec<[f64; AXES]> {
+    const STEPS: u32 = 20_000;
+    let at = |k: u32| (part.curve)(f64::from(k) / f64::from(STEPS));
+    let mut lengths = vec![0.0];
+    for k in 1..=STEPS {
+        lengths.push(lengths[lengths.len() - 1] + norm(minus(at(k), at(k - 1))));
+    }
+    let whole = lengths[lengths.len() - 1];
+    let count = (whole / chord).ceil();
+    (0..=count as u32)
+        .map(|n| {
+            let way = whole * f64::from(n) / count;
+            let k = lengths.partition_point(|length| *length < way).clamp(1, STEPS as usize);
+            let share = (way - lengths[k - 1]) / (lengths[k] - lengths[k - 1]);
+            (part.curve)((k as f64 - 1.0 + share.clamp(0.0, 1.0)) / f64::from(STEPS))
+        })
+        .collect()
+}
+
+/// The pieces of a shape for the reference.
+fn pieces(shape: &[Part]) -> Vec<Piece> {
+    let mut pieces: Vec<Piece> = Vec::new();
+    for part in shape {
+        let points = along(part, FINE);
+        let ways: Vec<[f64; AXES]> = points.windows(2).map(|ends| minus(ends[1], ends[0])).collect();
+        let tangents: Vec<[f64; AXES]> = ways.iter().map(|way| way.map(|x| x / norm(*way))).collect();
+        let mut entry2 = f64::INFINITY;
+        if let Some(before) = pieces.last() {
+            let turn = minus(tangents[0], before.tangent);
+            // Ends of smooth parts that join smoothly differ by a piece.
+            if norm(turn) > 0.02 {
+                let jump = granted(before.tangent, tangents[0], &LIMITS, f64::INFINITY);
+                entry2 = (norm(jump) / norm(turn)).powi(2);
+            }
+        }
+        for (k, way) in ways.iter().enumerate() {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(ways.len() - 1));
+            let apart: f64 =
+                ways[a..=b].iter().map(|way| norm(*way)).sum::<f64>() - 0.5 * (norm(ways[a]) + norm(ways[b]));
+            pieces.push(Piece {
+                tangent: tangents[k],
+                curvature: minus(tangents[b], tangents[a]).map(|x| x / apart),
+                length: norm(*way),
+                entry2: if k == 0 { entry2 } else { f64::INFINITY },
+                most2: part.feed * part.feed,
+            });
+        }
+    }
+    pieces
+}
+
+/// The program of a shape in chords, from the origin, and its course.
+fn in_chords(shape: &[Part]) -> (String, Course) {
+    let start = (shape[0].curve)(0.0);
+    let (mut points, mut feeds) = (Vec::new(), Vec::new());
+    for part in shape {
+        feeds.push((points.len(), part.feed));
+        points.extend(along(part, CHORD).into_iter().skip(1).map(|point| minus(point, start)));
+    }
+    let (text, mut course) = program(&points, Style::mm(5), 100.0);
+    course.smooth = true;
+    let mut lines: Vec<String> = text.lines().map(str::to_string).collect();
+    let header = lines.len() - points.len();
+    for (index, feed) in feeds {
+        lines[header + index] += &format!(" F{}", feed * 60.0);
+    }
+    (lines.join("\n") + "\n", course)
+}
+
+/// What a shape takes, s, and the greatest change of speed.
+fn measure(shape: &[Part], jerk: f64) -> (f64, Change) {
+    let (text, course) = in_chords(shape);
+    let rig = run(&settings(&LIMITS, jerk), &text);
+    // The way of the first half step and of the last one is not seen.
+    let unseen = 2.0 * (1.0 / LIMITS.steps_per_mm[0] / LIMITS.acceleration[0]).sqrt();
+    (seconds(&rig) + unseen, greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap())
+}
+
+/// The shortest time of a shape.
+fn shortest(shape: &[Part], bound: Bound) -> f64 {
+    let pieces = pieces(shape);
+    duration(&pieces, &optimum(&pieces, &LIMITS, bound))
+}
+
+/// The reference itself, where the result is known.
+#[test]
+fn the_shortest_time_is_known_for_lines_and_circles() {
+    let of = |shape: &[Part]| shortest(shape, Bound::EachAxis);
+    // A ramp of 10 mm in 0.2 s at both ends.
+    let line_along = of(&[line(100.0, [0.0, 0.0], [40.0, 0.0])]);
+    assert!((line_along - 0.6).abs() < 0.001, "{line_along}");
+    // Both axes of a diagonal help: √2 × 500 mm/s².
+    let diagonal = of(&[line(100.0, [0.0, 0.0], [30.0, 30.0])]);
+    let expected = 1800.0_f64.sqrt() / 100.0 + 100.0 / (500.0 * 2.0_f64.sqrt());
+    assert!((diagonal - expected).abs() < 0.001, "{diagonal}, {expected}");
+    // v² = a R wherever the tangent lies along an axis, and there the ramp along it is free: 50 mm/s on R = 5 mm are passed
+    // at four points of each turn, and between them it is a little faster.
+    let turns = of(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])]);
+    let even = 10.0 * TAU * 5.0 / 50.0;
+    assert!((0.9 * even..1.02 * even).contains(&turns), "{turns}, {even} at an even speed");
+    let turns = shortest(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])], Bound::Resultant);
+    assert!((turns / even - 1.0).abs() < 0.02, "{turns}, {even} at an even speed");
+    // A right angle by the junction rule: v² = √2 a d × 2.41, for each side a ramp from there.
+    let corner = of(&[line(100.0, [0.0, 0.0], [10.0, 0.0]), line(100.0, [10.0, 0.0], [10.0, 10.0])]);
+    let speed = (2.0_f64.sqrt() * 500.0 * 0.01 * 2.414_213_6).sqrt();
+    let top = ((2.0 * 500.0 * 10.0 + speed * speed) / 2.0).sqrt();
+    let expected = 2.0 * (top + top - speed) / 500.0;
+    assert!((corner - expected).abs() < 0.001, "{corner}, {expected}");
+}
+
+/// Ten shapes: within 5 % of each axis' acceleration over 20 ms, and how much more than the shortest time that takes.
+#[test]
+fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
+    let mut faults = Vec::new();
+    println!(
+        "| shape | s | shortest | | with the resultant bounded | change of speed in 20 ms | jerk of 20000 mm/s³ |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    for (name, shape) in shapes() {
+        let (time, change) = measure(&shape, 0.0);
+        let (smooth, change_smooth) = measure(&shape, 20_000.0);
+        let (least, even) = (shortest(&shape, Bound::EachAxis), shortest(&shape, Bound::Resultant));
+        let excess = |change: &Change| {
+            ((change.seen - change.granted) / (LIMITS.acceleration[change.axis] * WINDOW) - 1.0) * 100.0
+        };
+        let more = (time / least - 1.0) * 100.0;
+        println!(
+            "| {name} | {time:.3} | {least:.3} | {more:+.1} % | {even:.3}, {:+.1} % | {:+.1} % | {smooth:.3} s, {:+.1} % |",
+            (even / least - 1.0) * 100.0,
+            excess(&change),
+            excess(&change_smooth)
+        );
+        for change in [change, change_smooth] {
+            if change.ratio > 1.0 {
+                faults.push(format!("{name}: {change}"));
+            }
+        }
+        if !(-1.0..MOST_MORE).contains(&more) {
+            faults.push(format!("{name}: {time} s, {least} s at best"));
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// By how many percent a shape may take longer than the shortest time.
+const MOST_MORE: f64 = 15.0;

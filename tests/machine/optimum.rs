@@ -1,0 +1,215 @@
+//! The shortest time in which a path can be taken, in `f64`, with the whole of it in view: what a controller with an endless
+//! queue and no rounding would do. A reference for times, and a source of motion that is known to be within its limits.
+//!
+//! The path is given as pieces with their tangent x' and curvature x'' (by the length). With speed v and acceleration u
+//! along the path each axis has the acceleration `x'' v² + x' u`, which stays within its limit. Backward from the end: the
+//! greatest v² of each knot from which the rest can still be driven; forward: the greatest u that stays below that. The set
+//! of (v², u) is convex and holds (0, 0), so this is the optimum, but for the length of the pieces.
+
+use super::axis_speeds::{Course, granted};
+use super::estimator::Limits;
+use super::oracle::{AXES, Pulse};
+use std::f64::consts::PI;
+
+/// A part of a path that is short enough to have one tangent and one curvature.
+#[derive(Clone, Copy, Debug)]
+pub struct Piece {
+    pub tangent: [f64; AXES],
+    /// 1/mm.
+    pub curvature: [f64; AXES],
+    /// mm.
+    pub length: f64,
+    /// Greatest speed² where it begins, and on it; (mm/s)².
+    pub entry2: f64,
+    pub most2: f64,
+}
+
+/// What bounds the acceleration across and along.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bound {
+    /// Each axis its own.
+    EachAxis,
+    /// Their resultant: no more in any direction than the weakest axis can. On a circle the speed is even.
+    Resultant,
+}
+
+/// The accelerations along the path that the axes can bear on a piece which is entered at `v2`.
+fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
+    let twice = 2.0 * piece.length;
+    // Not below a stop at its end.
+    let (mut low, mut high) = (-v2 / twice, f64::INFINITY);
+    if bound == Bound::Resultant {
+        let most = limits.acceleration.iter().copied().fold(f64::INFINITY, f64::min);
+        let across = piece.curvature.iter().map(|x| x * x).sum::<f64>().sqrt() * v2;
+        if across > most {
+            return (1.0, 0.0);
+        }
+        let along = (most * most - across * across).sqrt();
+        return (low.max(-along), along);
+    }
+    for axis in 0..AXES {
+        let bend = piece.curvature[axis];
+        // At the beginning and at the end, where v² is v2 + 2 u length.
+        for share in [piece.tangent[axis], piece.tangent[axis] + twice * bend] {
+            let most = limits.acceleration[axis];
+            let (a, b) = ((-most - bend * v2) / share, (most - bend * v2) / share);
+            if share.abs() > 1e-12 {
+                low = low.max(a.min(b));
+                high = high.min(a.max(b));
+            } else if (bend * v2).abs() > most {
+                return (1.0, 0.0);
+            }
+        }
+    }
+    (low, high)
+}
+
+/// Speed² at each knot, from rest to rest.
+pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
+    let mut reachable = vec![0.0; pieces.len() + 1];
+    for (k, piece) in pieces.iter().enumerate().rev() {
+        let exit2 = f64::min(reachable[k + 1], piece.most2);
+        let drivable = |v2: f64| {
+            let (low, high) = range(piece, v2, limits, bound);
+            low <= high.min((exit2 - v2) / (2.0 * piece.length))
+        };
+        let (mut low, mut high) = (0.0, piece.entry2.min(piece.most2));
+        if drivable(high) {
+            low = high;
+        } else {
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                if drivable(middle) { low = middle } else { high = middle }
+            }
+        }
+        reachable[k] = low;
+    }
+    let mut speeds2 = vec![0.0; pieces.len() + 1];
+    for (k, piece) in pieces.iter().enumerate() {
+        let (_, most) = range(piece, speeds2[k], limits, bound);
+        let next2 = speeds2[k] + 2.0 * piece.length * most;
+        speeds2[k + 1] = next2.min(reachable[k + 1]).min(piece.most2).max(0.0);
+    }
+    speeds2
+}
+
+/// Seconds.
+pub fn duration(pieces: &[Piece], speeds2: &[f64]) -> f64 {
+    pieces.iter().zip(speeds2.windows(2)).map(|(piece, v2)| 2.0 * piece.length / (v2[0].sqrt() + v2[1].sqrt())).sum()
+}
+
+/// The steps of such a motion along points, one piece between each two of them: each axis steps where it is half a step
+/// on, at the exact time.
+fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Limits, hz: f64) -> Vec<Pulse> {
+    let mut pulses = Vec::new();
+    let mut begun = 0.0;
+    for (k, piece) in pieces.iter().enumerate() {
+        let (first2, last2) = (speeds2[k], speeds2[k + 1]);
+        let time =
+            |share: f64| 2.0 * share * piece.length / (first2.sqrt() + (first2 + (last2 - first2) * share).sqrt());
+        for axis in 0..AXES {
+            let [from, to] = [k, k + 1].map(|n| points[n][axis] * limits.steps_per_mm[axis]);
+            let back = to < from;
+            let (low, high) = (from.min(to), from.max(to));
+            // The halves in (low, high].
+            for step in (low - 0.5).floor() as i64 + 1..=(high - 0.5).floor() as i64 {
+                let share = (step as f64 + 0.5 - from) / (to - from);
+                let at = ((begun + time(share)) * hz) as u64;
+                pulses.push(Pulse { at, steps: 1 << axis, directions: u8::from(back) << axis });
+            }
+        }
+        begun += time(1.0);
+    }
+    pulses.sort_by_key(|pulse| pulse.at);
+    pulses
+}
+
+/// The chords of a course as they were meant: unit vectors and lengths.
+fn chords(course: &Course) -> (Vec<[f64; AXES]>, Vec<f64>) {
+    let ways: Vec<[f64; AXES]> =
+        course.meant.windows(2).map(|ends| std::array::from_fn(|i| ends[1][i] - ends[0][i])).collect();
+    let lengths: Vec<f64> = ways.iter().map(|way| norm(*way)).collect();
+    (ways.iter().zip(&lengths).map(|(way, length)| way.map(|part| part / length)).collect(), lengths)
+}
+
+fn norm(v: [f64; AXES]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Angle between two unit vectors.
+fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
+    (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
+}
+
+/// Greatest v² at each vertex by the rule for turns: `a (L / t + d s / (1 - s))` for every span of vertices that is L long
+/// and turns by t, from one vertex to half a circle.
+fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
+    let mut most = vec![feed * feed; chords.len() + 1];
+    for first in 1..chords.len() {
+        let (mut length, mut whole) = (0.0, 0.0);
+        for last in first..chords.len() {
+            whole += angle(chords[last - 1], chords[last]);
+            if last > first {
+                length += lengths[last - 1];
+            }
+            if whole > PI + 1e-6 {
+                break;
+            }
+            let (before, after) = (chords[first - 1], chords[last]);
+            let vector: [f64; AXES] = std::array::from_fn(|i| (after[i] - before[i]).abs());
+            let size = norm(vector);
+            if size < 1e-7 {
+                continue;
+            }
+            let acceleration = (0..AXES)
+                .filter(|&i| vector[i] > 1e-9)
+                .map(|i| limits.acceleration[i] * size / vector[i])
+                .fold(f64::INFINITY, f64::min);
+            let corner = norm(granted(before, after, limits, f64::INFINITY)) / size;
+            let speed2 = acceleration * length / angle(before, after) + corner * corner;
+            for vertex in &mut most[first..=last] {
+                *vertex = vertex.min(speed2);
+            }
+        }
+    }
+    most
+}
+
+/// The parts that a chord is cut into: two at least, so that it can begin and end at rest.
+fn parts(length: f64) -> u32 {
+    (length / 0.05).ceil().clamp(2.0, 100.0) as u32
+}
+
+/// Steps of a machine that takes a course by the rule for turns, as fast as that allows. `excess`: allows so many times the
+/// v² in turns.
+pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
+    let (chords, lengths) = chords(course);
+    let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);
+    let bend = |at: usize| -> [f64; AXES] {
+        if at == 0 || at >= chords.len() {
+            return [0.0; AXES];
+        }
+        std::array::from_fn(|i| (chords[at][i] - chords[at - 1][i]) / (0.5 * (lengths[at] + lengths[at - 1])))
+    };
+    let (mut pieces, mut points) = (Vec::new(), vec![course.written[0]]);
+    for (k, chord) in chords.iter().enumerate() {
+        let count = parts(lengths[k]);
+        for part in 0..count {
+            let mut curvature = [0.0; AXES];
+            if count == 2 {
+                // A bend that is taken as fast as it allows leaves no acceleration for a ramp.
+                let used = bend(k + part as usize);
+                let across = (0..AXES).map(|i| used[i].abs() / limits.acceleration[i]).fold(0.0, f64::max);
+                curvature = used.map(|x| x / excess / (across * most[k].max(most[k + 1])).max(1.0));
+            }
+            let entry2 = if part == 0 { excess * most[k] } else { f64::INFINITY };
+            let (length, most2) = (lengths[k] / f64::from(count), course.feed * course.feed);
+            pieces.push(Piece { tangent: *chord, curvature, length, entry2, most2 });
+            let share = f64::from(part + 1) / f64::from(count);
+            let ends = [course.written[k], course.written[k + 1]];
+            points.push(std::array::from_fn(|i| ends[0][i] + (ends[1][i] - ends[0][i]) * share));
+        }
+    }
+    let speeds2 = optimum(&pieces, limits, Bound::EachAxis);
+    steps(&points, &pieces, &speeds2, limits, hz)
+}
