@@ -25,7 +25,10 @@
 //!   axis may rest between them or turn, which is another half: [`STEPS`].
 //! - Digits: each coordinate is off by half of the last digit. The path that is driven has this noise, and a controller
 //!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
-//!   coordinate, together √3 of it ([`DIGITS`]).
+//!   coordinate, together √3 of it ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these over
+//!   l, and a turn by both of its directions: by so much it may be taken for less, which is how much a reversal between
+//!   two pieces that are not much longer than a digit can be mistaken for a corner. And where a vertex is it does not tell
+//!   from a bend as wide as the noise of the points on both sides, which is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -36,6 +39,10 @@ pub const RAMP: f64 = 0.05;
 const STEPS: [f64; 2] = [0.6, 1.0];
 /// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
 const DIGITS: f64 = 2.75;
+/// The three coordinates of a point together.
+const POINT: f64 = 1.75;
+/// As long as a path turns by less than this it keeps its direction, rad.
+const STRAIGHT: f64 = 0.25;
 /// Where a smooth curve has a corner: the least change of a direction, rad.
 const CORNER: f64 = 0.3;
 /// Places that are read in a window.
@@ -44,7 +51,7 @@ const READINGS: usize = 8;
 /// A program of straight feed moves.
 #[derive(Clone, Debug)]
 pub struct Course {
-    /// Ends of the moves as they were meant, the first one is where the machine stands; mm.
+    /// Ends of the moves as they were meant, the first one is where the machine is; mm.
     pub meant: Vec<[f64; AXES]>,
     /// The same as the program says them, mm.
     pub written: Vec<[f64; AXES]>,
@@ -96,20 +103,28 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
+/// What noise may make of a turn: less by so much, rad, and a bend of this radius in place of a vertex, mm.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unsure {
+    turn: f64,
+    radius: f64,
+}
+
 /// By how much each axis may jump where the path turns from one direction to another, at no more than the feed.
-pub fn granted(before: [f64; AXES], after: [f64; AXES], limits: &Limits, feed: f64) -> [f64; AXES] {
+pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: &Limits, feed: f64) -> [f64; AXES] {
     let turn = minus(after, before);
     let size = norm(turn);
     if size < 1e-12 {
         return [0.0; AXES];
     }
-    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = (1 - s²) / (1 + s) without the small difference.
-    let s = (1.0 - size * size / 4.0).max(0.0).sqrt();
+    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = sin²(t / 2) / (1 + s) without the small difference.
+    let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure.turn).max(1e-9);
+    let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)
         .filter(|&i| turn[i] != 0.0)
         .map(|i| limits.acceleration[i] * size / turn[i].abs())
         .fold(f64::INFINITY, f64::min);
-    let speed2 = acceleration * limits.junction_deviation * s * (1.0 + s) / (size * size / 4.0);
+    let speed2 = acceleration * (limits.junction_deviation * s * (1.0 + s) / (sine * sine) + unsure.radius);
     turn.map(|part| speed2.sqrt().min(feed) * part.abs())
 }
 
@@ -194,17 +209,58 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
     let axes: [Vec<(f64, f64)>; AXES] = std::array::from_fn(|axis| course_of_axis(places, axis, step, margin, total));
+    let places = (0..=total).map(|index| std::array::from_fn(|axis| axes[axis][index])).collect();
     let mut chord = 0;
-    let mut reading = Reading { step, directions: Vec::with_capacity(total), places: Vec::with_capacity(total) };
+    let mut directions = Vec::with_capacity(total);
     for index in 0..=total {
         let now = (index as f64 - margin as f64) * step;
         while chord + 2 < passed.len() && passed[chord + 1] <= now {
             chord += 1;
         }
-        reading.directions.push(chord);
-        reading.places.push(std::array::from_fn(|axis| axes[axis][index]));
+        directions.push(chord);
     }
-    reading
+    Reading { step, directions, places }
+}
+
+/// By how much the direction of each chord may be off, rad: by what the path was before, up to its end, and by what comes,
+/// from its start.
+fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
+    let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
+    let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
+        let like = others.take_while(|other| norm(minus(chords[*other], chords[k])) < STRAIGHT);
+        2.0 * POINT * 0.5 * course.digit / like.map(length).sum::<f64>()
+    };
+    [
+        (0..chords.len()).map(|k| kept(k, &mut (0..=k).rev())).collect(),
+        (0..chords.len()).map(|k| kept(k, &mut (k..chords.len()))).collect(),
+    ]
+}
+
+/// What each axis is granted from one reading to that a window later.
+fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
+    let [behind, ahead] = unsure(course, chords);
+    let grant = |before: usize, after: usize| {
+        let unsure = Unsure { turn: behind[before] + ahead[after], radius: POINT * course.digit };
+        granted(chords[before], chords[after], unsure, limits, course.feed)
+    };
+    let pairs: Vec<[f64; AXES]> = (0..directions.len() - READINGS)
+        .map(|k| {
+            let (before, after) = (directions[k], directions[k + READINGS]);
+            if !course.smooth {
+                return if before == after { [0.0; AXES] } else { grant(before, after) };
+            }
+            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
+            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
+            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
+        })
+        .collect();
+    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
+    (0..pairs.len())
+        .map(|k| {
+            let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
+            std::array::from_fn(|a| near.iter().map(|pair| pair[a]).fold(0.0, f64::max))
+        })
+        .collect()
 }
 
 /// The greatest change of speed of any axis over a window (s), against what is allowed.
@@ -238,25 +294,7 @@ pub fn greatest_change(
     let passed = passed(&places, &real, limits)?;
     let reading = read(&places, &passed, window / READINGS as f64);
     let count = reading.places.len();
-    let grant = |before: usize, after: usize| granted(chords[before], chords[after], limits, real.feed);
-    let mut pairs: Vec<[f64; AXES]> = (0..count - READINGS)
-        .map(|k| {
-            let (before, after) = (reading.directions[k], reading.directions[k + READINGS]);
-            if !real.smooth {
-                return grant(before, after);
-            }
-            let corner = |at: &usize| norm(minus(chords[*at], chords[at - 1])) > CORNER;
-            let corners = (before + 1..=after).filter(corner).map(|at| grant(at - 1, at));
-            corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
-        })
-        .collect();
-    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
-    pairs = (0..pairs.len())
-        .map(|k| {
-            let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
-            std::array::from_fn(|a| near.iter().map(|pair| pair[a]).fold(0.0, f64::max))
-        })
-        .collect();
+    let pairs = grants(&real, &chords, &reading.directions, limits);
     let mut worst: Option<Change> = None;
     for k in 0..count - 2 * READINGS {
         let mean = |axis: usize| {

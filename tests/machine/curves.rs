@@ -2,7 +2,7 @@
 //! at the same time, and their sum stays within the limit of each axis. And what that costs, beside the shortest time
 //! possible ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
 
-use super::axis_speeds::{Change, Course, granted, greatest_change};
+use super::axis_speeds::{Change, Course, Unsure, granted, greatest_change};
 use super::estimator::Limits;
 use super::optimum::{Bound, Piece, duration, optimum};
 use super::oracle::AXES;
@@ -10,7 +10,7 @@ use super::rig::HZ;
 use super::turns::{Style, program, run, seconds, settings};
 use std::f64::consts::{PI, TAU};
 
-/// 20 ms: half of what a motor needs to a tenth of a turn or so, and long against its steps.
+/// Window in which speeds are compared, s: long enough that steps and digits are 1 % of what the acceleration makes of it.
 const WINDOW: f64 = 0.020;
 /// Length of the chords of the programs, mm.
 const CHORD: f64 = 0.1;
@@ -151,7 +151,7 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
             let turn = minus(tangents[0], before.tangent);
             // Ends of smooth parts that join smoothly differ by a piece.
             if norm(turn) > 0.02 {
-                let jump = granted(before.tangent, tangents[0], &LIMITS, f64::INFINITY);
+                let jump = granted(before.tangent, tangents[0], Unsure::default(), &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
             }
         }

@@ -633,7 +633,7 @@ mod tests {
             t.extend(trace(&second, &limits, second_start, |s| down((s * 20.0 + down_length) / (20.0 + down_length))));
             check(&t, HZ, &[first, second], &limits)
         };
-        let allowed = limits.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+        let allowed = limits.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.0);
         assert!((allowed - 3.6).abs() < 0.5, "{allowed}");
         run(allowed).unwrap();
         assert!(run(allowed * 4.0).unwrap_err().contains("corner"));

@@ -135,7 +135,7 @@ fn jobs_take_little_more_than_the_shortest_time() {
     for place in [[20.0, 0.0], [20.0, 20.0], [0.0, 20.0], [0.0, 0.0]] {
         square.to([place[0], place[1], 0.0], 80.0);
     }
-    let corner = MACHINE.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+    let corner = MACHINE.junction([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.0);
     let sides = [[0.0, corner], [corner, corner], [corner, corner], [corner, 0.0]];
     let ideal = sides.iter().map(|[v0, v1]| least_time(20.0, *v0, *v1, 80.0, a, JERK)).sum();
     rows.push(("square", square.run(&MACHINE, [JERK; 3]), ideal));

@@ -6,7 +6,7 @@
 //! greatest v² of each knot from which the rest can still be driven; forward: the greatest u that stays below that. The set
 //! of (v², u) is convex and holds (0, 0), so this is the optimum, but for the length of the pieces.
 
-use super::axis_speeds::{Course, granted};
+use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
 use super::oracle::{AXES, Pulse};
 use std::f64::consts::PI;
@@ -107,8 +107,8 @@ fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Lim
         let (first2, last2) = (speeds2[k], speeds2[k + 1]);
         let time =
             |share: f64| 2.0 * share * piece.length / (first2.sqrt() + (first2 + (last2 - first2) * share).sqrt());
-        for axis in 0..AXES {
-            let [from, to] = [k, k + 1].map(|n| points[n][axis] * limits.steps_per_mm[axis]);
+        for (axis, steps_per_mm) in limits.steps_per_mm.iter().enumerate() {
+            let [from, to] = [k, k + 1].map(|n| points[n][axis] * steps_per_mm);
             let back = to < from;
             let (low, high) = (from.min(to), from.max(to));
             // The halves in (low, high].
@@ -165,7 +165,7 @@ fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, fe
                 .filter(|&i| vector[i] > 1e-9)
                 .map(|i| limits.acceleration[i] * size / vector[i])
                 .fold(f64::INFINITY, f64::min);
-            let corner = norm(granted(before, after, limits, f64::INFINITY)) / size;
+            let corner = norm(granted(before, after, Unsure::default(), limits, f64::INFINITY)) / size;
             let speed2 = acceleration * length / angle(before, after) + corner * corner;
             for vertex in &mut most[first..=last] {
                 *vertex = vertex.min(speed2);

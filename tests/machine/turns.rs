@@ -500,7 +500,7 @@ const UNSEEN: f64 = 0.01;
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);
-    for case in 1..140 {
+    for case in 1..100 {
         let Drawn { limits, course, told, .. } = Drawn::new(case);
         if course.meant.len() > MOST_VERTICES {
             continue;

@@ -72,6 +72,9 @@ pub(super) struct CurveLoad {
 /// Least share of the acceleration that a bend leaves: both together exceed it by 3 %, and the machine can always brake.
 const LEAST_SHARE: f32 = 0.25;
 
+/// Share of the greatest speed² at which a ramp with bounded jerk still has all of its acceleration.
+const RAMP_SHARE: f32 = 0.75;
+
 impl CurveLoad {
     /// Straight.
     pub(super) const NONE: Self = Self { speed2: 0x7F80, acceleration: 0 };
@@ -92,10 +95,17 @@ impl CurveLoad {
         if other.speed2 < self.speed2 { other } else { self }
     }
 
-    /// The gentler one of two.
+    /// The middle one of three; none if one of them is none.
     #[inline]
-    pub(super) fn gentler(self, other: Self) -> Self {
-        if other.speed2 > self.speed2 { other } else { self }
+    pub(super) fn middle(self, second: Self, third: Self) -> Self {
+        let (tight, gentle) = if self.speed2 < second.speed2 { (self, second) } else { (second, self) };
+        if gentle.is_none() || third.is_none() {
+            Self::NONE
+        } else if third.speed2 < tight.speed2 {
+            tight
+        } else {
+            gentle.tighter(third)
+        }
     }
 
     /// What is left of an acceleration `along` the path at a speed². Along the path and across it, the sum of both on each
@@ -177,8 +187,12 @@ impl<const N: usize> Block<N> {
 
     /// What bounds changes of speed in the block.
     #[inline]
+    ///
+    /// In a bend the acceleration of a ramp is greatest about half way up, at three quarters of the speed² or less: it is
+    /// counted with what is left there.
     pub(super) fn bounds(&self) -> Bounds {
-        Bounds { acceleration: self.acceleration, jerk: self.jerk }
+        let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);
+        Bounds { acceleration, jerk: self.jerk }
     }
 
     /// Steps of the axis that has most.

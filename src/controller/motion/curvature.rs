@@ -43,8 +43,13 @@ const STRAIGHTNESS: f32 = 0.6;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² beyond which a move turns back on itself.
 const REVERSAL: f32 = 4.0 - 2.0e-6;
-/// q² of one radian: what turns more need not be a bend, but may be corners with straights between.
+/// q² of one radian: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
+/// faster than on a bend.
 const RADIAN2: f32 = 0.92;
+/// It is spread over the whole length if both ends of it turn by this share of q² at least; and where L/t is more than so
+/// many junction deviations that does not matter, as a radian's own J² is but a tenth of a·L/t.
+const ENDS2: f32 = 1.0 / 36.0;
+const VAGUE: f32 = 72.0;
 /// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
 /// Points of which the finest digit counts: words lose their trailing zeros, but not all of them.
@@ -55,8 +60,8 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Greatest speed² at their entries.
     pub speed2: f32,
-    /// One slower entry is enough: it turns by more than a radian. Where this is done in a corner the machine brakes for it
-    /// and leaves it with the acceleration of the axes, so the whole takes the time that it must.
+    /// One slower entry is enough: most of the turn may be a corner, for which the machine brakes and from which it speeds
+    /// up with the acceleration of the axes, so that the whole takes the time that it must.
     pub once: bool,
     /// What the bend leaves of the acceleration.
     pub curve: CurveLoad,
@@ -90,8 +95,18 @@ struct Span<const N: usize> {
     blocks: u16,
     /// Whether the direction means anything.
     straight: bool,
-    /// The bend between the middle of the span before and its own.
+    /// From the middle of the span before to its own: q² and the bend.
+    turned2: f32,
     curve: CurveLoad,
+}
+
+/// What is granted between two spans.
+struct Limit {
+    speed2: f32,
+    /// What is certain of q².
+    turn2: f32,
+    /// L/t.
+    radius: f32,
 }
 
 impl<const N: usize> Span<N> {
@@ -102,6 +117,7 @@ impl<const N: usize> Span<N> {
         fast2: 0.0,
         blocks: 0,
         straight: false,
+        turned2: 0.0,
         curve: CurveLoad::NONE,
     };
 
@@ -152,36 +168,43 @@ impl<const N: usize> History<N> {
     /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
     /// two single pieces is known already ([`Chain::corner2`]).
     fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut impl FnMut(Bend)) {
+        let [first, second, third, _] = &self.0;
+        rule.join(first, &mut new);
+        // A corner turns two neighbouring spans at most, a bend all of them.
+        let bend = new.curve.middle(first.curve, second.curve);
         let own = usize::from(new.blocks);
-        let (mut between, mut blocks, mut fast2) = (0.0, 0, new.fast2);
+        let (mut between, mut blocks, mut fast2, mut turned2) = (0.0, 0, new.fast2, new.turned2);
         for (index, old) in self.0.iter().enumerate() {
             if old.blocks == 0 || !new.straight {
                 break;
             }
             fast2 = greater(fast2, old.fast2);
-            let limit = if old.straight && !(index == 0 && own == 1 && old.blocks == 1) {
-                rule.span_speed2(old, &new, between, fast2)
-            } else {
-                None
-            };
-            if let Some((speed2, once)) = limit {
+            let corner = index == 0 && own == 1 && old.blocks == 1;
+            if old.straight
+                && !corner
+                && let Some(limit) = rule.span(old, &new, between, fast2)
+            {
+                let ends2 = lesser(new.turned2, turned2);
+                let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
+                let bent = index == 2 && !bend.is_none();
                 // From the middle of the one to the middle of the other, or where a single piece begins or ends.
-                let nearest = behind + own / 2;
-                let farthest = behind + own - 1 + blocks + usize::from(old.blocks) / 2;
-                found(Bend { speed2, once, curve: CurveLoad::NONE, nearest, farthest });
+                found(Bend {
+                    speed2: limit.speed2,
+                    once: limit.turn2 > RADIAN2 && !spread && !bent,
+                    curve: CurveLoad::NONE,
+                    nearest: behind + own / 2,
+                    farthest: behind + own - 1 + blocks + usize::from(old.blocks) / 2,
+                });
             }
             between += old.path;
             blocks += usize::from(old.blocks);
+            turned2 = old.turned2;
         }
-        let [first, second, third, _] = self.0;
-        new.curve = rule.bend(&first, &new, fast2);
-        // A corner turns two neighbouring spans at most, a bend all of them.
-        let curve = new.curve.gentler(first.curve).gentler(second.curve);
-        if !curve.is_none() {
+        if !bend.is_none() {
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            found(Bend { speed2: UNLIMITED2, once: false, curve, nearest: behind + own, farthest });
+            found(Bend { speed2: UNLIMITED2, once: false, curve: bend, nearest: behind + own, farthest });
         }
-        self.0 = [new, first, second, third];
+        self.0 = [new, *first, *second, *third];
     }
 }
 
@@ -219,7 +242,7 @@ impl<const N: usize> Scale<N> {
             fast2: self.fast2,
             blocks: self.blocks,
             straight,
-            curve: CurveLoad::NONE,
+            ..Span::NONE
         };
         self.begin(end);
         span
@@ -342,9 +365,9 @@ impl<const N: usize> TurnRule<N> {
         self.junction2(across, sine, turn2)
     }
 
-    /// Greatest speed² between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
+    /// What is granted between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
     #[inline]
-    fn span_speed2(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<(f32, bool)> {
+    fn span(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<Limit> {
         let all2 = turn2(&old.direction, &new.direction);
         let (turn2, sine) = certain(all2, old.noise + new.noise)?;
         let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
@@ -363,23 +386,25 @@ impl<const N: usize> TurnRule<N> {
         } else {
             junction2 + bend2
         };
-        (speed2 < fast2).then_some((speed2, turn2 > RADIAN2))
+        (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// The bend from the middle of a span to the middle of the next one, if it tells at `fast2`.
+    /// Notes in a span how it continues the one before: the bend only if it tells at the speeds there.
     #[inline]
-    fn bend(&self, old: &Span<N>, new: &Span<N>, fast2: f32) -> CurveLoad {
+    fn join(&self, old: &Span<N>, new: &mut Span<N>) {
         if old.blocks == 0 || !old.straight || !new.straight {
-            return CurveLoad::NONE;
+            return;
         }
-        let all2 = turn2(&old.direction, &new.direction);
-        let Some((turn2, sine)) = certain(all2, old.noise + new.noise).filter(|(turn2, _)| *turn2 < RADIAN2) else {
-            return CurveLoad::NONE;
-        };
-        let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
-        let acceleration = self.in_plane(&old.direction, &new.direction, all2);
-        let curve2 = acceleration * self.curve_share * radius;
-        if curve2 < NOTICEABLE * fast2 { CurveLoad::new(curve2, acceleration) } else { CurveLoad::NONE }
+        new.turned2 = turn2(&old.direction, &new.direction);
+        let Some((turn2, sine)) = certain(new.turned2, old.noise + new.noise) else { return };
+        if turn2 < RADIAN2 {
+            let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
+            let acceleration = self.in_plane(&old.direction, &new.direction, new.turned2);
+            let curve2 = acceleration * self.curve_share * radius;
+            if curve2 < NOTICEABLE * greater(old.fast2, new.fast2) {
+                new.curve = CurveLoad::new(curve2, acceleration);
+            }
+        }
     }
 }
 
