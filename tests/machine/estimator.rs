@@ -142,8 +142,8 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Longest line that may be joined with others, in any axis, and the longest that comes of it, mm.
-const MOST_PIECE: f64 = 0.04 + 1e-9;
+/// Longest line that may be joined with others, the sum of its axes, and the longest that comes of it, mm.
+const MOST_PIECE: f64 = 0.045 + 1e-9;
 const MOST_JOINED: f64 = 0.5 + 1e-6;
 
 /// Whether a straight line passes a place within half a step of every axis.
@@ -176,7 +176,7 @@ impl Joins<'_> {
     /// The last lines of all moves that may begin with this one, the shortest first.
     fn ends(&self, first: usize) -> Vec<usize> {
         let (start, mut ends) = (&self.lines[first], vec![first]);
-        let is_short = |line: &Line| (0..AXES).all(|a| (line.to[a] - line.from[a]).abs() <= MOST_PIECE);
+        let is_short = |line: &Line| (0..AXES).map(|a| (line.to[a] - line.from[a]).abs()).sum::<f64>() <= MOST_PIECE;
         if !is_short(start) {
             return ends;
         }

@@ -22,9 +22,9 @@ use super::{Motion, Move, Speed};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
-/// Longest move that is joined in any axis: 512 blocks of 0.04 mm are a look-ahead of 20 mm, in which 100 mm/s are braked
-/// at 250 mm/s². Longer ones stay the blocks that they are.
-const MOST_PIECE: i64 = DECIMAL_ONE / 25;
+/// Longest move that is joined, the sum of its ways in all axes: 512 blocks that are longer make a look-ahead of 16 mm at
+/// least, in which 100 mm/s are braked at 313 mm/s². They stay the blocks that they are.
+const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Longest joined move, mm.
 const MOST_JOINED: f32 = 0.5;
 /// The last digit counts as no less than this, mm: numbers with 24 bits are off by as much at 0.5 m from the last point.
@@ -188,8 +188,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// that one did. Gives the speed² at which the blocks before may already count on entering it.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
-        let is_short = |(to, from): (&Coordinate, &Coordinate)| (to.0 - from.0).abs() <= MOST_PIECE;
-        if is_line && !m.no_feed_override && m.target.iter().zip(self.block_end.iter()).all(is_short) {
+        let ends = m.target.iter().zip(self.block_end.iter());
+        let ways: i64 = ends.map(|(to, from)| (to.0 - from.0).abs()).sum();
+        if is_line && !m.no_feed_override && ways <= MOST_PIECE {
             return self.join_short(m, target_steps);
         }
         self.join.open = false;
