@@ -114,6 +114,21 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     }
 }
 
+/// What a sender may open with, in one write.
+#[test]
+fn a_report_comes_before_the_line_that_follows_its_question() {
+    for dialect in ["grbl", "oxmill"] {
+        let mut program =
+            oxmill(&["serve", "--stdio", "--dialect", dialect]).stdin(Stdio::piped()).spawn().expect("it starts");
+        program.stdin.take().expect("a pipe").write_all(b"?\n").expect("the device reads");
+        let mut said = String::new();
+        program.stdout.take().expect("a pipe").read_to_string(&mut said).expect("text");
+        program.wait().expect("the device ends with its input");
+        let lines: Vec<&str> = said.lines().collect();
+        assert!(matches!(lines[..], [.., report, "ok"] if report.starts_with("<Idle|")), "{dialect}: {said}");
+    }
+}
+
 #[test]
 fn a_device_on_standard_input_greets_and_answers() {
     let mut program = oxmill(&["serve", "--stdio", "--speed", "max"]).stdin(Stdio::piped()).spawn().expect("it starts");
@@ -123,4 +138,67 @@ fn a_device_on_standard_input_greets_and_answers() {
     program.wait().expect("the device ends with its input");
     assert!(said.contains("Grbl 1.1h ['$' for help]"), "{said}");
     assert!(said.contains("[VER:1.1h.") && said.ends_with("ok\r\nok\r\n"), "{said}");
+}
+
+/// A wrong byte in the store: `run` says so and does not begin, a device says so and is locked until somebody has looked.
+#[test]
+fn a_damaged_store_is_told_and_locks() {
+    let job = file("stored.nc", "G21 G90\nG0 X10\n");
+    let store = file("stored.img", "");
+    for (address, byte) in [(12, b'X'), (12, 0), (12, 255), (20, b'X'), (20, 0), (20, 255), (5, 0), (9, 255)] {
+        fs::remove_file(&store).expect("a file can be removed");
+        let arguments = ["run", text(&job), "--store", text(&store), "--json"];
+        let output = run(&[&arguments[..], &["--set", "100=80", "--set", "101=81"]].concat());
+        assert_eq!(json(&output)["steps"][0], 800);
+        let output = run(&[&arguments[..], &["--set", "100=80"]].concat());
+        assert_eq!(json(&output)["steps"][0], 800);
+        let mut image = fs::read(&store).expect("an image");
+        assert_ne!(image[address], byte, "byte {address}");
+        image[address] = byte;
+        fs::write(&store, &image).expect("a file can be written");
+
+        let output = run(&arguments);
+        assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(2), &b""[..]), "byte {address}");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(said.contains("damaged") && said.contains("some may be lost") && said.contains("$$"), "{said}");
+        assert_eq!(fs::read(&store).expect("an image"), image, "nothing is written");
+
+        let mut program = oxmill(&["serve", "--stdio", "--store", text(&store), "--speed", "100"])
+            .stdin(Stdio::piped())
+            .spawn()
+            .expect("it starts");
+        let mut input = program.stdin.take().expect("a pipe");
+        input.write_all(b"$X\nG0X10\n$$\n").expect("the device reads");
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        input.write_all(b"$X\nG0X10\n").expect("the device reads");
+        drop(input);
+        let output = program.wait_with_output().expect("the device ends with its input");
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let told = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
+        let refused = format!("\r\nGrbl 1.1h ['$' for help]\r\n{told}{told}error:7\r\nerror:9\r\n$0=10\r\n");
+        assert!(said.starts_with(&refused), "byte {address}: {said}");
+        assert!(said.contains("$101=81.000\r\n"), "byte {address}: {said}");
+        assert!(said.ends_with("[MSG:Caution: Unlocked]\r\nok\r\nok\r\n"), "byte {address}: {said}");
+        assert!(run(&arguments).status.success(), "it is clean again");
+    }
+}
+
+/// What has no end is not read to its end, and what is too long for what it should be is refused by name.
+#[cfg(unix)]
+#[test]
+fn files_are_read_with_a_bound() {
+    let job = file("bounded.nc", "G1 X1 F300\n");
+    let long = file("too_long.toml", &"# a remark\n".repeat(100_000));
+    for option in ["--store", "--settings", "--machine"] {
+        for path in [Path::new("/dev/zero"), &long] {
+            let output = run(&["run", text(&job), option, text(path)]);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{option} {}: {said}", path.display());
+            assert!(said.contains(text(path)) && said.contains("it has more than "), "{option}: {said}");
+        }
+    }
+    let output = run(&["run", "/dev/zero"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(said.contains("/dev/zero") && said.contains("a line has more than a million bytes"), "{said}");
 }

@@ -8,9 +8,14 @@ const HEAD: &str = "# Settings
 `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
 (no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
-pins for), motion is locked with a message that names the setting, until it is mended. Nothing is clamped silently.
+pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
+for it with `error:9`. Nothing is clamped silently.
 
-In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only. This page is made from the table in `src/controller/settings.rs`.
+When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
+listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log).
+
+In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not
+have need this dialect. This page is made from the table in `src/controller/settings.rs`.
 
 | $ | setting | unit | values | default | Grbl 1.1 |
 |---|---|---|---|---|---|

@@ -99,7 +99,7 @@ impl Error {
             Error::NegativeValue => "the value must not be negative",
             Error::HomingDisabled => "homing is disabled by setting $22",
             Error::StepPulseTooShort => "the step pulse is shorter than the controller can make",
-            Error::StoreReadFailed => "stored data was damaged and has been replaced by defaults",
+            Error::StoreReadFailed => "stored settings were damaged and have not been confirmed",
             Error::NotIdle => "the command works only while the machine is idle",
             Error::Locked => "G-code is locked out in the alarm or jog state",
             Error::SoftLimitNeedsHoming => "soft limits need homing to be enabled",

@@ -67,7 +67,8 @@ impl Realtime {
 }
 
 /// In place of a byte of a line: what has come of the line is void, for its host has gone or lost the floor. No host can
-/// send it, as 0x18 is a command.
+/// send it, as 0x18 is a command. In place of the epoch it has the number (wrapping) of hosts that have gone before it, as
+/// [`Event::Disconnected`].
 pub const CUT: u8 = 0x18;
 
 /// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that had been handed
@@ -379,8 +380,9 @@ pub enum Event<const N: usize> {
     StoreFailed,
     /// A host has just opened the port.
     Connected,
-    /// The host that was listened to has closed the port or is unplugged. Not every link can tell.
-    Disconnected,
+    /// The host that was listened to has closed the port or is unplugged: the number (wrapping) of such hosts since power-up.
+    /// Not every link can tell. Its lines, up to the [`CUT`] of this number, get no answers.
+    Disconnected(u16),
 }
 
 /// What the pump knows and the controller does not; handed over before events and outputs.
@@ -577,6 +579,10 @@ impl Restart {
         self.crash.is_some() || matches!(self.cause, ResetCause::Watchdog | ResetCause::BrownOut)
     }
 }
+
+/// Key of the record by which a store tells that it has been damaged and has lost others. It is empty, and holds until it is
+/// removed.
+pub const STORE_DAMAGED: u16 = 65_534;
 
 /// A record of the settings store: a key and up to 100 bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -209,6 +209,12 @@ pub enum Key {
 impl Key {
     /// How many there are.
     pub const COUNT: usize = 61;
+
+    /// The number after `$`.
+    #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
+    pub const fn number(self) -> u16 {
+        SCALARS[self as usize].number
+    }
 }
 
 /// Names the rows of [`PER_AXIS`].
@@ -227,6 +233,17 @@ pub enum AxisKey {
 impl AxisKey {
     /// How many there are.
     pub const COUNT: usize = 7;
+
+    /// The number after `$` for X; Y has the next one, and so on.
+    #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
+    pub const fn number(self) -> u16 {
+        PER_AXIS[self as usize].number
+    }
+
+    /// The axis that a number belongs to, if it is one of this setting.
+    pub fn axis(self, number: u16) -> Option<Axis> {
+        Axis::ALL.get(usize::from(number.checked_sub(self.number())?)).copied()
+    }
 }
 
 /// Where a setting stands.
@@ -362,9 +379,9 @@ impl<const N: usize> Settings<N> {
             Kind::Whole(least, greatest) => {
                 let whole = value.truncate() as u32;
                 // Grbl takes no pulse below 3 us.
-                let least = if number == 0 && self.value(Key::Dialect) == 0.0 { 3 } else { least };
+                let least = if number == STEP_PULSE && self.value(Key::Dialect) == 0.0 { 3 } else { least };
                 if !(least..=greatest).contains(&whole) {
-                    let pulse = number == 0;
+                    let pulse = number == STEP_PULSE;
                     return Err(if pulse { Error::StepPulseTooShort } else { Error::InvalidStatement });
                 }
                 whole as f32
@@ -480,15 +497,15 @@ impl<const N: usize> Settings<N> {
                 _ => v,
             };
             if StepsPerMm::new(r).is_none() {
-                Some(100 + offset)
+                Some(const { AxisKey::Resolution.number() } + offset)
             } else if !RATES.contains(&v) || r * motor_rate / 60.0 > greatest_hz {
-                Some(110 + offset)
+                Some(const { AxisKey::MaxRate.number() } + offset)
             } else if !ACCELERATIONS.contains(&a) {
-                Some(120 + offset)
+                Some(const { AxisKey::Acceleration.number() } + offset)
             } else if self.axes(AxisKey::Backlash).get(axis)? * r > MOST_BACKLASH {
-                Some(160 + offset)
+                Some(const { AxisKey::Backlash.number() } + offset)
             } else if self.axes(AxisKey::Jerk).get(axis).is_some_and(|jerk| jerk != 0.0 && !JERKS.contains(&jerk)) {
-                Some(220 + offset)
+                Some(const { AxisKey::Jerk.number() } + offset)
             } else {
                 None
             }
@@ -504,21 +521,21 @@ impl<const N: usize> Settings<N> {
         let parking = homing && self.is_on(Key::Parking);
         let crawls = |key| !RATES.contains(&self.value(key));
         if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
-            Some(11)
+            Some(const { Key::JunctionDeviation.number() })
         } else if self.value(Key::ArcTolerance) < LEAST_TOLERANCE {
-            Some(12)
+            Some(const { Key::ArcTolerance.number() })
         } else if self.is_on(Key::SoftLimits) && !homing {
             Some(SOFT_LIMITS)
         } else if homing && crawls(Key::HomingLocate) {
-            Some(24)
+            Some(const { Key::HomingLocate.number() })
         } else if homing && crawls(Key::HomingSeek) {
-            Some(25)
+            Some(const { Key::HomingSeek.number() })
         } else if parking && self.whole(Key::ParkingAxis) as usize >= N {
-            Some(42)
+            Some(const { Key::ParkingAxis.number() })
         } else if parking && crawls(Key::ParkingPullOutRate) {
-            Some(57)
+            Some(const { Key::ParkingPullOutRate.number() })
         } else if parking && crawls(Key::ParkingFastRate) {
-            Some(59)
+            Some(const { Key::ParkingFastRate.number() })
         } else {
             None
         }
@@ -535,17 +552,19 @@ const MOST_BACKLASH: f32 = 10_000.0;
 /// Greatest junction deviation and least arc tolerance, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_TOLERANCE: f32 = 1.0e-4;
+/// Number of the step pulse, for which Grbl has an error of its own.
+const STEP_PULSE: u16 = Key::StepPulse.number();
 /// Number of the setting that switches soft limits on.
-const SOFT_LIMITS: u16 = 20;
+const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 /// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
 /// both off, whenever the power is cut.
 const BEFORE_HOMING: f32 = 2.0;
 /// Number of the setting that switches homing on.
-const HOMING: u16 = 22;
+const HOMING: u16 = Key::Homing.number();
 /// Number of the one setting that may be negative.
-const PARKING_PLACE: u16 = 58;
+const PARKING_PLACE: u16 = Key::ParkingTarget.number();
 /// Number of the setting that names the axis with two motors.
-const GANGED_AXIS: u16 = 905;
+const GANGED_AXIS: u16 = Key::GangedAxis.number();
 
 #[cfg(test)]
 mod tests {

@@ -62,7 +62,7 @@ pub struct Control {
     line_bytes_out: u32,
     /// [`HOSTS_CAME`] and [`HOSTS_WENT`] as they were.
     hosts_came: u8,
-    hosts_went: u8,
+    hosts_went: u16,
     job: Option<Job>,
     /// Wiring facts for which there was no room.
     unsent_wiring: Option<Wiring>,
@@ -139,13 +139,16 @@ impl Control {
         if went != self.hosts_went {
             self.observe();
             self.hosts_went = went;
-            self.controller.event(now, Event::Disconnected);
+            self.controller.event(now, Event::Disconnected(went));
         }
         if came != self.hosts_came {
             self.hosts_came = came;
             self.controller.event(now, Event::Connected);
         }
         let (mut made_room, owes) = (false, crossing::owes());
+        // Of the line bytes only those that are in their queue now are taken below: the commands received before them have
+        // been taken by then, so a report that was asked for before a line comes before its answer.
+        let lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
         while let Ok(command) = self.ends.realtime.try_recv() {
             made_room = true;
             self.observe();
@@ -166,7 +169,7 @@ impl Control {
         // A host that sends one setting after the other is made to wait before there is no room for them.
         while self.controller.wants_line()
             && !(self.settings.wants_erase_soon() && self.controller.is_nearly_quiet())
-            && let Some(byte) = self.next_byte()
+            && let Some(byte) = self.next_byte(lines_in)
         {
             took = true;
             self.controller.event(now, Event::Line(byte));
@@ -291,7 +294,8 @@ impl Control {
         }
     }
 
-    fn next_byte(&mut self) -> Option<LineByte> {
+    /// The next byte of a line, of the first `lines_in` that were queued.
+    fn next_byte(&mut self, lines_in: u32) -> Option<LineByte> {
         if let Some(job) = &mut self.job {
             let byte = *job.text.get(job.next)?;
             job.next += 1;
@@ -299,6 +303,9 @@ impl Control {
                 self.controller.input_ended();
             }
             return Some(LineByte { byte, epoch: 0, damaged: false });
+        }
+        if self.line_bytes_out == lines_in {
+            return None;
         }
         let byte = self.ends.lines.try_recv().ok()?;
         self.line_bytes_out = self.line_bytes_out.wrapping_add(1);

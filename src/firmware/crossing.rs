@@ -31,7 +31,7 @@ static FREE_AT: AtomicU32 = AtomicU32::new(u32::MAX);
 /// `serial`: how often a host that got the floor by it has opened a port since power-up (wrapping).
 pub static HOSTS_CAME: AtomicU8 = AtomicU8::new(0);
 /// `serial`: how often the host with the floor has gone since power-up (wrapping).
-pub static HOSTS_WENT: AtomicU8 = AtomicU8::new(0);
+pub static HOSTS_WENT: AtomicU16 = AtomicU16::new(0);
 /// `serial`: line bytes received since power-up (wrapping): those in the queue, and those that wait for room in it.
 pub static LINE_BYTES_RECEIVED: AtomicU32 = AtomicU32::new(0);
 /// `serial`: it holds a byte for which there was no room, and wants to be called when there is.

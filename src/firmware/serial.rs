@@ -103,7 +103,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
                     HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
                 }
             } else if self.link.went(entrance) {
-                HOSTS_WENT.fetch_add(1, Ordering::Relaxed);
+                HOSTS_WENT.store(entrance.gone(), Ordering::Relaxed);
             }
         }
         news

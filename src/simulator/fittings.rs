@@ -135,7 +135,9 @@ impl Fittings {
     /// # Errors
     /// If it cannot be read or understood.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = crate::file::read(path, crate::file::TEXT)
+            .and_then(|bytes| String::from_utf8(bytes).map_err(std::io::Error::other))
+            .with_context(|| format!("cannot read {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))
     }
 

@@ -1,6 +1,7 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::command_line::{Dialect, MachineOptions, Run};
+use crate::file;
 use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
@@ -13,7 +14,6 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::{Key, SCALARS};
-use std::fs;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::time::Instant;
@@ -34,6 +34,18 @@ pub fn check_power(simulator: &Simulator) -> Result<()> {
     Ok(())
 }
 
+/// Refuses a job on settings that may not be the machine's: it would be locked.
+fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
+    if simulator.controller().is_store_damaged() {
+        let name = store.unwrap_or(Path::new("store")).display();
+        bail!(
+            "the settings in {name} were damaged, and some may be lost: motion is locked. Look at them and confirm them with \
+             `oxmill serve --stdio --store {name}`: $$, and two seconds later $X"
+        );
+    }
+    Ok(())
+}
+
 /// A simulator as the options describe it, its settings applied.
 pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
@@ -45,7 +57,8 @@ pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
-        let text = fs::read(path).with_context(|| format!("cannot read the settings file {}", path.display()))?;
+        let text = file::read(path, file::TEXT)
+            .with_context(|| format!("cannot read the settings file {}", path.display()))?;
         for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
@@ -100,6 +113,7 @@ pub fn run(options: &Run) -> Result<bool> {
     let name = if options.job.as_os_str() == "-" { "standard input".into() } else { options.job.display().to_string() };
     let (reader, length) = text::open(&options.job).with_context(|| format!("cannot read the job {name}"))?;
     let mut simulator = power_up(&options.machine)?;
+    check_store(&simulator, options.machine.store.as_deref())?;
     let origin = simulator.clock().now();
     if let Some(path) = &options.trace {
         let csv = Csv::create(path, simulator.board().step_clock_hz, origin)

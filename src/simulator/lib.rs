@@ -19,6 +19,7 @@ pub mod boards;
 
 pub mod clock;
 pub mod command_line;
+pub mod file;
 pub mod fittings;
 pub mod job;
 pub mod machine;

@@ -3,13 +3,16 @@
 //! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
 //! task takes no time, so it is never late. What happens at the same tick happens in this order:
 //! 1. the step task's tick,
-//! 2. bytes from the host, in the order sent,
-//! 3. changes of input pins,
+//! 2. bytes from the host, in the order sent, through the boards' own [`Link`],
+//! 3. changes of input pins, through the boards' own filter,
 //! 4. a turn of the control task.
 //!
 //! A turn of the control task is the firmware's: observe; all events (step task, realtime, pins, store); line bytes as
 //! long as the controller wants them; then outputs, beginning again after each one for the step task, and ending when a
 //! whole round found nothing to do.
+//!
+//! The host is on a link like USB, which can wait: what has no room in the board's queues and in the link waits in the
+//! host's port.
 
 use crate::boards::{self, AXES, BLOCKS, Board};
 use crate::clock::Clock;
@@ -19,20 +22,67 @@ use crate::meter::Meter;
 use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{Sole, StepRecord, Trace};
-use oxmill_controller::machine::filter::{Filter, SAMPLE_HZ};
-use oxmill_controller::machine::signals::Inputs;
+use oxmill_controller::machine::filter::SAMPLE_HZ;
+use oxmill_controller::machine::signals::{Inputs, SETTLING};
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, PinView, Realtime, Room, SECOND_SWITCH, SEGMENTS_DEPTH, Sensed, Signals,
-    SlowOutputs, StepEvent, ToStep, Wiring, input,
+    Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, Realtime, Room, SECOND_SWITCH,
+    SEGMENTS_DEPTH, Sensed, Signals, SlowOutputs, StepEvent, ToStep, Wiring, input,
 };
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
-use oxmill_controller::{Controller, Profile, Received, StepRates, Stepper};
+use oxmill_controller::{Controller, Entrance, Link, Profile, Queues, StepRates, Stepper};
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Outgoing bytes that may wait for the host before the controller is asked to keep its answers.
 const OUTGOING: usize = 1 << 16;
+
+/// Line bytes that the link keeps beyond the queue, as that of USB on the boards.
+const HELD: usize = 3 * 64;
+/// Number of the host's link, and of the one that nobody uses.
+const HOST: usize = 0;
+const UNUSED: usize = 1;
+
+/// The queues from the link to the control task, as deep as the boards'.
+#[derive(Clone, Default)]
+struct ToControl {
+    realtime: VecDeque<Realtime>,
+    lines: VecDeque<LineByte>,
+    /// All that any host has said is done and answered.
+    free: bool,
+    /// The step task has to be stopped.
+    stop: bool,
+}
+
+impl Queues for ToControl {
+    fn realtime(&mut self, command: Realtime) -> bool {
+        let room = self.realtime.len() < REALTIME_DEPTH;
+        if room {
+            self.realtime.push_back(command);
+        }
+        room
+    }
+
+    fn line(&mut self, byte: LineByte) -> bool {
+        let room = self.lines.len() < LINES_DEPTH;
+        if room {
+            self.lines.push_back(byte);
+        }
+        room
+    }
+
+    fn waits(&self) -> bool {
+        true
+    }
+
+    fn is_free(&self) -> bool {
+        self.free
+    }
+
+    fn stop(&mut self) {
+        self.stop = true;
+    }
+}
 
 /// What a simulator is made of.
 #[derive(Debug)]
@@ -61,20 +111,21 @@ pub struct Simulator {
     clock: Clock,
     controller: Box<Controller<AXES, BLOCKS>>,
     stepper: Box<Stepper<AXES>>,
-    /// Of the next line byte: see [`LineByte`].
-    epoch: u16,
     store: Store,
 
-    /// Received and not yet taken. Longer than the board's queue when the host sends more than that: the rest is on its
-    /// way, as in a port with flow control, only that realtime commands overtake it.
-    lines: VecDeque<LineByte>,
-    realtime: VecDeque<Realtime>,
+    /// Sent by the host and not yet fetched by the link, which has no room.
+    port: VecDeque<u8>,
+    link: Link<HELD>,
+    unused_link: Link<1>,
+    entrance: Entrance,
+    received: ToControl,
     step_events: VecDeque<StepEvent<AXES>>,
     stored: VecDeque<bool>,
-    /// Levels that a hand has put on the pins, and what the filter makes of the machine's own contacts.
+    /// Levels that a hand has put on the pins, and those of the machine's own contacts at the last sample.
     hand: Signals,
     contacts: Signals,
-    filter: Filter,
+    /// Samples since the contacts last changed.
+    steady: u8,
     /// When the inputs task samples next; `None` while nothing can change.
     sample_due: Option<u64>,
     inputs: Inputs,
@@ -88,8 +139,9 @@ pub struct Simulator {
     disconnected: bool,
     outgoing: Vec<u8>,
     segments: VecDeque<ToStep>,
-    /// A job whose lines are taken whenever the controller wants them.
+    /// A job whose lines are taken whenever the controller wants them, and how many bytes of it are ready.
     job: Sole<JobText>,
+    job_ready: usize,
 
     /// When the step timer expires next; `None` while it is stopped.
     step_due: Option<u64>,
@@ -134,15 +186,17 @@ impl Simulator {
             clock,
             controller,
             stepper: Box::new(Stepper::new()),
-            epoch: 0,
             store,
-            lines: VecDeque::new(),
-            realtime: VecDeque::new(),
+            port: VecDeque::new(),
+            link: Link::new(HOST),
+            unused_link: Link::new(UNUSED),
+            entrance: Entrance::new(),
+            received: ToControl::default(),
             step_events: VecDeque::new(),
             stored: VecDeque::new(),
             hand: Signals::default(),
             contacts: Signals::default(),
-            filter: Filter::new(),
+            steady: 0,
             sample_due: None,
             inputs: Inputs::new(),
             noise: [0; input::COUNT],
@@ -153,6 +207,7 @@ impl Simulator {
             outgoing: Vec::new(),
             segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
             job: Sole(None),
+            job_ready: 0,
             step_due: None,
             busy: 0,
             directions: 0,
@@ -176,37 +231,36 @@ impl Simulator {
 
     // The outside world
 
-    /// Bytes from the host, at the present virtual time. Realtime commands act now, whatever stands before them; line
-    /// bytes are taken when the controller wants them.
+    /// Bytes from the host, at the present virtual time. Realtime commands act now, whatever line bytes stand before them,
+    /// as long as these find room in the board's queue and the link (255 and 192 bytes); what is beyond, commands too,
+    /// waits in the host's port: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
-        for byte in bytes.as_ref() {
-            match Received::of(*byte) {
-                Received::Realtime(command) => {
-                    self.epoch = self.epoch.wrapping_add(u16::from(command.opens_epoch()));
-                    self.take_realtime(command);
-                }
-                Received::Line(byte) => self.lines.push_back(LineByte { byte, epoch: self.epoch, damaged: false }),
-                Received::Nothing => {}
-            }
-        }
+        self.port.extend(bytes.as_ref());
+        self.receive();
         self.turn();
     }
 
     /// A realtime command that does not come over the wire.
     pub fn press(&mut self, command: Realtime) {
-        self.take_realtime(command);
+        if command == Realtime::Reset {
+            self.stop();
+        }
+        // There is room: each turn empties the queue.
+        self.entrance.command(command, &mut self.received);
         self.turn();
     }
 
     /// A host has opened the port.
     pub fn connect(&mut self) {
-        self.connected = true;
+        self.connected |= self.link.came(&mut self.entrance, &mut self.unused_link, &self.received);
         self.turn();
     }
 
-    /// The host has closed the port, or is unplugged.
+    /// The host has closed the port, or is unplugged. What its port and the link still hold goes with it, also the rest of
+    /// a line; lines that the board's queue has are carried out and get no `ok` or `error`.
     pub fn disconnect(&mut self) {
-        self.disconnected = true;
+        self.port.clear();
+        self.disconnected |= self.link.went(&mut self.entrance);
         self.turn();
     }
 
@@ -229,7 +283,7 @@ impl Simulator {
     pub fn set_pins(&mut self, signals: Signals) {
         if signals != self.hand {
             self.hand = signals;
-            self.update_signals();
+            self.settle_inputs();
             self.turn();
         }
     }
@@ -238,7 +292,10 @@ impl Simulator {
     pub fn pin_line(&mut self, line: &str) -> String {
         match crate::pins::disturbed(self.board.axes, line) {
             Some(Ok(bit)) => {
-                self.count_noise(1 << bit);
+                let low = self.low();
+                self.sample_inputs(low ^ 1 << bit);
+                self.sample_inputs(low);
+                self.turn();
                 return "ok".into();
             }
             Some(Err(text)) => return format!("error: {text}"),
@@ -253,9 +310,9 @@ impl Simulator {
         }
     }
 
-    /// Bytes sent and not yet taken by the controller.
+    /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
     pub fn unread(&self) -> usize {
-        self.lines.len()
+        self.port.len() + self.received_by_link()
     }
 
     /// Bytes of answers not yet fetched with [`Simulator::take_output`].
@@ -463,19 +520,17 @@ impl Simulator {
 
     // The inputs task
 
-    /// One sample of the machine's contacts; the next follows while the filter or a contact has not settled.
+    /// One sample with the machine's contacts as they are now; the next follows while the filter or a contact has not
+    /// settled.
     fn sample_contacts(&mut self) {
         let now = self.clock.instant().ticks();
-        let raw = self.fittings.sample(now);
-        let contacts = Signals::of_word(self.filter.sample(raw.word()));
-        self.count_noise(self.filter.rejected());
-        let settled = raw == contacts && !self.fittings.chatter(now);
+        let contacts = self.fittings.sample(now);
+        self.steady = if contacts == self.contacts { self.steady.saturating_add(1) } else { 1 };
+        self.contacts = contacts;
+        let settled = self.steady >= SETTLING && !self.fittings.chatter(now);
         let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
         self.sample_due = (!settled).then(|| self.clock.now() + period);
-        if contacts != self.contacts || self.inputs.sensed().is_none() {
-            self.contacts = contacts;
-            self.update_signals();
-        }
+        self.sample_inputs(self.low());
     }
 
     /// Pins that are low: those that a hand has put to 1, and closed contacts.
@@ -483,15 +538,22 @@ impl Simulator {
         self.hand.word() | self.contacts.word()
     }
 
-    /// Hand and contacts together, with the polarity of the settings; an armed input stops the step task here and now.
-    fn update_signals(&mut self) {
-        if let Some(wiring) = &self.wiring {
-            self.inputs.wire(wiring);
-        }
-        // A machine that was left on a switch: the first that the controller hears of its inputs has that in it.
-        let unknown = self.inputs.sensed().is_none() && self.sample_due.is_some();
-        if !unknown && self.inputs.set(self.low()) {
+    /// A sample of the inputs task; an armed input stops the step task here and now.
+    fn sample_inputs(&mut self, low: u16) {
+        if self.inputs.sample(low) {
             self.stop();
+        }
+        self.count_noise(self.inputs.rejected());
+    }
+
+    /// A hand, or the host with a setting, takes its time: the task has taken as many samples as its filter wants. Not while
+    /// contacts have not settled at power-up, for the first that the controller hears of the inputs has them in it.
+    fn settle_inputs(&mut self) {
+        if self.inputs.sensed().is_none() && self.sample_due.is_some() {
+            return;
+        }
+        for _ in 0..SETTLING {
+            self.sample_inputs(self.low());
         }
     }
 
@@ -517,11 +579,12 @@ impl Simulator {
                 return;
             }
             let now = self.clock.instant();
-            let received = self.received_bytes();
+            self.read_job_ahead();
+            let (queued, received) = (self.queued_bytes(), self.received_bytes());
             self.controller.observe(Observed {
                 segments_begun: self.stepper.segments_begun(),
                 step_idle: self.step_due.is_none() && self.segments.is_empty() && self.stepper.is_idle(),
-                rx_free: self.board.received_bytes.saturating_sub(received) as u16,
+                rx_free: self.board.received_bytes.saturating_sub(queued) as u16,
                 received: u16::try_from(received).unwrap_or(u16::MAX),
             });
             let mut busy = self.deliver_events();
@@ -531,6 +594,8 @@ impl Simulator {
                 self.controller.event(now, Event::Line(byte));
                 busy = true;
             }
+            // There may be room now for what waits.
+            busy |= (!self.port.is_empty() || self.link.is_waiting()) && self.receive();
             if self.deliver_outputs() || busy || self.events_wait() {
                 continue;
             }
@@ -549,7 +614,7 @@ impl Simulator {
 
     fn events_wait(&self) -> bool {
         !self.step_events.is_empty()
-            || !self.realtime.is_empty()
+            || !self.received.realtime.is_empty()
             || !self.stored.is_empty()
             || self.pins_asked
             || self.inputs.sensed() != self.told
@@ -567,12 +632,12 @@ impl Simulator {
             give(&mut self.controller, Event::Step(event));
         }
         if std::mem::take(&mut self.disconnected) {
-            give(&mut self.controller, Event::Disconnected);
+            give(&mut self.controller, Event::Disconnected(self.entrance.gone()));
         }
         if std::mem::take(&mut self.connected) {
             give(&mut self.controller, Event::Connected);
         }
-        while let Some(command) = self.realtime.pop_front() {
+        while let Some(command) = self.received.realtime.pop_front() {
             give(&mut self.controller, Event::Realtime(command));
         }
         let sensed = self.inputs.sensed();
@@ -625,7 +690,8 @@ impl Simulator {
                 Some(Output::Wiring(wiring)) => {
                     self.wiring = Some(wiring);
                     self.machine.wire(&wiring);
-                    self.update_signals();
+                    self.inputs.wire(&wiring);
+                    self.settle_inputs();
                     self.learn_resolution();
                 }
                 Some(Output::ReadPins { clear_noise: true }) => self.noise = [0; input::COUNT],
@@ -651,34 +717,54 @@ impl Simulator {
         self.machine.arrange(arrangement);
     }
 
-    // The receive interrupt
+    // The serial task
 
-    fn take_realtime(&mut self, command: Realtime) {
-        if command == Realtime::Reset {
-            self.stop();
+    /// Fetches what the host has sent, as far as there is room. Whether anything was queued.
+    fn receive(&mut self) -> bool {
+        let mut any = self.link.pass_on(&mut self.entrance, &mut self.received);
+        while self.link.room() > 0
+            && let Some(byte) = self.port.pop_front()
+        {
+            self.received.free = self.received.lines.is_empty() && self.controller.is_idle();
+            any |= self.link.take(byte, &mut self.entrance, &mut self.unused_link, &mut self.received);
+            if std::mem::take(&mut self.received.stop) {
+                self.stop();
+            }
         }
-        self.realtime.push_back(command);
+        any
     }
 
     fn next_line_byte(&mut self) -> Option<LineByte> {
         if let Some(job) = &mut self.job.0 {
             return job.next_byte().map(|byte| LineByte { byte, epoch: 0, damaged: false });
         }
-        self.lines.pop_front()
+        self.received.lines.pop_front()
+    }
+
+    /// Makes the next bytes of a job ready; at its end the controller is told that no more will come.
+    fn read_job_ahead(&mut self) {
+        if let Some(job) = &mut self.job.0 {
+            self.job_ready = job.waiting();
+            if self.job_ready == 0 {
+                self.controller.input_ended();
+            }
+        }
+    }
+
+    /// Line bytes in the queue.
+    fn queued_bytes(&self) -> usize {
+        if self.job.0.is_some() { self.job_ready } else { self.received.lines.len() }
     }
 
     /// Line bytes received and not yet taken.
-    fn received_bytes(&mut self) -> usize {
-        match &mut self.job.0 {
-            Some(job) => {
-                let waiting = job.waiting();
-                if waiting == 0 {
-                    self.controller.input_ended();
-                }
-                waiting
-            }
-            None => self.lines.len(),
-        }
+    fn received_bytes(&self) -> usize {
+        if self.job.0.is_some() { self.job_ready } else { self.received_by_link() }
+    }
+
+    /// Those in the queue, those that wait for room in it, and the cut that goes before these.
+    fn received_by_link(&self) -> usize {
+        let held = self.link.held();
+        self.received.lines.len() + held + usize::from(held > 0 && self.entrance.owes_cut())
     }
 
     // The step task

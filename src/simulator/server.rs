@@ -2,22 +2,27 @@
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.
+//!
+//! One client is served at a time, as one program has a serial port open; on TCP another one is told so and turned away.
+//! A client has gone when it closes its side. Then the port is closed (`$914` says what becomes of the job), and what it
+//! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
 
 use crate::command_line::{Serve, Speed};
 use crate::job::{check_power, power_up};
 use crate::pump::Simulator;
 use anyhow::{Context, Result, anyhow};
+use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes that are taken ahead of the controller. What is beyond waits in the link, as with flow control, and realtime
-/// commands in it wait too: so this is generous, for senders that pour in a whole file and then want to hold it.
-const UNREAD: usize = 1 << 24;
+/// Bytes of a client that wait in front of the board's link, as in a host's port.
+const PORT: usize = 1 << 14;
+/// Bytes of a client that are read ahead of that. With more the client is told to wait.
+const AHEAD: usize = 1 << 26;
 /// Bytes that are read at a time.
 const PIECE: usize = 1024;
 /// Pieces of answers that may wait for a slow client.
@@ -26,21 +31,22 @@ const ANSWERS: usize = 64;
 const BUSY: Duration = Duration::from_millis(1);
 /// How often it does while nothing can happen without the host.
 const QUIET: Duration = Duration::from_millis(50);
+/// How often a reader that waits for room, or a writer whose client does not read, looks whether the client is there.
+const LOOK: Duration = Duration::from_millis(20);
 /// Virtual time that is simulated in one go, between looks at the link.
 const SLICE: Duration = Duration::from_millis(20);
+/// What a second client is told, and for how long at most it is listened to, so that it can read that.
+const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
+const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What the threads tell the loop.
 enum Happened {
-    /// A client is there; answers go to the sender.
-    Connected(SyncSender<Vec<u8>>),
-    /// Bytes of the client.
-    Bytes(Vec<u8>),
-    /// The client sends nothing more; it may still read.
-    Disconnected,
-    /// The client has closed the port.
-    Left,
-    /// The link itself has come to its end.
-    Ended,
+    /// A client is there.
+    Connected(Client),
+    /// Somebody has connected; the thread that reads from it needs the sender.
+    Knocked(TcpStream, SyncSender<Happened>),
+    /// Bytes of the client have come, or it has gone: see its [`Inbox`].
+    Heard,
     /// A line of the pin protocol; the answer goes to the sender.
     Pins(String, Sender<String>),
 }
@@ -57,27 +63,138 @@ pub fn serve(options: &Serve) -> Result<()> {
         thread::spawn(move || serve_pins(&listener, &sender));
     }
     let device = Device::new(simulator, options.speed, options.reset_on_connect);
-    let unread = device.unread.clone();
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
         println!("tcp {}", listener.local_addr()?);
         io::stdout().flush()?;
-        thread::spawn(move || serve_tcp(&listener, &sender, &unread));
+        thread::spawn(move || serve_tcp(&listener, &sender));
     } else if options.link.stdio {
-        let (client, written) = writer(io::stdout());
-        thread::spawn(move || serve_stdio(client, &sender, &unread));
+        let inbox = Arc::new(Inbox::default());
+        let (answers, written) = writer(io::stdout(), inbox.clone());
+        thread::spawn(move || serve_stdio(Client { inbox, answers, stream: None, is_program: true }, &sender));
         device.run(&receiver)?;
         // The device is gone, and so is who could give the writer more: what it still has goes out.
         return written.join().map_err(|_| anyhow!("the answers could not be written"));
     } else {
         #[cfg(unix)]
-        pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender, unread)?;
+        pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender)?;
     }
     device.run(&receiver)
 }
 
 fn listen(address: &str) -> Result<TcpListener> {
     TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))
+}
+
+/// Bytes of a client on their way from the thread that reads them to the loop.
+#[derive(Default)]
+struct Inbox {
+    state: Mutex<InboxState>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct InboxState {
+    bytes: VecDeque<u8>,
+    /// The client sends nothing more.
+    ended: bool,
+    /// The client is served no more.
+    closed: bool,
+}
+
+impl Inbox {
+    fn state(&self) -> MutexGuard<'_, InboxState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, bytes: &[u8]) {
+        self.state().bytes.extend(bytes);
+    }
+
+    /// At most so many bytes.
+    fn take(&self, most: usize) -> Vec<u8> {
+        let mut state = self.state();
+        let length = most.min(state.bytes.len());
+        self.changed.notify_all();
+        state.bytes.drain(..length).collect()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.state().bytes.is_empty()
+    }
+
+    fn end(&self) {
+        self.state().ended = true;
+    }
+
+    fn has_ended(&self) -> bool {
+        self.state().ended
+    }
+
+    fn close(&self) {
+        self.state().closed = true;
+        self.changed.notify_all();
+    }
+
+    fn is_closed(&self) -> bool {
+        self.state().closed
+    }
+
+    /// Waits until there is room for more. `false` if the client has gone meanwhile.
+    fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
+        let mut state = self.state();
+        while !state.closed && state.bytes.len() >= AHEAD {
+            let (next, waited) = self.changed.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner);
+            state = next;
+            if waited.timed_out() && hung_up() {
+                return false;
+            }
+        }
+        !state.closed
+    }
+}
+
+/// A client as the loop knows it.
+struct Client {
+    inbox: Arc<Inbox>,
+    answers: SyncSender<Vec<u8>>,
+    /// To see whether it is still there.
+    stream: Option<TcpStream>,
+    /// Standard input: all of it is carried out.
+    is_program: bool,
+}
+
+impl Client {
+    fn has_gone(&self) -> bool {
+        self.inbox.has_ended() || self.stream.as_ref().is_some_and(hung_up)
+    }
+
+    fn let_go(self) {
+        self.inbox.close();
+        if let Some(stream) = self.stream {
+            // Its reader wakes up. That of a client that has gone has ended.
+            let _ = stream.shutdown(Shutdown::Read);
+        }
+    }
+}
+
+/// Whether the other side has closed its end, also while bytes of it are unread.
+#[cfg(unix)]
+fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
+    use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+    #[cfg(target_os = "linux")]
+    let closed = PollFlags::from_bits_retain(nix::libc::POLLRDHUP);
+    #[cfg(not(target_os = "linux"))]
+    let closed = PollFlags::empty();
+    let mut look = [PollFd::new(link.as_fd(), closed)];
+    // The call tells of an error and a hang-up unasked.
+    poll(&mut look, PollTimeout::ZERO).is_ok_and(|events| events > 0)
+}
+
+/// Only reading to the end tells.
+#[cfg(not(unix))]
+fn hung_up<T>(_link: &T) -> bool {
+    false
 }
 
 /// The simulator, the clock it follows and the client it talks to.
@@ -87,95 +204,137 @@ struct Device {
     reset_on_connect: bool,
     /// A moment of the host's clock and the virtual time (in ticks) that belongs to it.
     anchor: (Instant, u64),
-    client: Option<SyncSender<Vec<u8>>>,
+    client: Option<Client>,
+    /// Clients on TCP that have come when the one before was about to go.
+    waiting: VecDeque<(TcpStream, SyncSender<Happened>)>,
     /// An answer that the client had no room for.
     kept: Option<Vec<u8>>,
-    /// The client has said all it will; it may still read.
-    leaving: bool,
-    ended: bool,
-    /// How many bytes wait for the controller, for those who read the link.
-    unread: Gauge,
 }
-
-/// Bytes that wait for the controller.
-type Gauge = Arc<AtomicUsize>;
 
 impl Device {
     fn new(simulator: Simulator, speed: Speed, reset_on_connect: bool) -> Self {
         let anchor = (Instant::now(), simulator.clock().now());
-        let unread = Gauge::default();
-        Self {
-            simulator,
-            speed,
-            reset_on_connect,
-            anchor,
-            client: None,
-            kept: None,
-            ended: false,
-            leaving: false,
-            unread,
-        }
+        Self { simulator, speed, reset_on_connect, anchor, client: None, waiting: VecDeque::new(), kept: None }
     }
 
     fn run(mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
+            // What came is dated with the time at which it came.
             self.pass_time();
-            self.answer();
+            self.fetch();
+            if !self.answer() {
+                self.left();
+            }
             check_power(&self.simulator)?;
             let active = self.simulator.is_active();
-            if self.ended && !active && self.simulator.unread() == 0 && self.kept.is_none() {
-                // The writer ends when the last answer has been written and its sender is gone.
+            if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
+                // Lines that are unread now wait for a host that will not come. The writer ends when the last answer has
+                // been written and its sender is gone.
                 return Ok(());
             }
-            self.unread.store(self.simulator.unread(), Ordering::Relaxed);
-            let happened = match self.speed {
+            let mut happened = match self.speed {
                 Speed::Max if active => receiver.try_recv().ok(),
                 _ => match receiver.recv_timeout(if active || self.kept.is_some() { BUSY } else { QUIET }) {
                     Ok(happened) => Some(happened),
                     Err(RecvTimeoutError::Timeout) => None,
-                    Err(RecvTimeoutError::Disconnected) if self.ended => {
+                    Err(RecvTimeoutError::Disconnected) if self.client.is_some() => {
                         thread::sleep(BUSY);
                         None
                     }
                     Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 },
             };
-            // What came is dated with the time at which it came.
             self.pass_time();
-            match happened {
-                None => {}
-                Some(Happened::Connected(client)) => self.connected(client),
-                Some(Happened::Bytes(bytes)) => self.simulator.send(bytes),
-                Some(Happened::Disconnected) => self.leaving = true,
-                Some(Happened::Left) => self.left(),
-                Some(Happened::Ended) => self.ended = true,
-                Some(Happened::Pins(line, reply)) => {
-                    let answer = self.simulator.pin_line(&line);
-                    // A client that has gone in the meantime needs no answer.
-                    let _ = reply.send(answer);
-                }
+            while let Some(one) = happened {
+                self.take(one);
+                happened = receiver.try_recv().ok();
             }
         }
     }
 
-    fn connected(&mut self, client: SyncSender<Vec<u8>>) {
+    fn take(&mut self, happened: Happened) {
+        match happened {
+            Happened::Connected(client) => self.connected(client),
+            Happened::Knocked(stream, sender) => self.knocked(stream, sender),
+            Happened::Heard => {}
+            Happened::Pins(line, reply) => {
+                let answer = self.simulator.pin_line(&line);
+                // A client that has gone in the meantime needs no answer.
+                let _ = reply.send(answer);
+            }
+        }
+    }
+
+    /// Passes on what the client has sent, as far as its port has room, and notices its end.
+    fn fetch(&mut self) {
+        loop {
+            let Some(client) = &self.client else { return };
+            let ended = client.inbox.has_ended();
+            let bytes = client.inbox.take(PORT.saturating_sub(self.simulator.unread()).min(PIECE));
+            if !bytes.is_empty() {
+                self.simulator.send(bytes);
+            } else if ended && !client.is_program {
+                // What it has been told by now it may still read.
+                self.answer();
+                return self.left();
+            } else {
+                return;
+            }
+        }
+    }
+
+    /// Whether the program on standard input has been passed on, or waits for a machine that waits for a host.
+    fn is_done(&self) -> bool {
+        let has_room = self.simulator.unread() < PORT;
+        self.client.as_ref().is_some_and(|client| {
+            client.is_program && client.inbox.has_ended() && (client.inbox.is_empty() || !has_room)
+        })
+    }
+
+    /// Serves a TCP client, or turns it away.
+    fn knocked(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
+        match &self.client {
+            None => self.admit(stream, sender),
+            // Its reader is about to tell so.
+            Some(client) if client.has_gone() => self.waiting.push_back((stream, sender)),
+            Some(_) => {
+                thread::spawn(move || turn_away(&stream));
+            }
+        }
+    }
+
+    fn admit(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
+        // Answers are short and each is waited for. A client that does not read holds its writer for so long at a time.
+        let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
+        let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
+        let inbox = Arc::new(Inbox::default());
+        let (answers, _) = writer(back, inbox.clone());
+        self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
+        thread::spawn(move || pass_bytes(&mut &stream, &inbox, &sender, || hung_up(&stream)));
+    }
+
+    fn connected(&mut self, client: Client) {
         self.client = Some(client);
         self.kept = None;
-        self.leaving = false;
         // What was said to nobody is lost, as on a port that nobody has open.
         self.simulator.take_output();
+        self.simulator.connect();
         if self.reset_on_connect {
+            // It gets the welcome of the reset.
+            self.simulator.take_output();
             self.simulator.send([0x18]);
-        } else {
-            self.simulator.connect();
         }
     }
 
     fn left(&mut self) {
-        self.client = None;
-        self.kept = None;
-        self.leaving = false;
-        self.simulator.disconnect();
+        if let Some(client) = self.client.take() {
+            client.let_go();
+            self.kept = None;
+            self.simulator.disconnect();
+        }
+        for (stream, sender) in std::mem::take(&mut self.waiting) {
+            self.knocked(stream, sender);
+        }
     }
 
     fn pass_time(&mut self) {
@@ -202,64 +361,59 @@ impl Device {
         }
     }
 
-    fn answer(&mut self) {
+    /// Gives the client what was said, as far as it has room. `false` if it takes no answers any more.
+    fn answer(&mut self) -> bool {
         let Some(client) = &self.client else {
             // Nobody listens.
             self.simulator.take_output();
-            return;
+            return true;
         };
         loop {
             let answer = match self.kept.take() {
                 Some(answer) => answer,
                 None if self.simulator.unfetched() > 0 => self.simulator.take_output().into_bytes(),
-                None => break,
+                None => return true,
             };
-            match client.try_send(answer) {
+            match client.answers.try_send(answer) {
                 Ok(()) => {}
                 Err(TrySendError::Full(answer)) => {
                     self.kept = Some(answer);
-                    return;
+                    return true;
                 }
-                // It takes no answers any more.
-                Err(TrySendError::Disconnected(_)) => return self.left(),
+                Err(TrySendError::Disconnected(_)) => return false,
             }
         }
-        if self.leaving && !self.simulator.is_active() && self.simulator.unread() == 0 {
-            self.client = None;
-        }
     }
 }
 
-fn wait_for_room(unread: &Gauge) {
-    while unread.load(Ordering::Relaxed) >= UNREAD {
-        thread::sleep(BUSY);
-    }
-}
-
-/// Reads until the other side is done or gone. `false` if the loop has ended.
-fn pass_bytes(reader: &mut impl Read, sender: &SyncSender<Happened>, unread: &Gauge) -> bool {
+/// Reads until the other side is done or gone, or is served no more.
+fn pass_bytes(reader: &mut impl Read, inbox: &Inbox, sender: &SyncSender<Happened>, hung_up: impl Fn() -> bool) {
     let mut buffer = [0; PIECE];
-    loop {
-        wait_for_room(unread);
+    while inbox.wait_for_room(&hung_up) {
         match reader.read(&mut buffer) {
-            Ok(0) => return true,
+            Ok(0) => break,
             Ok(length) => {
-                if sender.send(Happened::Bytes(buffer[..length].to_vec())).is_err() {
-                    return false;
+                inbox.push(&buffer[..length]);
+                // A loop that has as much to do as this looks into the inbox as well.
+                if let Err(TrySendError::Disconnected(_)) = sender.try_send(Happened::Heard) {
+                    return;
                 }
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(_) => return true,
+            Err(_) => break,
         }
     }
+    inbox.end();
+    // Without a loop there is nobody to be told.
+    let _ = sender.send(Happened::Heard);
 }
 
 /// A thread that writes answers until nobody can give it any, or nobody takes them.
-fn writer(mut link: impl Write + Send + 'static) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
+fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         while let Ok(bytes) = receiver.recv() {
-            if link.write_all(&bytes).and_then(|()| link.flush()).is_err() {
+            if !write_out(&mut link, &bytes, &inbox) {
                 return;
             }
         }
@@ -267,26 +421,47 @@ fn writer(mut link: impl Write + Send + 'static) -> (SyncSender<Vec<u8>>, thread
     (sender, handle)
 }
 
-fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>, unread: &Gauge) {
-    for stream in listener.incoming() {
-        let Ok(mut stream) = stream else { continue };
-        // Answers are short and each is waited for.
-        let _ = stream.set_nodelay(true);
-        let Ok(back) = stream.try_clone() else { continue };
-        let (client, _) = writer(back);
-        if sender.send(Happened::Connected(client)).is_err() || !pass_bytes(&mut stream, sender, unread) {
-            return;
+/// Writes all of it, unless the client has gone, or is served no more and does not read.
+fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> bool {
+    while !bytes.is_empty() {
+        match link.write(bytes) {
+            Ok(0) => return false,
+            Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
+            Err(error) => match error.kind() {
+                io::ErrorKind::Interrupted => {}
+                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut if !inbox.is_closed() => thread::sleep(BUSY),
+                _ => return false,
+            },
         }
-        // It may have closed its side only and still wait for answers; the next client does not wait for that.
-        if sender.send(Happened::Disconnected).is_err() {
+    }
+    link.flush().is_ok()
+}
+
+/// Tells a second client why it is not served. Nothing of what it says is looked at.
+fn turn_away(mut stream: &TcpStream) {
+    let end = Instant::now() + FAREWELL;
+    let _ = stream.set_write_timeout(Some(FAREWELL));
+    let _ = stream.set_read_timeout(Some(FAREWELL));
+    let told = stream.write_all(TURNED_AWAY).and_then(|()| stream.shutdown(Shutdown::Write));
+    // A socket closed with unread bytes in it would take the line back.
+    let mut thrown_away = [0; PIECE];
+    while told.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
+}
+
+fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
+    for stream in listener.incoming() {
+        let Ok(stream) = stream else { continue };
+        if sender.send(Happened::Knocked(stream, sender.clone())).is_err() {
             return;
         }
     }
 }
 
-fn serve_stdio(client: SyncSender<Vec<u8>>, sender: &SyncSender<Happened>, unread: &Gauge) {
-    if sender.send(Happened::Connected(client)).is_ok() && pass_bytes(&mut io::stdin().lock(), sender, unread) {
-        let _ = sender.send(Happened::Ended);
+fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
+    let inbox = client.inbox.clone();
+    // A pipe that has ended is read to its end all the same: it is a program, and all of it is there.
+    if sender.send(Happened::Connected(client)).is_ok() {
+        pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false);
     }
 }
 
@@ -318,17 +493,20 @@ fn serve_pin_client(stream: &std::net::TcpStream, sender: &SyncSender<Happened>)
 
 #[cfg(unix)]
 mod pty {
-    //! A pseudo terminal that a sender opens like a serial port.
+    //! A pseudo terminal that a sender opens like a serial port. Several programs that have it open are one client.
 
-    use super::{Gauge, Happened, PIECE, wait_for_room, writer};
+    use super::{Client, Happened, Inbox, LOOK, PIECE, hung_up, writer};
     use anyhow::{Context, Result, bail};
+    use nix::fcntl::{FcntlArg, OFlag, fcntl};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
     use nix::pty::openpty;
-    use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
-    use std::fs::{self, File};
+    use nix::sys::termios::{FlushArg, SetArg, cfmakeraw, tcflush, tcgetattr, tcsetattr};
+    use std::fs::{self, File, OpenOptions};
     use std::io::{self, Read, Write};
     use std::os::fd::AsFd;
-    use std::path::Path;
+    use std::os::unix::fs::OpenOptionsExt;
+    use std::path::{Path, PathBuf};
+    use std::sync::Arc;
     use std::sync::mpsc::SyncSender;
     use std::thread;
     use std::time::Duration;
@@ -336,11 +514,13 @@ mod pty {
     /// How often a port that nobody has open is looked at.
     const CLOSED: Duration = Duration::from_millis(2);
 
-    pub fn open(link: Option<&Path>, sender: SyncSender<Happened>, unread: Gauge) -> Result<()> {
+    pub fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<()> {
         let ends = openpty(None, None).context("cannot make a pseudo terminal")?;
         let path = nix::unistd::ttyname(&ends.slave).context("the pseudo terminal has no name")?;
         let master = File::from(ends.master);
         make_raw(&master).context("cannot set up the pseudo terminal")?;
+        // A client that does not read must not hold the writer for ever.
+        fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
         // Once nobody has the other end open, the first client to open it can be noticed.
         drop(ends.slave);
         if let Some(link) = link {
@@ -354,7 +534,7 @@ mod pty {
         }
         println!("pty {}", path.display());
         io::stdout().flush()?;
-        thread::spawn(move || serve(&master, &sender, &unread));
+        thread::spawn(move || Port { master, path, sender, client: None }.serve());
         Ok(())
     }
 
@@ -365,39 +545,81 @@ mod pty {
         tcsetattr(master, SetArg::TCSANOW, &terminal)
     }
 
-    fn serve(mut master: &File, sender: &SyncSender<Happened>, unread: &Gauge) {
-        let mut buffer = [0; PIECE];
-        let mut open = false;
-        loop {
-            let mut look = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
-            let timeout = PollTimeout::from(50_u8);
+    /// The client that has the port open.
+    struct Open {
+        inbox: Arc<Inbox>,
+        writer: thread::JoinHandle<()>,
+    }
+
+    struct Port {
+        master: File,
+        path: PathBuf,
+        sender: SyncSender<Happened>,
+        client: Option<Open>,
+    }
+
+    impl Port {
+        /// `None` when the loop has ended.
+        fn serve(mut self) -> Option<()> {
+            loop {
+                let (hung_up, readable) = self.look();
+                if self.client.is_none() && (!hung_up || readable) {
+                    self.opened()?;
+                }
+                let Some(client) = &self.client else {
+                    thread::sleep(CLOSED);
+                    continue;
+                };
+                if readable && client.inbox.wait_for_room(|| self::hung_up(&self.master)) {
+                    let mut buffer = [0; PIECE];
+                    if let Ok(length @ 1..) = (&self.master).read(&mut buffer) {
+                        client.inbox.push(&buffer[..length]);
+                        self.sender.send(Happened::Heard).ok()?;
+                    }
+                } else if hung_up || readable {
+                    self.closed()?;
+                }
+            }
+        }
+
+        /// Whether no client has the port open, and whether there are bytes.
+        fn look(&self) -> (bool, bool) {
+            let mut look = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
+            let timeout = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
             let seen = match poll(&mut look, timeout) {
                 Ok(_) => look[0].revents().unwrap_or(PollFlags::empty()),
                 Err(_) => PollFlags::empty(),
             };
-            let hung_up = seen.contains(PollFlags::POLLHUP);
-            if !hung_up && !open {
-                open = true;
-                let Ok(back) = master.try_clone() else { return };
-                let _ = make_raw(master);
-                if sender.send(Happened::Connected(writer(back).0)).is_err() {
-                    return;
+            (seen.contains(PollFlags::POLLHUP), seen.contains(PollFlags::POLLIN))
+        }
+
+        fn opened(&mut self) -> Option<()> {
+            let back = self.master.try_clone().ok()?;
+            let _ = make_raw(&self.master);
+            let inbox = Arc::new(Inbox::default());
+            let (answers, writer) = writer(back, inbox.clone());
+            let client = Client { inbox: inbox.clone(), answers, stream: None, is_program: false };
+            self.sender.send(Happened::Connected(client)).ok()?;
+            self.client = Some(Open { inbox, writer });
+            Some(())
+        }
+
+        /// Bytes for which there was no room go with the client, and so do answers that it has not read: the terminal would
+        /// keep them for the next one.
+        fn closed(&mut self) -> Option<()> {
+            if let Some(client) = self.client.take() {
+                let mut rest = [0; PIECE];
+                while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
+                client.inbox.end();
+                self.sender.send(Happened::Heard).ok()?;
+                // The loop has let go of it then, and nothing is written any more.
+                client.writer.join().ok()?;
+                let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
+                if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {
+                    let _ = tcflush(&end, FlushArg::TCIFLUSH);
                 }
             }
-            if seen.contains(PollFlags::POLLIN) {
-                wait_for_room(unread);
-                if let Ok(length @ 1..) = master.read(&mut buffer)
-                    && sender.send(Happened::Bytes(buffer[..length].to_vec())).is_err()
-                {
-                    return;
-                }
-            } else if hung_up {
-                if open && sender.send(Happened::Left).is_err() {
-                    return;
-                }
-                open = false;
-                thread::sleep(CLOSED);
-            }
+            Some(())
         }
     }
 }

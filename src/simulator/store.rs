@@ -7,8 +7,8 @@
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};
 use oxmill_store::{Flash, Log, Sector, StoreError};
-use std::fs::{self, File, OpenOptions};
-use std::io::{ErrorKind, Seek, SeekFrom, Write as _};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{ErrorKind, Read as _, Seek, SeekFrom, Write as _};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -36,26 +36,42 @@ impl Store {
         Self::power_up(Image::erased(bytes)).expect("memory takes everything while it has power")
     }
 
-    /// The store in a file. A file that does not exist yet becomes an empty store.
+    /// The store in a file, which is locked as long as this one lives: what two of them write would be lost. A file that
+    /// does not exist yet or has nothing in it becomes an empty store.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut image = match fs::read(path) {
-            Ok(bytes) => Image::from_bytes(&bytes)
-                .with_context(|| format!("{} is not a flash image of this simulator", path.display()))?,
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                // Formatted before it appears, so that there never is a file which is no image.
-                let image = Self::in_memory().log.into_flash();
-                let mut name = path.file_name().unwrap_or_default().to_owned();
-                name.push(".new");
-                let new = path.with_file_name(name);
-                fs::write(&new, image.bytes())
-                    .and_then(|()| fs::rename(&new, path))
-                    .with_context(|| format!("cannot make the flash image {}", path.display()))?;
-                image
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .with_context(|| format!("cannot open the flash image {}", path.display()))?;
+        match file.try_lock() {
+            // Where files cannot be locked, this is as good as it gets.
+            Ok(()) => {}
+            Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
+            Err(TryLockError::WouldBlock) => bail!("the flash image {} is in use by another oxmill", path.display()),
+            Err(TryLockError::Error(error)) => {
+                return Err(error).with_context(|| format!("cannot lock the flash image {}", path.display()));
             }
-            Err(error) => return Err(error).with_context(|| format!("cannot read the flash image {}", path.display())),
-        };
-        let file = OpenOptions::new().write(true).open(path);
-        image.file = Some(Arc::new(file.with_context(|| format!("cannot write the flash image {}", path.display()))?));
+        }
+        let mut bytes = Vec::new();
+        // One byte more than an image has tells that it is none.
+        (&file)
+            .take(2 * u64::from(SECTOR) + 1)
+            .read_to_end(&mut bytes)
+            .with_context(|| format!("cannot read the flash image {}", path.display()))?;
+        if bytes.is_empty() {
+            bytes = Self::in_memory().log.into_flash().bytes();
+            if let Err(error) = file.write_all(&bytes) {
+                // Half an image would be refused the next time.
+                let _ = file.set_len(0);
+                return Err(error).with_context(|| format!("cannot make the flash image {}", path.display()));
+            }
+        }
+        let mut image = Image::from_bytes(&bytes)
+            .with_context(|| format!("{} is not a flash image of this simulator", path.display()))?;
+        image.file = Some(Arc::new(file));
         Self::power_up(image).map_err(|failure| anyhow!("the flash image {} cannot be used: {failure}", path.display()))
     }
 
@@ -159,7 +175,7 @@ impl Image {
     /// Anything but an image that holds a log is refused rather than erased.
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
         if bytes.len() != 2 * SECTOR as usize {
-            bail!("it has {} bytes and not {}", bytes.len(), 2 * SECTOR);
+            bail!("it does not have {} bytes", 2 * SECTOR);
         }
         let mut image = Self::erased(SECTOR);
         let words = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
@@ -248,6 +264,7 @@ impl Flash for Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     fn record(key: u16, value: &[u8]) -> Record {
         Record { key, value: heapless::Vec::from_slice(value).unwrap() }
@@ -269,6 +286,7 @@ mod tests {
         ] {
             store.apply(&change).unwrap();
         }
+        drop(store);
         let mut again = Store::open(&path).unwrap().records();
         again.sort_by_key(|r| r.key);
         assert_eq!(again, [record(5, b""), record(7, b"new"), record(300, &[0, 255])]);
@@ -288,7 +306,30 @@ mod tests {
         assert!(store.power_is_gone());
         assert!(store.apply(&Change::Put(record(7, b"newer"))).is_err(), "without power nothing is taken");
         assert_eq!(fs::read(&path).unwrap(), store.log.flash().bytes());
+        drop(store);
         assert_eq!(Store::open(&path).unwrap().records(), [record(7, b"old")]);
+    }
+
+    #[test]
+    fn an_empty_file_is_an_erased_flash() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("flash.img");
+        fs::write(&path, []).unwrap();
+        Store::open(&path).unwrap().apply(&Change::Put(record(7, b"new"))).unwrap();
+        assert_eq!(Store::open(&path).unwrap().records(), [record(7, b"new")]);
+    }
+
+    #[test]
+    fn a_file_is_the_flash_of_one_machine_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("flash.img");
+        let first = Store::open(&path).unwrap();
+        let same = first.clone();
+        drop(first);
+        let refused = Store::open(&path).unwrap_err().to_string();
+        assert!(refused.contains("in use by another oxmill"), "{refused}");
+        drop(same);
+        Store::open(&path).unwrap();
     }
 
     #[test]
@@ -296,7 +337,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("flash.img");
         let image = vec![0x55_u8; 2 * SECTOR as usize];
-        for bytes in [&b"G1 X1\n"[..], &[], &image] {
+        let too_long = vec![0xFF_u8; 2 * SECTOR as usize + 1];
+        for bytes in [&b"G1 X1\n"[..], &image, &too_long] {
             fs::write(&path, bytes).unwrap();
             assert!(Store::open(&path).is_err(), "{} bytes", bytes.len());
             assert_eq!(fs::read(&path).unwrap(), bytes);

@@ -16,10 +16,23 @@
 //! cut short may read as ones and still not hold what is written to them; so a sector without its mark is erased again.
 //!
 //! A change is one record, so a change is atomic; who wants two things to change together gives them one key or a range.
+//!
+//! # Damage
+//! Flash may lose a bit, and a file may be overwritten. A record whose crc is wrong is left out, and the next one is looked
+//! for word by word: records begin at multiples of 4, a sector is erased as a whole, so what has a right crc behind the
+//! damage is a record of this log. (No text that a host can store looks like one: no character has the code of [`PUT`], and
+//! none the length of a [`REMOVE`].) A header with one wrong byte is mended by its crc.
+//!
+//! A power cut leaves damage of its own, at the end: words of one record up to some word, of which any bits may be
+//! programmed, and nothing but erased words behind it. That is no damage, unless one wrong byte in an otherwise whole
+//! record explains it as well, which is possible only where the cut fell into the last word of a record.
+//!
+//! Damage is handed out as a record with the key [`STORE_DAMAGED`] until that record is removed; it outlives power cycles
+//! and moves. Its removal copies what is left into the spare sector. Opening a damaged log changes nothing in flash.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
-use oxmill_controller::messages::{Record, Store};
+use oxmill_controller::messages::{Record, STORE_DAMAGED, Store};
 
 /// A flash memory of two sectors. Addresses are bytes from the start of a sector, multiples of 4.
 pub trait Flash {
@@ -42,6 +55,22 @@ pub trait Flash {
     /// # Errors
     /// If the memory does not do it.
     fn erase(&mut self, sector: Sector) -> Result<(), Self::Error>;
+}
+
+impl<F: Flash> Flash for &mut F {
+    type Error = F::Error;
+    fn sector_size(&self) -> u32 {
+        F::sector_size(self)
+    }
+    fn read(&mut self, sector: Sector, address: u32) -> Result<u32, F::Error> {
+        F::read(self, sector, address)
+    }
+    fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), F::Error> {
+        F::write(self, sector, address, word)
+    }
+    fn erase(&mut self, sector: Sector) -> Result<(), F::Error> {
+        F::erase(self, sector)
+    }
 }
 
 /// One of the two sectors.
@@ -85,8 +114,13 @@ const HEADER: u32 = 12;
 /// Where the mark stands, and what it is.
 const MARK_AT: u32 = 8;
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
-/// Bytes of the longest value.
+/// Bytes of the longest value, and words of its record.
 const LONGEST: u32 = 100;
+const LONGEST_WORDS: usize = 27;
+/// Damaged stretches that are remembered; behind more of them every record is checked again each time.
+const GAPS: usize = 8;
+/// Of the crc, bits reflected.
+const POLYNOMIAL: u32 = 0xEDB8_8320;
 /// Kinds of record; both differ from erased and zeroed memory in several bits.
 const PUT: u8 = 0xA5;
 const REMOVE: u8 = 0x5A;
@@ -101,8 +135,20 @@ pub struct Log<F> {
     end: u32,
     /// What follows is erased, so the next record may be appended.
     appendable: bool,
+    /// The sector in use has been damaged.
+    unsound: bool,
+    /// Damaged stretches between records, and where their list ends for want of room.
+    gaps: heapless::Vec<Gap, GAPS>,
+    unmapped: u32,
     /// The spare sector holds its mark and nothing else.
     spare_erased: bool,
+}
+
+/// Bytes between records that hold none.
+#[derive(Clone, Copy, Debug)]
+struct Gap {
+    start: u32,
+    end: u32,
 }
 
 /// CRC-32 (IEEE 802.3, reflected, polynomial 0xEDB88320) over whole words, bit by bit: rare and small.
@@ -111,10 +157,27 @@ fn crc(start: u32, words: &[u32]) -> u32 {
     for word in words {
         crc ^= word;
         for _ in 0..32 {
-            crc = if crc & 1 == 0 { crc >> 1 } else { (crc >> 1) ^ 0xEDB8_8320 };
+            crc = if crc & 1 == 0 { crc >> 1 } else { (crc >> 1) ^ POLYNOMIAL };
         }
     }
     crc
+}
+
+/// The word in which a single wrong byte explains why the last of these is not the crc of the others, and the bits that are
+/// wrong in it.
+fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
+    let (sum, covered) = words.split_last()?;
+    let mut difference = crc(ERASED, covered) ^ sum;
+    for index in (0..=covered.len()).rev() {
+        if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
+            return Some((index, difference));
+        }
+        // The crc is linear: run backwards over a word, the difference is the one that the word came in with.
+        for _ in 0..32 {
+            difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
+        }
+    }
+    None
 }
 
 /// A record as it stands in flash.
@@ -134,7 +197,7 @@ impl Entry {
         8 + (self.value.len() as u32).next_multiple_of(4)
     }
 
-    fn words(&self) -> heapless::Vec<u32, 27> {
+    fn words(&self) -> heapless::Vec<u32, LONGEST_WORDS> {
         let mut words = heapless::Vec::new();
         let _ = words.push(self.first_word());
         for bytes in self.value.chunks(4) {
@@ -183,13 +246,29 @@ impl Outline {
     fn size(self) -> u32 {
         8 + self.length.next_multiple_of(4)
     }
+
+    /// Whether there are records that begin so.
+    fn is_possible(self) -> bool {
+        match self.kind {
+            PUT => self.length <= LONGEST,
+            REMOVE => self.length == 2,
+            _ => false,
+        }
+    }
 }
 
-/// The sequence of a sector that holds a log.
-fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<u32>, F::Error> {
+/// The sequence of a sector that holds a log, and whether its header is whole; one wrong byte in it is mended.
+fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<(u32, bool)>, F::Error> {
     let sequence = flash.read(sector, 0)?;
     let sum = flash.read(sector, 4)?;
-    Ok((sequence != ERASED && sum == crc(ERASED, &[sequence])).then_some(sequence))
+    let mark = flash.read(sector, MARK_AT)?;
+    let whole = sum == crc(ERASED, &[sequence]);
+    let found = match wrong_byte(&[sequence, sum]) {
+        _ if whole => Some(sequence),
+        Some((index, wrong)) if mark == MARK => Some(if index == 0 { sequence ^ wrong } else { sequence }),
+        _ => None,
+    };
+    Ok(found.filter(|sequence| *sequence != ERASED).map(|sequence| (sequence, whole && mark == MARK)))
 }
 
 impl<F: Flash> Log<F> {
@@ -198,32 +277,15 @@ impl<F: Flash> Log<F> {
     /// # Errors
     /// If the flash cannot be read, written or erased.
     pub fn open(flash: F) -> Result<Self, F::Error> {
-        let mut log =
-            Self { flash, sector: Sector::A, sequence: 0, end: HEADER, appendable: false, spare_erased: false };
-        let a = sequence_of(&mut log.flash, Sector::A)?;
-        let b = sequence_of(&mut log.flash, Sector::B)?;
-        let newest = match (a, b) {
-            (Some(a), Some(b)) if (b.wrapping_sub(a) as i32) > 0 => Some((Sector::B, b)),
-            (Some(a), _) => Some((Sector::A, a)),
-            (None, Some(b)) => Some((Sector::B, b)),
-            (None, None) => None,
-        };
-        match newest {
-            Some((sector, sequence)) => {
-                log.sector = sector;
-                log.sequence = sequence;
-                while let Some(entry) = log.checked_entry(log.end)? {
-                    log.end += entry.size();
-                }
-                log.appendable = log.is_erased(sector, log.end)?;
-            }
-            None => {
-                // Nothing to lose: this is the only place where the sector in use is erased.
-                log.wipe(Sector::A)?;
-                log.write_header(Sector::A, 1)?;
-                log.sequence = 1;
-                log.appendable = true;
-            }
+        let mut log = Self::over(flash);
+        if !log.find()? {
+            // Nothing to lose: this is the only place where the sector in use is erased.
+            log.sector = Sector::A;
+            log.sequence = 1;
+            log.appendable = true;
+            log.unsound = false;
+            log.wipe(Sector::A)?;
+            log.write_header(Sector::A, 1)?;
         }
         let spare = log.sector.other();
         log.spare_erased = log.flash.read(spare, 0)? == ERASED
@@ -233,12 +295,110 @@ impl<F: Flash> Log<F> {
         Ok(log)
     }
 
+    fn over(flash: F) -> Self {
+        Self {
+            flash,
+            sector: Sector::A,
+            sequence: 1,
+            end: HEADER,
+            appendable: false,
+            unsound: false,
+            gaps: heapless::Vec::new(),
+            unmapped: u32::MAX,
+            spare_erased: false,
+        }
+    }
+
+    /// Finds the sector in use and its records; `false` if there is none.
+    fn find(&mut self) -> Result<bool, F::Error> {
+        let a = sequence_of(&mut self.flash, Sector::A)?;
+        let b = sequence_of(&mut self.flash, Sector::B)?;
+        let newest = match (a, b) {
+            (Some((a, _)), Some(b)) if (b.0.wrapping_sub(a) as i32) > 0 => Some((Sector::B, b)),
+            (Some(a), _) => Some((Sector::A, a)),
+            (None, Some(b)) => Some((Sector::B, b)),
+            (None, None) => None,
+        };
+        if let Some((sector, (sequence, whole))) = newest {
+            self.sector = sector;
+            self.sequence = sequence;
+            self.unsound = !whole;
+            self.survey()?;
+            return Ok(true);
+        }
+        // A header with more than one wrong byte: records tell that there is a log.
+        for sector in [Sector::A, Sector::B] {
+            self.sector = sector;
+            if self.flash.read(sector, 0)? != ERASED || self.flash.read(sector, 4)? != ERASED {
+                self.unsound = true;
+                self.survey()?;
+                if self.end > HEADER {
+                    return Ok(true);
+                }
+            }
+        }
+        Ok(false)
+    }
+
+    /// Finds the records of the sector, the stretches between them, and the end.
+    fn survey(&mut self) -> Result<(), F::Error> {
+        let mut address = HEADER;
+        self.end = HEADER;
+        while address < self.flash.sector_size() {
+            let Some(entry) = self.checked_entry(address)? else {
+                address += 4;
+                continue;
+            };
+            for (word, at) in entry.words().iter().zip((address..).step_by(4)) {
+                // The bytes that fill up its last word do not matter, but are told.
+                self.unsound |= self.flash.read(self.sector, at)? != *word;
+            }
+            if address > self.end {
+                self.unsound = true;
+                if self.gaps.push(Gap { start: self.end, end: address }).is_err() {
+                    self.unmapped = self.unmapped.min(self.end);
+                }
+            }
+            address += entry.size();
+            self.end = address;
+        }
+        let (appendable, damaged) = self.look_behind()?;
+        self.appendable = appendable;
+        self.unsound |= damaged;
+        Ok(())
+    }
+
+    /// What is behind the last record: whether it is erased, and whether it is damage other than a power cut's.
+    fn look_behind(&mut self) -> Result<(bool, bool), F::Error> {
+        let mut until = self.end;
+        for address in (self.end..self.flash.sector_size()).step_by(4) {
+            if self.flash.read(self.sector, address)? != ERASED {
+                until = address + 4;
+            }
+        }
+        let mut words = heapless::Vec::<u32, LONGEST_WORDS>::new();
+        for address in (self.end..until).step_by(4) {
+            if words.push(self.flash.read(self.sector, address)?).is_err() {
+                return Ok((false, true));
+            }
+        }
+        let (first, last, covered) = match words.as_slice() {
+            [] => return Ok((true, false)),
+            // A first word that was cut short may look like anything.
+            [_] => return Ok((false, false)),
+            [first, .., last] => (Outline::read(*first), *last, words.get(..words.len() - 1).unwrap_or_default()),
+        };
+        let size = until - self.end;
+        let cut_short = size < first.size() || size == first.size() && crc(ERASED, covered) & !last == 0;
+        Ok((false, !first.is_possible() || !cut_short || wrong_byte(&words).is_some()))
+    }
+
     /// Whether a memory holds a log, as [`Log::open`] would find it.
     ///
     /// # Errors
     /// If the memory cannot be read.
     pub fn is_in(flash: &mut F) -> Result<bool, F::Error> {
-        Ok(sequence_of(flash, Sector::A)?.is_some() || sequence_of(flash, Sector::B)?.is_some())
+        Log::over(flash).find()
     }
 
     /// The memory.
@@ -256,20 +416,23 @@ impl<F: Flash> Log<F> {
         self.flash
     }
 
-    /// Hands every record that counts to `take`.
+    /// Hands every record that counts to `take`, and one with the key [`STORE_DAMAGED`] if others have been lost.
     ///
     /// # Errors
     /// If the flash cannot be read.
     pub fn for_each(&mut self, mut take: impl FnMut(Record)) -> Result<(), F::Error> {
-        let mut address = HEADER;
-        while address < self.end {
-            let outline = self.outline(address)?;
-            let next = address + outline.size();
+        let mut damage = self.unsound;
+        let mut next = HEADER;
+        while let Some((address, outline)) = self.record_from(next)? {
+            next = address + outline.size();
             if outline.kind == PUT && !self.is_replaced(outline.key, next)? {
                 let entry = self.entry(address)?;
+                damage &= entry.key != STORE_DAMAGED;
                 take(Record { key: entry.key, value: entry.value });
             }
-            address = next;
+        }
+        if damage {
+            take(Record { key: STORE_DAMAGED, value: heapless::Vec::new() });
         }
         Ok(())
     }
@@ -287,10 +450,12 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        if self.holds(&entry)? {
+        // What is damaged cannot be written again where it is.
+        let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
+        if !cleans && self.holds(&entry)? {
             return Ok(());
         }
-        if !self.appendable || self.end + entry.size() > self.flash.sector_size() {
+        if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.move_to_spare(&entry);
         }
         // If the memory fails in the midst of the record, what it has written stays behind the end.
@@ -305,9 +470,9 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Whether only a few more records fit before the spare sector has to be erased.
+    /// Whether only a few more records fit before the spare sector has to be erased, or damage has to be left behind.
     pub fn needs_erase_soon(&self) -> bool {
-        !self.spare_erased && self.end + RESERVE > self.flash.sector_size()
+        !self.spare_erased && (self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
 
     /// Erases the spare sector, which holds nothing that counts. Takes hundreds of milliseconds on real flash.
@@ -327,26 +492,25 @@ impl<F: Flash> Log<F> {
         }
         let target = self.sector.other();
         self.spare_erased = false;
-        let mut address = HEADER;
+        let mut damage = self.unsound && !coming.replaces(STORE_DAMAGED);
+        let mut next = HEADER;
         let mut end = HEADER;
-        while address < self.end {
-            let outline = self.outline(address)?;
-            let next = address + outline.size();
+        while let Some((address, outline)) = self.record_from(next)? {
+            next = address + outline.size();
             if outline.kind == PUT && !coming.replaces(outline.key) && !self.is_replaced(outline.key, next)? {
-                if end + outline.size() > self.flash.sector_size() {
-                    return Err(StoreError::Full);
-                }
                 let entry = self.entry(address)?;
-                end = self.append(target, end, &entry)?;
+                damage &= entry.key != STORE_DAMAGED;
+                end = self.copy(target, end, &entry)?;
             }
-            address = next;
+        }
+        if damage {
+            // It has not been confirmed.
+            let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
+            end = self.copy(target, end, &entry)?;
         }
         if coming.kind == PUT {
             // It replaces its predecessor in one step: both stand before the header does.
-            if end + coming.size() > self.flash.sector_size() {
-                return Err(StoreError::Full);
-            }
-            end = self.append(target, end, coming)?;
+            end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
         self.write_header(target, sequence)?;
@@ -354,7 +518,18 @@ impl<F: Flash> Log<F> {
         self.sequence = sequence;
         self.end = end;
         self.appendable = true;
+        self.unsound = false;
+        self.gaps.clear();
+        self.unmapped = u32::MAX;
         Ok(())
+    }
+
+    /// Appends to a sector that is being filled, if there is room.
+    fn copy(&mut self, target: Sector, end: u32, entry: &Entry) -> Result<u32, StoreError<F::Error>> {
+        if end + entry.size() > self.flash.sector_size() {
+            return Err(StoreError::Full);
+        }
+        Ok(self.append(target, end, entry)?)
     }
 
     fn append(&mut self, sector: Sector, address: u32, entry: &Entry) -> Result<u32, F::Error> {
@@ -413,7 +588,7 @@ impl<F: Flash> Log<F> {
             return Ok(None);
         }
         let outline = self.outline(address)?;
-        if !matches!(outline.kind, PUT | REMOVE) || outline.length > LONGEST || address + outline.size() > size {
+        if !outline.is_possible() || address + outline.size() > size {
             return Ok(None);
         }
         let entry = self.entry(address)?;
@@ -421,11 +596,24 @@ impl<F: Flash> Log<F> {
         Ok((entry.words().last() == Some(&sum)).then_some(entry))
     }
 
+    /// The first record from an address on.
+    fn record_from(&mut self, mut address: u32) -> Result<Option<(u32, Outline)>, F::Error> {
+        while address < self.end {
+            if let Some(gap) = self.gaps.iter().find(|gap| gap.start == address) {
+                address = gap.end;
+            } else if address >= self.unmapped && self.checked_entry(address)?.is_none() {
+                address += 4;
+            } else {
+                return Ok(Some((address, self.outline(address)?)));
+            }
+        }
+        Ok(None)
+    }
+
     /// Whether a record counts no more because of one from `from` on.
     fn is_replaced(&mut self, key: u16, from: u32) -> Result<bool, F::Error> {
-        let mut address = from;
-        while address < self.end {
-            let outline = self.outline(address)?;
+        let mut next = from;
+        while let Some((address, outline)) = self.record_from(next)? {
             let replaces = match outline.kind {
                 PUT => outline.key == key,
                 _ => outline.key <= key && self.entry(address)?.replaces(key),
@@ -433,7 +621,7 @@ impl<F: Flash> Log<F> {
             if replaces {
                 return Ok(true);
             }
-            address += outline.size();
+            next = address + outline.size();
         }
         Ok(false)
     }
@@ -441,12 +629,12 @@ impl<F: Flash> Log<F> {
     /// Whether storing an entry would change nothing.
     fn holds(&mut self, coming: &Entry) -> Result<bool, F::Error> {
         let mut holds = coming.kind == REMOVE;
-        let mut address = HEADER;
-        while address < self.end {
-            let outline = self.outline(address)?;
+        let mut next = HEADER;
+        while let Some((address, outline)) = self.record_from(next)? {
+            next = address + outline.size();
             if coming.kind == REMOVE {
-                let stands = outline.kind == PUT && coming.replaces(outline.key);
-                if stands && !self.is_replaced(outline.key, address + outline.size())? {
+                let holds_it = outline.kind == PUT && coming.replaces(outline.key);
+                if holds_it && !self.is_replaced(outline.key, next)? {
                     return Ok(false);
                 }
             } else if outline.kind == REMOVE || outline.key == coming.key {
@@ -455,7 +643,6 @@ impl<F: Flash> Log<F> {
                     holds = entry.kind == PUT && entry.value == coming.value;
                 }
             }
-            address += outline.size();
         }
         Ok(holds)
     }

@@ -20,6 +20,13 @@ pub struct Bench {
     unread: String,
 }
 
+/// The setting that a message names.
+#[track_caller]
+pub fn locking(message: &str) -> String {
+    let name = message.strip_prefix("[MSG:Motion is locked until this setting is mended: ");
+    name.and_then(|name| name.strip_suffix(']')).unwrap_or_else(|| panic!("{message}")).to_string()
+}
+
 impl Bench {
     /// A machine fitted so (TOML) with these `$n=v` lines.
     pub fn new(machine: &str, settings: &str) -> Bench {
@@ -28,9 +35,20 @@ impl Bench {
         let mut bench = Bench { mill, unread: String::new() };
         assert_eq!(bench.read(), ["", "Grbl 1.1h ['$' for help]"]);
         for line in settings.split_whitespace() {
-            assert_eq!(bench.ask(line), ["ok"], "{line}");
+            bench.set(line);
         }
         bench
+    }
+
+    /// Sends a setting, which may make the set one that cannot be run. The setting that is named then.
+    #[track_caller]
+    pub fn set(&mut self, line: &str) -> Option<String> {
+        let said = self.ask(line);
+        match said.as_slice() {
+            [ok] if ok == "ok" => None,
+            [ok, message] if ok == "ok" => Some(locking(message)),
+            _ => panic!("{line}: {said:?}"),
+        }
     }
 
     /// The answer lines that have come.

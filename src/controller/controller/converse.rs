@@ -2,13 +2,13 @@
 
 use super::execute::{Answer, Task};
 use super::outputs::dialect;
-use super::{Controller, STORED_TEXT};
+use super::{Controller, Damage, LOOKING, STORED_TEXT};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::{CoordinateSystem, Dialect, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::{CUT, LINES_DEPTH, LineByte, PinView, Record, Store, input};
-use crate::protocol::line::{self, Line, Pushed};
+use crate::messages::{LINES_DEPTH, LineByte, PinView, Record, STORE_DAMAGED, Store, input};
+use crate::protocol::line::{self, Pushed};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -21,14 +21,14 @@ const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
 /// The dialect stands above what `$RST` forgets: it is how this host is spoken to.
 const KEY_DIALECT: u16 = 2000;
-/// Number of the dialect setting.
-const DIALECT: u16 = 900;
-/// Number of the setting that says whether there is a door.
-const DOOR_FITTED: u16 = 903;
-/// Number of the setting of the kinematics.
-const KINEMATICS: u16 = 904;
-/// Number of the setting that makes the reset input an emergency stop.
-const RESET_IS_EMERGENCY_STOP: u16 = 912;
+/// Numbers of settings that are more than values.
+const DIALECT: u16 = Key::Dialect.number();
+const DOOR_FITTED: u16 = Key::DoorFitted.number();
+const HOMING: u16 = Key::Homing.number();
+const KINEMATICS: u16 = Key::Kinematics.number();
+const REPORT_INCHES: u16 = Key::ReportInches.number();
+const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 
 /// An answer of many lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +76,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.settings.restore(DIALECT, f32::from_le_bytes(bytes));
                 }
             }
+            STORE_DAMAGED => self.damage = Damage::Untold,
             _ => {}
         }
     }
@@ -83,65 +84,35 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Bytes to lines
 
     pub(super) fn release_held(&mut self) {
-        if let Some(byte) = self.held.take() {
+        if let Some(byte) = self.lines.release() {
             self.line_byte(byte);
         }
     }
 
-    /// Takes a byte of the midst of a line, if nothing has happened for which it would be held or dropped.
-    #[inline]
-    pub(super) fn continues_line(&mut self, byte: LineByte) -> bool {
-        byte.epoch == self.epoch
-            && !byte.damaged
-            && !self.drop_rest
-            && (self.drop_bytes | self.jog_bytes) == 0
-            && self.line.push_plain(byte.byte)
-    }
-
     pub(super) fn line_byte(&mut self, byte: LineByte) {
-        if (byte.epoch.wrapping_sub(self.epoch) as i16) > 0 {
-            // The command that opened this epoch is still on its way through the other queue.
-            self.held = Some(byte);
-            return;
-        }
-        if (byte.epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
-            return;
-        }
-        if self.drop_bytes > 0 || self.drop_rest {
-            // Received before the reset button; the line that the last of them stands in goes to its end.
-            self.drop_bytes = self.drop_bytes.saturating_sub(1);
-            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
-            return;
-        }
-        let before_cancel = self.jog_bytes > 0;
-        self.jog_bytes = self.jog_bytes.saturating_sub(1);
-        if byte.byte == CUT {
-            self.line = Line::new();
-            return;
-        }
-        if byte.damaged {
-            self.line.damage();
+        let taken = self.lines.take(byte, || line_rules(&self.settings));
+        if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
         }
-        if self.line.is_empty() {
-            self.line_epoch = byte.epoch;
-            self.line_before_cancel = before_cancel;
+        if taken.pushed != Pushed::More {
+            // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
+            self.answer_status();
         }
-        match self.line.push(byte.byte, || line_rules(&self.settings)) {
+        match taken.pushed {
             Pushed::More => {}
             Pushed::TooLong => {
-                self.line.clear();
+                self.lines.clear();
                 self.refuse(Error::LineTooLong);
                 self.stop_at_error();
             }
             Pushed::Complete => {
                 // Filled in its place: what is returned by value would be copied with all that it might hold.
                 let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
-                let _ = text.extend_from_slice(self.line.text());
+                let _ = text.extend_from_slice(self.lines.text());
                 if self.must_wait(&text) {
                     self.task = Task::JogWaits;
                 } else {
-                    self.line.clear();
+                    self.lines.clear();
                     self.dispatch(&text);
                 }
             }
@@ -150,23 +121,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A jog behind a jog cancel begins once the machine has stopped, at the place where it stands then.
     fn must_wait(&self, line: &[u8]) -> bool {
-        line.starts_with(b"$J=")
-            && self.mode == (Mode::Jog { cancelling: true })
-            && self.keeps_later_jogs
-            && !self.is_jog_stale()
-    }
-
-    /// Whether the current line was sent before the end of a jog was ordered.
-    fn is_jog_stale(&self) -> bool {
-        self.line_before_cancel || (self.line_epoch.wrapping_sub(self.jog_epoch) as i16) < 0
+        line.starts_with(b"$J=") && self.mode == (Mode::Jog { cancelling: true }) && self.lines.is_jog_behind_cancel()
     }
 
     /// The jog that has waited for the end of the one before it.
     #[inline(never)]
     pub(super) fn begin_waiting_jog(&mut self) {
         let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
-        let _ = text.extend_from_slice(self.line.text());
-        self.line.clear();
+        let _ = text.extend_from_slice(self.lines.text());
+        self.lines.clear();
         self.task = Task::None;
         self.dispatch(&text);
     }
@@ -221,7 +184,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.checked)?;
-        if self.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
+        if self.lines.is_jog_stale() || self.mode == (Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say(report::ok);
             return Ok(());
@@ -297,6 +260,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let info = self.build_info.clone();
                 let letters = self.option_letters();
                 self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
+                // Grbl has two lines, and strict senders count on it.
+                if self.dialect() != Dialect::Grbl {
+                    self.say(report::firmware);
+                }
                 self.say(report::ok);
             }
             System::SetBuildInfo(text) => {
@@ -357,7 +324,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let soft_limits = self.settings.is_on(Key::SoftLimits);
                 self.settings.set(number, value)?;
                 self.changed(number, soft_limits);
-                self.task = Task::Storing(Answer::Host);
+                self.task = Task::Storing(Answer::Setting(number));
             }
         }
         Ok(())
@@ -368,13 +335,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another place for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        if (100..110).contains(&number) || number == KINEMATICS || (number == 22 && self.settings.is_on(Key::Homing)) {
-            self.lose_place();
+        let is_resolution = AxisKey::Resolution.axis(number).is_some();
+        if is_resolution || number == KINEMATICS || (number == HOMING && self.settings.is_on(Key::Homing)) {
+            self.reference.lose();
         }
-        if number == 13 {
+        if number == REPORT_INCHES {
             self.rare_fields.offset_changed();
         }
-        if number == 22 {
+        if number == HOMING {
             self.store_soft_limits_before_homing(soft_limits);
         }
         self.save_setting(number);
@@ -387,7 +355,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (false, true) => 1.0,
             (_, false) => 0.0,
         };
-        self.save(20, &record.to_le_bytes());
+        self.save(SOFT_LIMITS, &record.to_le_bytes());
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
@@ -417,14 +385,33 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if let Some((_, error)) = self.emergency_now() {
                 return Err(error);
             }
+            let damaged = self.is_store_damaged();
+            if damaged {
+                self.confirm_damage()?;
+            }
             self.mode = Mode::Normal;
             self.alarm = None;
             self.say(|out| report::message(out, "Caution: Unlocked"));
-            if !self.trusted && self.dialect() != Dialect::Grbl {
+            if !self.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+            }
+            if damaged {
+                self.task = Task::Storing(Answer::Host);
+                return Ok(());
             }
         }
         self.say(report::ok);
+        Ok(())
+    }
+
+    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage.
+    fn confirm_damage(&mut self) -> Result<(), Error> {
+        if !matches!(self.damage, Damage::Listed(at) if self.now >= at + LOOKING) {
+            self.tell_damage();
+            return Err(Error::StoreReadFailed);
+        }
+        self.damage = Damage::None;
+        self.forget(STORE_DAMAGED..STORE_DAMAGED + 1);
         Ok(())
     }
 
@@ -435,7 +422,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
                 && settings.arrangement() == self.settings.arrangement();
             if !same_steps {
-                self.lose_place();
+                self.reference.lose();
             }
             self.settings.replace(settings);
         }
@@ -540,6 +527,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.task = Task::Listing(listing, line + 1);
         } else {
             self.task = Task::None;
+            if listing == Listing::Settings && self.is_store_damaged() {
+                self.damage = Damage::Listed(self.now);
+                self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
+            }
             self.say(report::ok);
         }
         true

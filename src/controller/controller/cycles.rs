@@ -102,11 +102,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         place.set(axis, home);
                     }
                 }
-                // One axis alone does not make the others true, but one after the other does; one that no cycle has is as
-                // true as it can be.
-                self.homed = AxisMask(self.homed.0 | axes.0);
                 let cycles = self.settings.axes(AxisKey::HomingCycle);
-                self.trusted |= !axes.is_empty() && cycles.iter().all(|cycle| *cycle as u8 & !self.homed.0 == 0);
+                self.reference.homed(axes, cycles.iter().map(|cycle| *cycle as u8));
                 self.ganged_motors = GangedMotors::Both;
                 self.motion.set_machine_position(&place);
                 self.interpreter.set_position(self.motion.machine_position());
@@ -121,7 +118,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.
     pub(super) fn fail_homing(&mut self, alarm: Alarm) {
         self.motion.discard();
-        self.lose_place();
+        self.reference.lose();
         self.raise(alarm);
         self.task = Task::None;
         self.say(report::ok);

@@ -196,7 +196,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.settings.is_on(Key::Parking)
             || !self.settings.is_on(Key::Homing)
             || self.settings.is_on(Key::Laser)
-            || !self.trusted
+            || !self.reference.is_trusted()
             || modal.no_parking
         {
             return None;
@@ -236,10 +236,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn parked(&mut self) {
         if self.door.asleep {
             self.spindle = SpindleDirection::Off;
-            self.drivers_on = false;
-            self.drivers_off_at = None;
+            self.drivers.switch_off();
             // Axes can be moved by hand now.
-            self.lose_place();
+            self.reference.lose();
             self.mode = Mode::Sleep;
         } else {
             self.mode = Mode::Door(Door::Parked);
@@ -274,8 +273,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             digit: 0.0,
         });
         self.detour.start();
-        self.drivers_on = true;
-        self.drivers_off_at = None;
+        self.drivers.switch_on();
     }
 
     fn detour_ended(&self) -> bool {

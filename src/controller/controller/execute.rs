@@ -6,7 +6,7 @@ use super::converse::Listing;
 use super::cycles::{HomingWait, Probing};
 use crate::axes::{Arrangement, PerAxis};
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, ArcMove, Feed, Flow};
+use crate::gcode::{self, ArcMove, Dialect, Feed, Flow};
 use crate::machine::homing::Homing;
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
@@ -48,6 +48,8 @@ pub(super) enum Answer {
     Startup(usize, bool),
     /// The host, for a startup line that is stored once it has been run without error; its text waits in the controller.
     Validation(usize),
+    /// The host, for the setting of this number.
+    Setting(u16),
     /// The host, and then the controller starts anew (`$RST`).
     Restart,
 }
@@ -516,18 +518,40 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.settings.is_on(Key::SoftLimits) && !self.must_home_first()
     }
 
-    /// Whether the settings allow no motion at all; then the host has been told which.
+    /// The setting that allows no motion at all.
+    #[inline]
+    fn locking_setting(&mut self) -> Option<u16> {
+        let (settings, profile) = (&self.settings, &self.profile);
+        let unrunnable = || settings.unrunnable(profile.rates, profile.has_second_motor);
+        self.settings_lock.setting(settings.revision(), unrunnable)
+    }
+
+    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        let revision = Some(self.settings.revision());
-        if self.runnable == revision {
-            return None;
+        if self.is_store_damaged() {
+            self.tell_damage();
+            return Some(Error::StoreReadFailed);
         }
-        let Some(setting) = self.settings.unrunnable(self.profile.rates, self.profile.has_second_motor) else {
-            self.runnable = revision;
-            return None;
-        };
-        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+        self.locking_setting()?;
+        if let Some(setting) = self.settings_lock.name_at_line() {
+            self.name_locking(setting);
+        }
         Some(Error::Locked)
+    }
+
+    /// Grbl answers a change with `ok` and nothing else: in its dialect the setting is named at the first move.
+    fn name_after_change(&mut self, changed: u16) {
+        self.locking_setting();
+        if let Some(setting) = self.settings_lock.name_after_change(changed)
+            && self.dialect() != Dialect::Grbl
+        {
+            self.name_locking(setting);
+        }
+    }
+
+    #[inline(never)]
+    fn name_locking(&mut self, setting: u16) {
+        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
     }
 
     /// Whether any part of the line's motion lies outside of the travel, with soft limits on.
@@ -565,6 +589,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Answer::Validation(index) => {
                 let line = self.validated.clone();
                 self.store_startup_line(index, line);
+            }
+            Answer::Setting(number) => {
+                self.say(report::ok);
+                self.name_after_change(number);
             }
             Answer::Restart => {
                 self.say(report::ok);

@@ -22,7 +22,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.emergency(&before, &tripped, &mut stopped);
         if signals.reset && !before.reset || tripped.reset {
             // The button stands for 0x18, but it opens no epoch: what has been received goes all the same.
-            self.drop_bytes = self.observed.received;
+            self.lines.drop_received(self.observed.received);
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let closed = signals.limits & !before.limits | tripped.limits;

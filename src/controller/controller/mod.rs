@@ -13,6 +13,7 @@
 //! * [`cycles`]: homing and probing
 //! * [`door`]: the safety door and parking
 //! * [`converse`]: lines are dispatched and `$` commands answered
+//! * [`settings_lock`]: settings that allow no motion, and what the host knows of it
 
 mod converse;
 mod cycles;
@@ -21,20 +22,23 @@ mod execute;
 mod inputs;
 mod outputs;
 mod realtime;
+mod settings_lock;
 mod stops;
 
-use crate::axes::{AxisMask, PerAxis};
+use crate::axes::PerAxis;
 use crate::error::Alarm;
 use crate::gcode::{Checked, Dialect, Interpreter};
+use crate::machine::drivers::Drivers;
 use crate::machine::realtime_override::Overrides;
+use crate::machine::reference::Reference;
 use crate::machine::state::{Door, Mode};
 use crate::messages::{
-    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, LineByte, Observed, Output, PinView, Restart, Room,
-    Signals, SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
+    Coolant, Event, GangedMotors, InputWiring, LINES_DEPTH, Observed, Output, PinView, Restart, Room, Signals,
+    SlowOutputs, SpindleDirection, Store, ToStep, Wiring,
 };
 use crate::motion::{Arc, Motion, MotionSettings};
-use crate::protocol::line::Line;
-use crate::protocol::report::{self, RareFields};
+use crate::protocol::line_intake::LineIntake;
+use crate::protocol::report::RareFields;
 use crate::protocol::text::PIECE;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::step_rates::StepRates;
@@ -42,6 +46,7 @@ use crate::units::{Coordinate, Duration, Instant, StepsPerMm, per_second};
 use cycles::Probing;
 use door::DoorState;
 use execute::Task;
+use settings_lock::SettingsLock;
 
 /// Longest startup line and build info that is stored.
 const STORED_TEXT: usize = 80;
@@ -57,9 +62,9 @@ const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 const WELL_FILLED_US: u32 = 12_000;
 const LOW_WATER_US: u32 = 6_000;
 
-/// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
-const EPOCHS: u16 = 1 << 14;
 
+/// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
+const LOOKING: Duration = Duration::secs(2);
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
@@ -82,31 +87,13 @@ pub struct Profile {
 pub struct Controller<const N: usize, const BLOCKS: usize> {
     profile: Profile,
     settings: Settings<N>,
-    /// A byte that came before the realtime command which opened its epoch.
-    held: Option<LineByte>,
-    /// Resets, stops and jog cancels taken.
-    epoch: u16,
-    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
-    reset_epoch: u16,
-    /// Jogs of older epochs are dropped: the epoch of the last jog cancel that found a jog.
-    jog_epoch: u16,
-    /// Received bytes to be dropped because of a reset button, and whether they end in the midst of a line.
-    drop_bytes: u16,
-    drop_rest: bool,
-    /// Epoch of the first byte of the current line.
-    line_epoch: u16,
-    /// Received bytes that stood before the end of a jog by a hold or a door: jogs among them are dropped.
-    jog_bytes: u16,
-    /// The current line began among them.
-    line_before_cancel: bool,
-    /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
-    keeps_later_jogs: bool,
+    /// Hosts that have gone (wrapping).
+    hosts_gone: u16,
+    /// A startup line has been echoed: the answer to it follows on the same line.
+    echoed: bool,
     mode: Mode,
     alarm: Option<Alarm>,
-    /// The machine is where the counters say: it falls with a stop at speed and with sleep, and comes back with homing. Without homing nobody knows better, so it is then a warning and no lock.
-    trusted: bool,
-    /// Axes homed since it fell.
-    homed: AxisMask,
+    reference: Reference,
     /// The step queue has held [`WELL_FILLED_US`] since motion began.
     well_filled: bool,
     /// Motion has been started and not come to its end.
@@ -146,9 +133,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     pin_view: Option<PinView>,
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
-    /// When the drivers go off after the last motion (`$1`).
-    drivers_off_at: Option<Instant>,
-    drivers_on: bool,
+    drivers: Drivers,
     observed: Observed,
     stop: StopState,
     rare_fields: RareFields,
@@ -158,16 +143,16 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     wiring_sent: Option<Wiring>,
     /// What that was made of.
     wiring_source: Option<WiringSource>,
-    /// The settings of this revision can be run.
-    runnable: Option<u32>,
+    settings_lock: SettingsLock,
     /// Stores that have not been answered yet.
     unstored: u8,
     store_failed: bool,
+    damage: Damage,
     restart: Restart,
     /// The host knows of the failure before this start.
     restart_told: bool,
     now: Instant,
-    line: Line,
+    lines: LineIntake,
     /// The line of G-code that the task carries out.
     checked: Checked<N>,
     interpreter: Interpreter<N>,
@@ -182,6 +167,20 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     /// Moves of its own while the job is held: parking.
     detour: Motion<N, 2>,
     motion: Motion<N, BLOCKS>,
+}
+
+/// What has become of damage that the store has told of ([`STORE_DAMAGED`]). Settings may be lost, and with them what keeps
+/// the machine from harm, so it is locked until somebody has looked at them and confirms it.
+///
+/// [`STORE_DAMAGED`]: crate::messages::STORE_DAMAGED
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Damage {
+    /// There is none.
+    None,
+    /// The settings have not been listed since the last welcome line.
+    Untold,
+    /// `$$` has been answered at this moment.
+    Listed(Instant),
 }
 
 /// All that [`Wiring`] depends on.
@@ -243,22 +242,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             interpreter: Interpreter::new(),
             motion: Motion::unconfigured(profile.step_clock_hz),
             detour: Motion::unconfigured(profile.step_clock_hz),
-            line: Line::new(),
-            held: None,
-            epoch: 0,
-            reset_epoch: 0,
-            jog_epoch: 0,
-            drop_bytes: 0,
-            drop_rest: false,
-            line_epoch: 0,
-            jog_bytes: 0,
-            line_before_cancel: false,
-            keeps_later_jogs: false,
+            lines: LineIntake::new(),
             mode: Mode::Normal,
             alarm: None,
-            trusted: true,
-            homed: AxisMask::NONE,
+            reference: Reference::ASSUMED,
             running: false,
+            hosts_gone: 0,
+            echoed: false,
             well_filled: false,
             input_ended: false,
             task: Task::None,
@@ -284,8 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             read_pins: None,
             pin_view: None,
             ganged_motors: GangedMotors::Both,
-            drivers_off_at: None,
-            drivers_on: false,
+            drivers: Drivers::OFF,
             observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0 },
             stop: StopState::NONE,
             rare_fields: RareFields::DUE,
@@ -294,10 +283,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             pins_sent: None,
             wiring_sent: None,
             wiring_source: None,
-            runnable: None,
+            settings_lock: SettingsLock::UNKNOWN,
             stores: heapless::Deque::new(),
             unstored: 0,
             store_failed: false,
+            damage: Damage::None,
             restart: Restart::POWER,
             restart_told: false,
             now: Instant::from_ticks(0),
@@ -309,7 +299,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
             self.mode = Mode::Alarm;
-            self.lose_place();
+            self.reference.lose();
         }
         self.restart = restart;
     }
@@ -321,7 +311,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
             self.mode = Mode::Alarm;
-            self.lose_place();
+            self.reference.lose();
+        }
+        if self.is_store_damaged() {
+            self.mode = Mode::Alarm;
         }
         self.initialise();
     }
@@ -330,9 +323,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
         self.observed = observed;
-        // Those of a host that has gone have gone with it.
-        self.drop_bytes = self.drop_bytes.min(observed.received);
-        self.jog_bytes = self.jog_bytes.min(observed.received);
+        self.lines.observe(observed.received);
         self.motion.observe(&observed);
         self.detour.observe(&observed);
     }
@@ -343,7 +334,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.now = now;
         match event {
             // Nearly all events.
-            Event::Line(byte) if self.continues_line(byte) => {}
+            Event::Line(byte) if self.lines.take_plain(byte) => {}
             event => self.take(event),
         }
     }
@@ -361,18 +352,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.store_failed = true;
             }
             Event::Connected => {
-                self.say(report::welcome);
-                self.tell_failure();
+                self.greet();
                 self.tell_lock();
             }
-            Event::Disconnected => self.host_left(),
+            Event::Disconnected(hosts_gone) => {
+                self.hosts_gone = hosts_gone;
+                self.host_left();
+            }
         }
     }
 
     /// Whether a line byte may be given.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
-            && self.held.is_none()
+            && !self.lines.holds()
             && self.stop.awaited.is_none()
             && !self.mode.is_suspended()
             && self.has_reply_room()
@@ -393,7 +386,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let task =
             if self.mode.is_suspended() { None } else { self.task.wakeup(|until| self.next_look_at_spindle(until)) };
         let spinning_up = self.spinning_up.map(|until| self.next_look_at_spindle(until));
-        [moving, door, task, self.drivers_off_at, spinning_up].into_iter().flatten().min()
+        [moving, door, task, self.drivers.off_at(), spinning_up].into_iter().flatten().min()
     }
 
     /// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
@@ -463,7 +456,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
     /// a power-up or a sleep with homing on, until it has been homed.
     pub fn is_trusted(&self) -> bool {
-        self.trusted
+        self.reference.is_trusted()
+    }
+
+    /// Whether stored settings were damaged and have not been confirmed.
+    pub fn is_store_damaged(&self) -> bool {
+        self.damage != Damage::None
     }
 
     /// The settings that hold.
@@ -513,10 +511,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Step(message));
         }
-        if self.status_due && self.has_reply_room() {
-            self.status_due = false;
-            self.report_status();
-        }
+        self.answer_status();
         if room.reply
             && let Some(chunk) = self.reply_chunk()
         {
@@ -554,8 +549,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             segment.power = self.overridden_power(segment.power);
         }
         if message.is_some() {
-            self.drivers_on = true;
-            self.drivers_off_at = None;
+            self.drivers.switch_on();
         }
         message
     }
@@ -591,21 +585,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             _ => {}
         }
-        if self.drivers_off_at.is_some_and(|at| self.now >= at) {
-            self.drivers_off_at = None;
-            self.drivers_on = false;
-        }
-    }
-
-    /// Nobody knows any more where the machine is.
-    fn lose_place(&mut self) {
-        self.trusted = false;
-        self.homed = AxisMask::NONE;
+        self.drivers.look(self.now);
     }
 
     /// With homing on, what goes to a place of the machine waits for a position that is true.
     fn must_home_first(&self) -> bool {
-        !self.trusted
+        !self.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
             && self.settings.is_on(Key::Homing)
             && self.settings.is_on(Key::TrustNeeded)
@@ -613,10 +598,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     fn start_idle_delay(&mut self) {
-        // $1=255 keeps the drivers on for ever.
-        if let delay @ 0..=254 = self.settings.whole(Key::IdleDelay) {
-            self.drivers_off_at = Some(self.now + Duration::millis(u64::from(delay)));
-        }
+        self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
     }
 
     /// Starts queued motion when there is no reason to wait for more of it.

@@ -115,7 +115,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             power: self.resting_power(),
             power_from_segments: self.settings.is_on(Key::Laser) && !self.spindle_stopped,
             coolant: self.coolant,
-            drivers: (self.drivers_on || self.settings.whole(Key::IdleDelay) == 255) && !self.drivers_held_off(),
+            drivers: self.drivers.are_on(self.settings.whole(Key::IdleDelay)) && !self.drivers_held_off(),
         };
         (self.pins_sent != Some(pins)).then(|| {
             self.pins_sent = Some(pins);
@@ -194,19 +194,30 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Makes a piece of answer. There is always room: whoever can wait asks `has_reply_room` first, and what cannot (an
-    /// alarm, a message) is short.
+    /// alarm, a message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole.
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
+        // The next host would take the answer to a line of one that has gone for one of its own.
+        let unheard = self.hosts_gone != self.lines.hosts_cut() && !self.echoed && report::is_answer(&text);
+        if unheard || self.replies.capacity() - self.replies.len() < text.len() {
+            return;
+        }
+        self.echoed = text.last() == Some(&b':');
         for byte in text {
-            if self.replies.push_back(byte).is_err() {
-                return;
-            }
+            let _ = self.replies.push_back(byte);
         }
     }
 
+    /// The welcome line. What a host is told once, it may not have heard before.
+    pub(super) fn greet(&mut self) {
+        self.say(report::welcome);
+        self.tell_failure();
+        self.settings_lock.host_greeted();
+    }
+
     /// At each welcome line until the host has asked for the record: nobody may have listened to the first one.
-    pub(super) fn tell_failure(&mut self) {
+    fn tell_failure(&mut self) {
         if self.restart.is_failure() && !self.restart_told {
             let restart = self.restart.clone();
             self.say(|out| report::failure(out, &restart));
@@ -223,8 +234,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (chunk.len > 0).then_some(chunk)
     }
 
+    /// The report that a `?` has asked for, if there is room for it.
+    pub(super) fn answer_status(&mut self) {
+        if self.status_due && self.has_reply_room() {
+            self.status_due = false;
+            self.report_status();
+        }
+    }
+
     #[inline(never)]
-    pub(super) fn report_status(&mut self) {
+    fn report_status(&mut self) {
         let busy = self.running
             || matches!(self.mode, Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home);
         let (show_offset, show_overrides) = self.rare_fields.next(busy);

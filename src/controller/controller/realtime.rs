@@ -2,7 +2,7 @@
 
 use super::cycles::{self, Probing};
 use super::execute::Task;
-use super::{Controller, EPOCHS, StopReason};
+use super::{Controller, StopReason};
 use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
@@ -16,24 +16,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn realtime(&mut self, command: Realtime) {
         match command {
             Realtime::Reset => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.drop_older_bytes();
-                self.jog_epoch = self.epoch;
-                self.line.clear();
+                self.lines.reset();
                 self.begin_stop(StopReason::Reset);
                 self.release_held();
             }
             // Grbl knows no such byte and drops it.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.keep_epochs_near();
+                self.lines.open_epoch();
                 self.release_held();
             }
             Realtime::Stop => {
-                self.epoch = self.epoch.wrapping_add(1);
-                self.drop_older_bytes();
-                self.jog_epoch = self.epoch;
-                self.line.clear();
+                self.lines.reset();
                 self.stop_softly(false);
                 self.release_held();
             }
@@ -42,16 +35,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::FeedHold => self.feed_hold(),
             Realtime::SafetyDoor => self.open_door(),
             Realtime::JogCancel => {
-                self.epoch = self.epoch.wrapping_add(1);
-                // A jog that was sent before is dropped, also one that has not been read yet.
-                self.jog_epoch = self.epoch;
-                self.keep_epochs_near();
+                self.lines.cancel_jogs();
                 if self.mode == (Mode::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
                 // One that has been read and not queued yet has no mode of its own.
                 self.task.forget_jog();
-                self.keeps_later_jogs = true;
                 self.release_held();
             }
             Realtime::SpindleStop => {
@@ -70,24 +59,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::MistToggle => {}
             _ => self.set_overrides(self.overrides.after(command)),
         }
-    }
-
-    /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.
-    fn keep_epochs_near(&mut self) {
-        for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
-            if self.epoch.wrapping_sub(*older) > EPOCHS {
-                *older = self.epoch.wrapping_sub(EPOCHS);
-            }
-        }
-    }
-
-    /// Bytes received before this reset or stop are dropped by their epoch; those of a reset button among them are not to
-    /// be counted again.
-    fn drop_older_bytes(&mut self) {
-        self.reset_epoch = self.epoch;
-        self.drop_bytes = 0;
-        self.drop_rest = false;
-        self.jog_bytes = 0;
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
@@ -236,13 +207,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.hold();
         self.task.forget_jog();
         self.mode = Mode::Jog { cancelling: true };
-        self.keeps_later_jogs = false;
     }
 
     /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
     pub(super) fn forget_received_jogs(&mut self) {
-        self.jog_bytes = self.observed.received;
-        self.line_before_cancel = true;
+        self.lines.end_received_jogs(self.observed.received);
     }
 
     #[inline(never)]

@@ -3,7 +3,7 @@
 use super::cycles::Probing;
 use super::door::DoorState;
 use super::execute::Task;
-use super::{Controller, StopReason, StopState};
+use super::{Controller, Damage, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::gcode::Dialect;
@@ -125,7 +125,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
             StopReason::Alarm(alarm) => {
                 if moving {
-                    self.lose_place();
+                    self.reference.lose();
                 }
                 self.motion.discard();
                 self.interpreter.set_position(self.motion.machine_position());
@@ -135,7 +135,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 if alarm == Alarm::Underrun {
                     if matches!(self.task, Task::JogWaits) {
-                        self.line.clear();
+                        self.lines.clear();
                     }
                     if self.task.abandon() {
                         self.say(|out| report::error(out, Error::Locked.code()));
@@ -155,11 +155,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
         if moving || homing || drivers_off || alarm == Alarm::DriverFault {
-            self.lose_place();
+            self.reference.lose();
         }
-        // As they are: an axis may drop.
-        self.drivers_off_at = None;
-        self.drivers_on &= !drivers_off;
+        if drivers_off {
+            self.drivers.switch_off();
+        } else {
+            self.drivers.stay();
+        }
         self.spindle_stopped = false;
         self.motion.discard();
         self.interpreter.set_position(self.motion.machine_position());
@@ -183,15 +185,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
-        self.line.clear();
+        self.lines.clear();
         if moving || self.mode == Mode::Home {
             let homing = self.mode == Mode::Home;
-            if moving {
-                self.lose_place();
-            }
-            if homing {
-                self.lose_place();
-            }
+            self.reference.lose();
             self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
             self.mode = Mode::Alarm;
         }
@@ -234,8 +231,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.probe_succeeded = false;
         self.rare_fields = RareFields::default();
         self.status_due = false;
-        self.say(report::welcome);
-        self.tell_failure();
+        if self.is_store_damaged() {
+            self.damage = Damage::Untold;
+        }
+        self.greet();
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;
             self.say(|out| report::message(out, "Check Limits"));
@@ -260,9 +259,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    pub(super) fn tell_damage(&mut self) {
+        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
+        self.say(|out| report::message(out, text));
+    }
+
     /// What a host has to do before the machine goes on.
     pub(super) fn tell_lock(&mut self) {
         match self.mode {
+            Mode::Alarm if self.is_store_damaged() => self.tell_damage(),
             Mode::Alarm => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
             Mode::Critical => self.say(|out| report::message(out, "Reset to continue")),
             _ => {}

@@ -1,8 +1,10 @@
-//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle.
+//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers.
 
+pub mod drivers;
 pub mod filter;
 pub mod homing;
 pub mod realtime_override;
+pub mod reference;
 pub mod signals;
 pub mod spindle;
 pub mod state;

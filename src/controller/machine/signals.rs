@@ -10,7 +10,7 @@ use super::filter::Filter;
 use crate::messages::{InputWiring, Sensed, Signals, Wiring};
 
 /// Samples that the filter takes to know a level.
-const SETTLING: u8 = 8;
+pub const SETTLING: u8 = 8;
 
 /// The inputs, sample by sample.
 #[derive(Clone, Debug)]
@@ -56,13 +56,6 @@ impl Inputs {
         self.settling = self.settling.saturating_sub(1);
         let active = self.filter.sample(low ^ wiring.inverted);
         self.take(active)
-    }
-
-    /// Takes levels that need no filter (bit set = low). Whether the step task has to be stopped.
-    pub fn set(&mut self, low: u16) -> bool {
-        let Some(wiring) = self.wiring else { return false };
-        self.settling = 0;
-        self.take(low ^ wiring.inverted)
     }
 
     fn take(&mut self, active: u16) -> bool {
@@ -111,8 +104,8 @@ mod tests {
     #[test]
     fn an_armed_input_trips_once_and_is_remembered_until_it_was_told() {
         let mut inputs = armed(0b001, 0);
-        assert!(!inputs.set(0b010));
-        assert!(inputs.set(0b011) && !inputs.set(0b011) && !inputs.set(0));
+        let mut held = |low| (0..SETTLING).filter(|_| inputs.sample(low)).count();
+        assert_eq!([0b010, 0b011, 0b011, 0].map(&mut held), [0, 1, 0, 0]);
         assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0b001 }));
         inputs.told();
         assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0 }));

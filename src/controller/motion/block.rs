@@ -73,7 +73,7 @@ pub(super) struct CurveLoad {
 const LEAST_SHARE: f32 = 0.25;
 
 /// Share of the greatest speed² at which a ramp with bounded jerk still has all of its acceleration.
-const RAMP_SHARE: f32 = 0.75;
+const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
     /// Straight.
@@ -87,6 +87,15 @@ impl CurveLoad {
     #[inline]
     pub(super) fn is_none(self) -> bool {
         self == Self::NONE
+    }
+
+    /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
+    pub(super) fn speed2(self) -> f32 {
+        of_upper(self.speed2)
+    }
+
+    pub(super) fn acceleration(self) -> f32 {
+        of_upper(self.acceleration)
     }
 
     /// The tighter one of two. Positive numbers are ordered as their bits are.
@@ -188,7 +197,7 @@ impl<const N: usize> Block<N> {
     /// What bounds changes of speed in the block.
     #[inline]
     ///
-    /// In a bend the acceleration of a ramp is greatest about half way up, at three quarters of the speed² or less: it is
+    /// In a bend the acceleration of a ramp is greatest about half way up, below nine tenths of the speed²: it is
     /// counted with what is left there.
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);

@@ -22,7 +22,7 @@
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
 use super::block::CurveLoad;
-use super::planner::UNLIMITED2;
+use super::planner::{SQUARE_CORNER, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
@@ -43,12 +43,16 @@ const STRAIGHTNESS: f32 = 0.6;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² beyond which a move turns back on itself.
 const REVERSAL: f32 = 4.0 - 2.0e-6;
-/// q² of one radian: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
+/// q² of 0.6 rad: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
 /// faster than on a bend.
-const RADIAN2: f32 = 0.92;
+const RADIAN2: f32 = 0.36;
 /// It is spread over the whole length if both ends of it turn by this share of q² at least; and where L/t is more than so
-/// many junction deviations that does not matter, as a radian's own J² is but a tenth of a·L/t.
+/// many junction deviations that does not matter, as the J² of 0.6 rad is but a quarter of a·L/t.
 const ENDS2: f32 = 1.0 / 36.0;
+/// Of three turns in a row the middle one is no corner if its q² is less than this many times the lesser of the others.
+const EVEN2: f32 = 9.0;
+/// q² up to which a turn tells the curvature of its own place, and not a mean of what is far away.
+const GENTLE2: f32 = 0.0625;
 const VAGUE: f32 = 72.0;
 /// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
@@ -186,14 +190,15 @@ impl<const N: usize> History<N> {
             {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
-                let bent = index == 2 && !bend.is_none();
-                // From the middle of the one to the middle of the other, or where a single piece begins or ends.
+                let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
+                // Of neighbours up to the middle of each; otherwise what is between, where the path is slowest.
+                let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 found(Bend {
                     speed2: limit.speed2,
                     once: limit.turn2 > RADIAN2 && !spread && !bent,
                     curve: CurveLoad::NONE,
-                    nearest: behind + own / 2,
-                    farthest: behind + own - 1 + blocks + usize::from(old.blocks) / 2,
+                    nearest: behind + halves.0,
+                    farthest: behind + own - 1 + blocks + halves.1,
                 });
             }
             between += old.path;
@@ -202,7 +207,10 @@ impl<const N: usize> History<N> {
         }
         if !bend.is_none() {
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            found(Bend { speed2: UNLIMITED2, once: false, curve: bend, nearest: behind + own, farthest });
+            // A bend that somebody has drawn: no corner, so nothing is granted but what a square corner has.
+            let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
+            let speed2 = greater(bend.speed2(), square);
+            found(Bend { speed2, once: false, curve: bend, nearest: behind + own, farthest });
         }
         self.0 = [new, *first, *second, *third];
     }
@@ -397,7 +405,7 @@ impl<const N: usize> TurnRule<N> {
         }
         new.turned2 = turn2(&old.direction, &new.direction);
         let Some((turn2, sine)) = certain(new.turned2, old.noise + new.noise) else { return };
-        if turn2 < RADIAN2 {
+        if turn2 < GENTLE2 {
             let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
             let acceleration = self.in_plane(&old.direction, &new.direction, new.turned2);
             let curve2 = acceleration * self.curve_share * radius;

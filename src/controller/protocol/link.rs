@@ -32,7 +32,7 @@ pub trait Queues {
 }
 
 /// What the links pass through together.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Entrance {
     floor: Floor,
     /// The epoch of the next line byte: see [`LineByte`]. It is counted where a command is handed over and not where it is
@@ -40,12 +40,14 @@ pub struct Entrance {
     epoch: u16,
     /// The line that has begun is void: [`CUT`] goes before the next line byte.
     cut: bool,
+    /// Hosts with the floor that have gone since power-up (wrapping).
+    gone: u16,
 }
 
 impl Entrance {
     /// Nobody has said anything.
     pub const fn new() -> Self {
-        Self { floor: Floor::new(), epoch: 0, cut: false }
+        Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
     }
 
     /// Who gets the answers.
@@ -53,12 +55,18 @@ impl Entrance {
         self.floor.holder()
     }
 
+    /// How many hosts with the floor have gone since power-up (wrapping), for `Event::Disconnected`.
+    pub fn gone(&self) -> u16 {
+        self.gone
+    }
+
     /// Whether a [`CUT`] goes before the next byte, which is a byte received like others.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
 
-    fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
+    /// Queues a command, also one that has come over no link. Gives whether there was room.
+    pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
             self.epoch = self.epoch.wrapping_add(1);
@@ -67,7 +75,7 @@ impl Entrance {
     }
 
     fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
-        if self.cut && !queues.line(LineByte { byte: CUT, damaged: false, ..byte }) {
+        if self.cut && !queues.line(LineByte { byte: CUT, epoch: self.gone, damaged: false }) {
             return false;
         }
         self.cut = false;
@@ -88,7 +96,7 @@ impl Entrance {
 }
 
 /// The receiving side of one link to a host. At most `HELD` bytes of lines wait here for room in the queue.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Link<const HELD: usize> {
     number: usize,
     held: heapless::Deque<LineByte, HELD>,
@@ -240,7 +248,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// A host has opened its port. Gives whether it has the floor: another host's job goes on, and this one is not greeted
-    /// in its midst.
+    /// in its midst. A [`CUT`] goes before its first byte of a line: it ends what was there before.
     pub fn came<const OTHER: usize>(
         &mut self,
         entrance: &mut Entrance,
@@ -248,14 +256,18 @@ impl<const HELD: usize> Link<HELD> {
         queues: &impl Queues,
     ) -> bool {
         let free = queues.is_free();
-        entrance.turn_to(other, |floor| floor.claim(self.number, free, true))
+        let granted = entrance.turn_to(other, |floor| floor.claim(self.number, free, true));
+        entrance.cut |= granted;
+        granted
     }
 
     /// The host has gone. What has no place in the queue goes with it, also the rest of a line, and the next host begins at
-    /// the start of one. Gives whether it had the floor.
+    /// the start of one: a [`CUT`] goes before it, and the controller answers none of the lines in front of that. Gives
+    /// whether it had the floor.
     pub fn went(&mut self, entrance: &mut Entrance) -> bool {
         let held_floor = entrance.holder() == self.number;
         entrance.cut |= held_floor;
+        entrance.gone = entrance.gone.wrapping_add(u16::from(held_floor));
         entrance.floor.leave(self.number);
         *self = Self { stuck: self.stuck, ..Self::new(self.number) };
         held_floor
@@ -313,7 +325,7 @@ impl Owed {
 }
 
 /// Which of two hosts has the floor: whose lines are read, and who gets the answers. Realtime commands need no floor.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Floor {
     holder: usize,
     /// The holder has gone or has only asked for a report; or nobody has said anything yet.
@@ -455,7 +467,7 @@ mod tests {
 
         /// The controller's view: which bytes are of which epoch, and what has it read once all commands have come.
         fn epochs(&self) -> Vec<u16> {
-            self.queues.lines.iter().map(|byte| byte.epoch).collect()
+            self.queues.lines.iter().filter(|byte| byte.byte != CUT).map(|byte| byte.epoch).collect()
         }
 
         /// How often each has been refused a line.
@@ -566,11 +578,27 @@ mod tests {
         assert!(both.usb.went(&mut both.entrance));
         both.usb(b"G4P0\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
+        // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
+        let cuts =
+            |both: &Both<16>| both.queues.lines.iter().filter(|b| b.byte == CUT).map(|b| b.epoch).collect::<Vec<_>>();
+        assert_eq!((cuts(&both), both.entrance.gone()), (vec![0, 1], 1));
         // The other one may be the next.
         both.usb(b"G1 Y");
         both.usb.went(&mut both.entrance);
         both.uart(b"G4\n");
         assert_eq!(both.text(), "G0X1\nG1 X|G4P0\nG1 Y|G4\n");
+    }
+
+    #[test]
+    fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G4P0\n");
+        both.queues.free = true;
+        for _ in 0..2 {
+            assert!(both.usb.came(&mut both.entrance, &mut both.uart, &both.queues));
+            both.usb(b"?G0\n");
+        }
+        assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
     }
 
     #[test]
@@ -695,7 +723,7 @@ mod tests {
         both.pass_on();
         both.uart(b"C");
         assert_eq!(both.queues.commands, [Realtime::Status, Realtime::Reset, Realtime::JogCancel]);
-        assert_eq!((both.text().as_str(), both.epochs()), ("A|BC", vec![0, 0, 1, 1, 2]));
+        assert_eq!((both.text().as_str(), both.epochs()), ("A|BC", vec![0, 1, 2]));
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine.
 //!
-//! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`system`] reads `$`
+//! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`line_intake`]
+//! knows which of their bytes still count, [`system`] reads `$`
 //! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get.
 
 pub mod line;
+pub mod line_intake;
 pub mod link;
 pub mod realtime;
 pub mod report;

@@ -13,6 +13,17 @@ use crate::units::Coordinate;
 /// Version of the Grbl interface that is spoken.
 pub const GRBL_VERSION: &str = "1.1h";
 
+/// A version and the day on which it was released.
+pub struct Release {
+    /// As in `Cargo.toml`.
+    pub version: &'static str,
+    /// Year, month and day in eight digits.
+    pub date: &'static str,
+}
+
+/// This release. A new version has a new date.
+pub const RELEASE: Release = Release { version: "0.1.0", date: "20261122" };
+
 const END: &[u8] = b"\r\n";
 
 /// `ok`
@@ -25,6 +36,11 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, b"error:");
     whole(out, u64::from(code));
     put(out, END);
+}
+
+/// Whether a text is the one answer that a line gets.
+pub fn is_answer(text: &[u8]) -> bool {
+    text == b"ok\r\n" || text.starts_with(b"error:")
 }
 
 /// `ALARM:N`
@@ -235,12 +251,12 @@ pub fn startup_echo(out: &mut Text, line: &[u8]) {
     put(out, b":");
 }
 
-/// `[VER:...]` and `[OPT:...]`
+/// `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in the former.
 pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
     put(out, b".");
-    put(out, env!("CARGO_PKG_VERSION").as_bytes());
+    put(out, RELEASE.date.as_bytes());
     put(out, b":");
     put(out, user);
     put(out, b"]\r\n[OPT:");
@@ -249,6 +265,13 @@ pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx
     whole(out, blocks as u64);
     put(out, b",");
     whole(out, rx_bytes as u64);
+    put(out, b"]\r\n");
+}
+
+/// `[FIRMWARE:...]`: who this is, in a line that senders made for Grbl pass over, as they do with grblHAL's.
+pub fn firmware(out: &mut Text) {
+    put(out, b"[FIRMWARE:Oxmill ");
+    put(out, RELEASE.version.as_bytes());
     put(out, b"]\r\n");
 }
 
@@ -501,6 +524,16 @@ impl RareFields {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_release_is_this_version_and_a_day() {
+        assert_eq!(RELEASE.version, env!("CARGO_PKG_VERSION"), "a new version: set its date, too");
+        let digits = |from: usize, to: usize| RELEASE.date.get(from..to).and_then(|text| text.parse::<u32>().ok());
+        assert_eq!(RELEASE.date.len(), 8);
+        assert!(digits(0, 4).is_some_and(|year| (2025..2100).contains(&year)), "{}", RELEASE.date);
+        assert!(digits(4, 6).is_some_and(|month| (1..=12).contains(&month)), "{}", RELEASE.date);
+        assert!(digits(6, 8).is_some_and(|day| (1..=31).contains(&day)), "{}", RELEASE.date);
+    }
 
     #[test]
     fn rare_fields_take_turns() {

@@ -126,7 +126,8 @@ fn realtime_commands_overtake_lines_that_wait() {
     mill.send("G21 G91 G1 X1 F400\n");
     mill.run_for(Duration::from_millis(100));
     mill.send("!");
-    mill.send("G1 X1\n".repeat(2_000));
+    mill.send("G1 X1\n".repeat(70));
+    assert!(mill.unread() > 255, "more than the queue takes");
     mill.run_until_idle();
     mill.take_output();
     mill.send("?");
@@ -142,24 +143,27 @@ fn a_hold_forgets_all_jogs_that_have_been_received() {
     let mut mill = mill();
     mill.send("$J=G91 X5 F100\n");
     mill.run_for(Duration::from_millis(100));
-    // More than the look-ahead takes.
-    mill.send("$J=G91 Y1 F1000\n".repeat(1000));
-    assert!(mill.unread() > 1000, "{}", mill.unread());
+    // More than the look-ahead and the queue take.
+    let mut jogs = 1;
+    while mill.unread() < 400 {
+        mill.send("$J=G91 Y1 F1000\n");
+        jogs += 1;
+    }
     mill.send("!");
     assert!(mill.run_until_idle());
     assert_eq!(mill.machine_position()[1], 0.0);
-    assert_eq!(mill.take_output(), "ok\r\n".repeat(1001));
+    assert_eq!(mill.take_output(), "ok\r\n".repeat(jogs));
     mill.send("$J=G91 Y1 F1000\n");
     assert!(mill.run_until_idle());
     assert_eq!(mill.machine_position()[1], 1.0);
 }
 
-/// The same with the reset button, which drops lines of all kinds.
+/// The same with the reset button, which drops lines of all kinds. (What the link has not fetched is not received yet.)
 #[test]
 fn a_reset_button_drops_all_lines_that_have_been_received() {
     let mut mill = mill();
     mill.send("G4 P1\n");
-    mill.send("G0 Y1\n".repeat(100));
+    mill.send("G0 Y1\n".repeat(70));
     assert_eq!(mill.pin_line("reset 1"), "ok");
     assert_eq!(mill.pin_line("reset 0"), "ok");
     mill.send("G0 Z1\n");
@@ -181,4 +185,32 @@ fn a_startup_line_waits_for_the_inputs() {
     let said = second.take_output();
     assert!(said.contains("ALARM:1\r\n") && !said.contains(">G0X1"), "{said}");
     assert_eq!(second.machine().pulses(), [0, 0, 0]);
+}
+
+#[test]
+fn a_flood_of_resets_tears_no_welcome() {
+    let mut mill = mill();
+    mill.send([0x18; 500]);
+    let said = mill.take_output();
+    let count = said.matches("\r\nGrbl 1.1h ['$' for help]\r\n").count();
+    assert!(count > 30);
+    assert_eq!(said, "\r\nGrbl 1.1h ['$' for help]\r\n".repeat(count));
+    mill.send("G21\n");
+    assert_eq!(mill.take_output(), "ok\r\n");
+}
+
+/// The board's link is in the way: commands pass the lines that it has room for (255 and 192 bytes), and no more.
+#[test]
+fn what_finds_no_room_waits_in_the_port() {
+    for (lines, passes) in [(80, true), (100, false)] {
+        let mut mill = mill();
+        // The first of five bytes is in the way of all others.
+        mill.send("G4P9\n");
+        mill.send("G21F\n".repeat(lines));
+        mill.send("?");
+        assert_eq!(mill.take_output().contains("<Idle"), passes, "{lines}");
+        assert_eq!(mill.unread(), 5 * lines + usize::from(!passes));
+        mill.disconnect();
+        assert_eq!(mill.unread(), 255);
+    }
 }

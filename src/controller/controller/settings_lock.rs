@@ -1,0 +1,106 @@
+//! Whether the settings allow motion, and what the host has been told of it.
+//!
+//! A set that cannot be run locks motion by its first setting at fault ([`Settings::unrunnable`]). The host is told which
+//! one: after the `ok` to the change that brought it about, and before the first `error:9` to a line that would move.
+//! Neither is repeated for what follows: a sender that restores one setting after the other would read it at each line,
+//! and so would one that streams a job into a locked machine.
+//!
+//! [`Settings::unrunnable`]: crate::settings::Settings::unrunnable
+
+/// The setting that locks motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct SettingsLock {
+    /// Revision of the settings that were looked at last.
+    revision: Option<u32>,
+    /// The setting that locks them.
+    setting: Option<u16>,
+    /// The one that was named last after a change.
+    named: Option<u16>,
+    /// A line has been refused with the reason.
+    refused: bool,
+}
+
+impl SettingsLock {
+    /// Nothing has been looked at.
+    pub(super) const UNKNOWN: SettingsLock =
+        SettingsLock { revision: None, setting: None, named: None, refused: false };
+
+    /// The setting that locks motion; `unrunnable` looks for it, once for each revision.
+    #[inline]
+    pub(super) fn setting(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
+        if self.revision != Some(revision) {
+            let setting = unrunnable();
+            self.revision = Some(revision);
+            self.refused &= self.setting == setting;
+            self.setting = setting;
+        }
+        self.setting
+    }
+
+    /// The setting `changed` has a new value, and `Self::setting` knows of it: the setting to be named. That is the one that
+    /// locks motion, if it has just been changed or was not named yet.
+    pub(super) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
+        let named = core::mem::replace(&mut self.named, self.setting);
+        self.setting.filter(|setting| *setting == changed || named != Some(*setting))
+    }
+
+    /// A line is refused: the setting to be named before its error.
+    pub(super) fn name_at_line(&mut self) -> Option<u16> {
+        let refused = core::mem::replace(&mut self.refused, true);
+        self.setting.filter(|_| !refused)
+    }
+
+    /// A host has been greeted, which may not have heard it.
+    pub(super) fn host_greeted(&mut self) {
+        self.refused = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lock after these revisions, each of which locks by a setting or not.
+    fn after(settings: &[Option<u16>]) -> SettingsLock {
+        let mut lock = SettingsLock::UNKNOWN;
+        for (revision, setting) in settings.iter().enumerate() {
+            assert_eq!(lock.setting(revision as u32, || *setting), *setting);
+        }
+        lock
+    }
+
+    #[test]
+    fn a_set_is_looked_at_once_for_each_revision() {
+        let mut lock = after(&[Some(100)]);
+        assert_eq!(lock.setting(0, || panic!("known already")), Some(100));
+        assert_eq!(lock.setting(1, || None), None);
+        assert_eq!(lock.setting(1, || panic!("known already")), None);
+        assert_eq!((lock.name_after_change(100), lock.name_at_line()), (None, None));
+    }
+
+    #[test]
+    fn a_change_names_what_it_locked_and_no_other_repeats_it() {
+        let mut lock = after(&[Some(100)]);
+        assert_eq!(lock.name_after_change(100), Some(100));
+        assert_eq!(lock.name_after_change(101), None, "still the same");
+        assert_eq!(lock.name_after_change(100), Some(100), "set again");
+        lock.setting(1, || Some(112));
+        assert_eq!(lock.name_after_change(100), Some(112), "the next at fault");
+        lock.setting(2, || None);
+        assert_eq!(lock.name_after_change(112), None);
+        lock.setting(3, || Some(112));
+        assert_eq!(lock.name_after_change(0), Some(112), "locked again, by another setting's change");
+    }
+
+    #[test]
+    fn the_first_refused_line_has_the_reason() {
+        let mut lock = after(&[Some(100)]);
+        assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(100), None));
+        lock.setting(1, || Some(100));
+        assert_eq!(lock.name_at_line(), None, "another setting has changed, the reason is the same");
+        lock.setting(2, || Some(112));
+        assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));
+        lock.host_greeted();
+        assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));
+    }
+}

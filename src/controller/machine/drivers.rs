@@ -1,0 +1,115 @@
+//! The motor drivers: on from the first motion, off some time after the last (`$1`).
+
+use crate::units::{Duration, Instant};
+
+/// `$1` that keeps the drivers on all the time.
+const ALWAYS_ON: u32 = 255;
+
+/// Whether the drivers have current, and until when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drivers {
+    on: bool,
+    /// When they go off after the last motion.
+    off_at: Option<Instant>,
+}
+
+impl Drivers {
+    /// Nothing has moved yet.
+    pub const OFF: Drivers = Drivers { on: false, off_at: None };
+
+    /// Whether they are on, with this `$1` (ms).
+    pub fn are_on(&self, idle_delay: u32) -> bool {
+        self.on || idle_delay == ALWAYS_ON
+    }
+
+    /// When they go off, if nothing moves before.
+    pub fn off_at(&self) -> Option<Instant> {
+        self.off_at
+    }
+
+    /// Something moves.
+    #[inline]
+    pub fn switch_on(&mut self) {
+        *self = Drivers { on: true, off_at: None };
+    }
+
+    /// Sleep, or an emergency that wants the current off.
+    pub fn switch_off(&mut self) {
+        *self = Drivers::OFF;
+    }
+
+    /// They stay as they are until something moves: an axis may drop without current.
+    pub fn stay(&mut self) {
+        self.off_at = None;
+    }
+
+    /// The last motion has ended: the delay `$1` (ms) begins.
+    pub fn motion_ended(&mut self, now: Instant, idle_delay: u32) {
+        if idle_delay != ALWAYS_ON {
+            self.off_at = Some(now + Duration::millis(u64::from(idle_delay)));
+        }
+    }
+
+    /// Time has passed.
+    #[inline]
+    pub fn look(&mut self, now: Instant) {
+        if self.off_at.is_some_and(|at| now >= at) {
+            self.switch_off();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(milliseconds: u64) -> Instant {
+        Instant::from_ticks(0) + Duration::millis(milliseconds)
+    }
+
+    #[test]
+    fn they_go_off_a_delay_after_the_last_motion() {
+        let mut drivers = Drivers::OFF;
+        assert!(!drivers.are_on(25));
+        drivers.switch_on();
+        drivers.look(at(1000));
+        assert!(drivers.are_on(25) && drivers.off_at().is_none(), "no delay runs while something moves");
+        drivers.motion_ended(at(1000), 25);
+        assert_eq!(drivers.off_at(), Some(at(1025)));
+        drivers.look(at(1024));
+        assert!(drivers.are_on(25));
+        drivers.look(at(1025));
+        assert_eq!(drivers, Drivers::OFF);
+    }
+
+    #[test]
+    fn a_motion_within_the_delay_keeps_them_on() {
+        let mut drivers = Drivers::OFF;
+        drivers.switch_on();
+        drivers.motion_ended(at(0), 25);
+        drivers.switch_on();
+        drivers.look(at(100));
+        assert!(drivers.are_on(25));
+    }
+
+    #[test]
+    fn they_can_be_always_on() {
+        let mut drivers = Drivers::OFF;
+        assert!(drivers.are_on(255));
+        drivers.switch_on();
+        drivers.motion_ended(at(0), 255);
+        assert_eq!(drivers.off_at(), None);
+    }
+
+    #[test]
+    fn in_an_emergency_they_stay_or_go_off() {
+        let mut drivers = Drivers::OFF;
+        drivers.switch_on();
+        drivers.motion_ended(at(0), 25);
+        drivers.stay();
+        drivers.look(at(1000));
+        assert!(drivers.are_on(25));
+        drivers.switch_off();
+        assert!(!drivers.are_on(25));
+    }
+}

@@ -1,0 +1,364 @@
+//! Which of the received line bytes still count, and the line that they make.
+//!
+//! Realtime commands and line bytes come through two queues that keep no order between them. Each byte carries the epoch
+//! it was received in ([`LineByte`]), and each reset, stop and jog cancel opens an epoch:
+//!
+//! ```text
+//!  byte of a later epoch      its command is still on the way: held until it has come
+//!  byte before a reset        dropped
+//!  jog before a jog cancel    is not carried out (the line is read and answered)
+//! ```
+//! What has no epoch of its own counts the bytes received by then instead: a reset button drops them, a feed hold and a door
+//! end the jogs among them.
+
+use super::line::{Line, Pushed, Rules};
+use crate::messages::{CUT, LineByte};
+
+/// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
+const EPOCHS: u16 = 1 << 14;
+
+/// What a byte has brought about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Taken {
+    /// Bytes before it were lost on the way.
+    pub lost: bool,
+    /// What it completed.
+    pub pushed: Pushed,
+}
+
+impl Taken {
+    const NOTHING: Taken = Taken { lost: false, pushed: Pushed::More };
+}
+
+/// The received lines, as far as they count.
+#[derive(Clone, Debug)]
+pub struct LineIntake {
+    /// A byte that came before the realtime command which opened its epoch.
+    held: Option<LineByte>,
+    /// Resets, stops and jog cancels taken.
+    epoch: u16,
+    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
+    reset_epoch: u16,
+    /// Jogs of older epochs are dropped: the epoch of the last jog cancel.
+    jog_epoch: u16,
+    /// Received bytes to be dropped because of a reset button, and whether they end in the middle of a line.
+    drop_bytes: u16,
+    drop_rest: bool,
+    /// Received bytes that were there before the end of a jog by a hold or a door: jogs among them are dropped.
+    jog_bytes: u16,
+    /// Epoch of the first byte of the current line.
+    line_epoch: u16,
+    /// The current line began before the end of a jog by a hold or a door.
+    line_before_cancel: bool,
+    /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
+    keeps_later_jogs: bool,
+    line: Line,
+    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    hosts_cut: u16,
+}
+
+impl Default for LineIntake {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LineIntake {
+    /// Nothing received.
+    pub const fn new() -> Self {
+        Self {
+            held: None,
+            epoch: 0,
+            reset_epoch: 0,
+            jog_epoch: 0,
+            drop_bytes: 0,
+            drop_rest: false,
+            jog_bytes: 0,
+            line_epoch: 0,
+            line_before_cancel: false,
+            keeps_later_jogs: false,
+            line: Line::new(),
+            hosts_cut: 0,
+        }
+    }
+
+    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    pub fn hosts_cut(&self) -> u16 {
+        self.hosts_cut
+    }
+
+    /// Takes a byte from the middle of a line, if nothing has happened for which it would be held or dropped.
+    #[inline]
+    pub fn take_plain(&mut self, byte: LineByte) -> bool {
+        byte.epoch == self.epoch
+            && !byte.damaged
+            && !self.drop_rest
+            && (self.drop_bytes | self.jog_bytes) == 0
+            && self.line.push_plain(byte.byte)
+    }
+
+    /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
+    pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> Rules) -> Taken {
+        if byte.byte == CUT {
+            // Its epoch is the number of the host that has gone.
+            self.hosts_cut = byte.epoch;
+        } else if is_before(self.epoch, byte.epoch) {
+            // The command that opened this epoch is still on its way through the other queue.
+            self.held = Some(byte);
+            return Taken::NOTHING;
+        } else if is_before(byte.epoch, self.reset_epoch) {
+            return Taken::NOTHING;
+        }
+        if self.drop_bytes > 0 || self.drop_rest {
+            // Received before the reset button; the line that the last of them is in is dropped to its end.
+            self.drop_bytes = self.drop_bytes.saturating_sub(1);
+            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
+            return Taken::NOTHING;
+        }
+        let before_cancel = self.jog_bytes > 0;
+        self.jog_bytes = self.jog_bytes.saturating_sub(1);
+        if byte.byte == CUT {
+            self.line = Line::new();
+            return Taken::NOTHING;
+        }
+        if byte.damaged {
+            self.line.damage();
+        }
+        if self.line.is_empty() {
+            self.line_epoch = byte.epoch;
+            self.line_before_cancel = before_cancel;
+        }
+        Taken { lost: byte.damaged, pushed: self.line.push(byte.byte, rules) }
+    }
+
+    /// Whether a byte waits for its realtime command: no other may come before it.
+    pub fn holds(&self) -> bool {
+        self.held.is_some()
+    }
+
+    /// The byte that has waited, to be taken again after a command that opens an epoch.
+    pub fn release(&mut self) -> Option<LineByte> {
+        self.held.take()
+    }
+
+    /// The current line.
+    pub fn text(&self) -> &[u8] {
+        self.line.text()
+    }
+
+    /// The current line has been read, or is void.
+    pub fn clear(&mut self) {
+        self.line.clear();
+    }
+
+    /// Whether the current line, a jog, was sent before the end of a jog was ordered.
+    pub fn is_jog_stale(&self) -> bool {
+        self.line_before_cancel || is_before(self.line_epoch, self.jog_epoch)
+    }
+
+    /// Whether the current line, a jog, was sent behind the 0x85 that ends the one before it.
+    pub fn is_jog_behind_cancel(&self) -> bool {
+        self.keeps_later_jogs && !self.is_jog_stale()
+    }
+
+    /// So many bytes have been received and not been given yet. Those of a host that has gone have gone with it.
+    pub fn observe(&mut self, received: u16) {
+        self.drop_bytes = self.drop_bytes.min(received);
+        self.jog_bytes = self.jog_bytes.min(received);
+    }
+
+    /// A reset or a stop: what was sent before it is dropped by its epoch. Bytes that a reset button drops are among
+    /// them, and not to be counted again.
+    pub fn reset(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.reset_epoch = self.epoch;
+        self.jog_epoch = self.epoch;
+        self.drop_bytes = 0;
+        self.drop_rest = false;
+        self.jog_bytes = 0;
+        self.line.clear();
+    }
+
+    /// A command that opens an epoch and does nothing else.
+    pub fn open_epoch(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.keep_epochs_near();
+    }
+
+    /// 0x85: a jog that was sent before it is stale, also one that has not been read yet; one behind it is not.
+    pub fn cancel_jogs(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.jog_epoch = self.epoch;
+        self.keeps_later_jogs = true;
+        self.keep_epochs_near();
+    }
+
+    /// A jog ends without an epoch: of the `received` bytes no jog shall move any more.
+    pub fn end_received_jogs(&mut self, received: u16) {
+        self.jog_bytes = received;
+        self.line_before_cancel = true;
+        self.keeps_later_jogs = false;
+    }
+
+    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
+    pub fn drop_received(&mut self, received: u16) {
+        self.drop_bytes = received;
+    }
+
+    /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.
+    fn keep_epochs_near(&mut self) {
+        for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
+            if self.epoch.wrapping_sub(*older) > EPOCHS {
+                *older = self.epoch.wrapping_sub(EPOCHS);
+            }
+        }
+    }
+}
+
+/// Whether an epoch is older than another. They wrap.
+#[inline]
+fn is_before(epoch: u16, other: u16) -> bool {
+    (epoch.wrapping_sub(other) as i16) < 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::line::LENGTH;
+
+    fn rules() -> Rules {
+        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false }
+    }
+
+    fn byte(byte: u8, epoch: u16) -> LineByte {
+        LineByte { byte, epoch, damaged: false }
+    }
+
+    /// Gives bytes of an epoch as the controller does; the lines that were completed.
+    fn give(intake: &mut LineIntake, text: &[u8], epoch: u16) -> Vec<String> {
+        let mut lines = Vec::new();
+        for b in text {
+            assert!(!intake.holds(), "no byte is given while one is held");
+            if intake.take_plain(byte(*b, epoch)) {
+                continue;
+            }
+            if intake.take(byte(*b, epoch), rules).pushed == Pushed::Complete {
+                lines.push(String::from_utf8(intake.text().to_vec()).unwrap());
+                intake.clear();
+            }
+        }
+        lines
+    }
+
+    #[test]
+    fn a_byte_that_overtook_its_command_is_held() {
+        let mut intake = LineIntake::new();
+        assert_eq!(give(&mut intake, b"G0\nG1", 0), ["G0"]);
+        assert_eq!(give(&mut intake, b"G", 1), [""; 0]);
+        assert!(intake.holds());
+        intake.reset();
+        let held = intake.release().unwrap();
+        assert_eq!((held, intake.holds()), (byte(b'G', 1), false));
+        intake.take(held, rules);
+        assert_eq!(give(&mut intake, b"4\n", 1), ["G4"], "without the half line from before the reset");
+    }
+
+    #[test]
+    fn bytes_before_a_reset_are_dropped_and_later_ones_are_not() {
+        let mut intake = LineIntake::new();
+        intake.reset();
+        assert_eq!(give(&mut intake, b"G0X1\nG0", 0), [""; 0]);
+        assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
+        intake.cancel_jogs();
+        assert_eq!(give(&mut intake, b"G0X2\n", 1), ["G0X2"], "whole lines are none of a jog cancel's business");
+    }
+
+    #[test]
+    fn a_reset_button_drops_what_has_been_received_to_the_end_of_its_line() {
+        let mut intake = LineIntake::new();
+        intake.drop_received(6);
+        assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
+        // A reset that comes after it drops the bytes by their epoch, and counts none of the next.
+        intake.drop_received(6);
+        intake.reset();
+        assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
+        assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
+        // Bytes that went with their host are not dropped from the next host's.
+        intake.drop_received(6);
+        intake.observe(0);
+        assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
+    }
+
+    /// Leaves the line in place, as the controller does while a jog waits.
+    fn give_jog(intake: &mut LineIntake, epoch: u16) {
+        for b in *b"$J=X1" {
+            intake.take(byte(b, epoch), rules);
+        }
+        assert_eq!(intake.take(byte(b'\n', epoch), rules).pushed, Pushed::Complete);
+    }
+
+    #[test]
+    fn a_jog_cancel_voids_the_jogs_before_it() {
+        let mut intake = LineIntake::new();
+        give_jog(&mut intake, 0);
+        assert!(!intake.is_jog_stale() && !intake.is_jog_behind_cancel());
+        intake.cancel_jogs();
+        assert!(intake.is_jog_stale(), "read, and not begun");
+        intake.clear();
+        give_jog(&mut intake, 0);
+        assert!(intake.is_jog_stale() && !intake.is_jog_behind_cancel(), "not read yet");
+        intake.clear();
+        give_jog(&mut intake, 1);
+        assert!(!intake.is_jog_stale() && intake.is_jog_behind_cancel());
+    }
+
+    #[test]
+    fn a_hold_voids_the_jogs_received_before_it() {
+        let mut intake = LineIntake::new();
+        intake.cancel_jogs();
+        intake.end_received_jogs(6);
+        assert!(intake.is_jog_stale(), "also the one that is being read");
+        give_jog(&mut intake, 1);
+        assert!(intake.is_jog_stale() && !intake.is_jog_behind_cancel());
+        intake.clear();
+        give_jog(&mut intake, 1);
+        assert!(!intake.is_jog_stale(), "the next was received later");
+        assert!(!intake.is_jog_behind_cancel(), "no 0x85 has come since");
+    }
+
+    #[test]
+    fn a_cut_voids_the_half_line() {
+        let mut intake = LineIntake::new();
+        assert_eq!(give(&mut intake, &[b'G', b'0', CUT, b'G', b'4', b'\n'], 0), ["G4"]);
+    }
+
+    #[test]
+    fn lost_bytes_are_told_and_their_line_is_refused() {
+        let mut intake = LineIntake::new();
+        give(&mut intake, b"G1X", 0);
+        let damaged = LineByte { damaged: true, ..byte(b'5', 0) };
+        assert!(!intake.take_plain(damaged));
+        assert_eq!(intake.take(damaged, rules), Taken { lost: true, pushed: Pushed::More });
+        assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { lost: false, pushed: Pushed::TooLong });
+    }
+
+    /// A bare jog cancel at each key that is released, for as long as the machine is on.
+    #[test]
+    fn epochs_wrap() {
+        let mut intake = LineIntake::new();
+        for epoch in 1..=100_000_u32 {
+            if epoch % 3 == 0 {
+                intake.open_epoch()
+            } else {
+                intake.cancel_jogs()
+            }
+            if epoch % 1000 == 0 {
+                assert_eq!(give(&mut intake, b"G4\n", epoch as u16), ["G4"], "{epoch}");
+                assert_eq!(give(&mut intake, b"G4\n", (epoch - 900) as u16), ["G4"], "{epoch}: still waiting");
+            }
+        }
+        intake.reset();
+        assert_eq!(give(&mut intake, b"G4\n", 100_000_u32 as u16), [""; 0]);
+        assert_eq!(give(&mut intake, b"G4\n", 100_001_u32 as u16), ["G4"]);
+    }
+}

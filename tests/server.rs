@@ -1,0 +1,285 @@
+//! `serve` with its clients: who is served, and what is left of one that has gone. With the program itself.
+
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// What an answer may take, on a slow machine too.
+const PATIENCE: Duration = Duration::from_secs(20);
+const WELCOME: &str = "Grbl 1.1h ['$' for help]";
+const BUSY: &str = "[MSG:Another host has the machine]\r\n";
+
+/// A device, killed in the end.
+struct Server {
+    program: Child,
+    address: String,
+}
+
+impl Server {
+    /// At fifty times the speed of a clock: a move of a minute takes a second, and a client leaves in its midst.
+    fn new(options: &[&str]) -> Server {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+            .args(["serve", "--tcp", "127.0.0.1:0", "--speed", "50"])
+            .args(options)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let mut line = String::new();
+        BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it listens");
+        let address = line.trim().strip_prefix("tcp ").expect("an address").to_owned();
+        Server { program, address }
+    }
+
+    fn connect(&self) -> Client {
+        let stream = TcpStream::connect(&self.address).expect("it listens");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        Client { lines: BufReader::new(stream.try_clone().expect("a socket")), stream }
+    }
+
+    /// A client that has read the welcome.
+    fn served(&self) -> Client {
+        let mut client = self.connect();
+        assert_eq!([client.line(), client.line()], ["", WELCOME]);
+        client
+    }
+}
+
+impl Server {
+    /// A client that tries until the one before has gone: what it has poured in is still on its way.
+    fn served_at_last(&self) -> Client {
+        let end = Instant::now() + PATIENCE;
+        loop {
+            let mut client = self.connect();
+            let first = client.line();
+            if first.is_empty() && client.line() == WELCOME {
+                return client;
+            }
+            assert!(BUSY.starts_with(&first) && Instant::now() < end, "{first:?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.program.kill();
+        let _ = self.program.wait();
+    }
+}
+
+struct Client {
+    stream: TcpStream,
+    lines: BufReader<TcpStream>,
+}
+
+impl Client {
+    fn send(&mut self, bytes: impl AsRef<[u8]>) {
+        self.stream.write_all(bytes.as_ref()).expect("it is read");
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.lines.read_line(&mut line).expect("an answer in time");
+        line.trim_end().to_owned()
+    }
+
+    fn status(&mut self) -> String {
+        self.send("?");
+        self.line()
+    }
+
+    fn ask(&mut self, line: &str) -> String {
+        self.send(format!("{line}\n"));
+        self.line()
+    }
+
+    /// Waits for a state; nothing but reports may come meanwhile.
+    fn wait_for(&mut self, state: &str) -> String {
+        let end = Instant::now() + PATIENCE;
+        loop {
+            let status = self.status();
+            assert!(status.starts_with('<') && Instant::now() < end, "{status:?} instead of {state}");
+            if status.starts_with(state) {
+                return status;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Pours in until nothing more is taken, at most 24 MB.
+    fn pour(&mut self) {
+        let piece = b"G1 X1 F100\nG1 X0\n".repeat(1000);
+        self.stream.set_write_timeout(Some(Duration::from_millis(500))).expect("a socket");
+        for _ in 0..24_000_000 / piece.len() {
+            match self.stream.write_all(&piece) {
+                Ok(()) => {}
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => return,
+                Err(error) => panic!("{error}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flood_from_a_client_that_leaves_does_not_lock_the_server() {
+    let server = Server::new(&[]);
+    let mut first = server.served();
+    first.send("!");
+    first.pour();
+    drop(first);
+    let mut second = server.served_at_last();
+    second.send("!");
+    second.pour();
+    // The same when only its side is closed, and it waits for answers.
+    second.stream.shutdown(Shutdown::Write).expect("a socket");
+    let mut third = server.served_at_last();
+    assert!(third.status().starts_with("<Hold:0|"));
+    third.send([0x18]);
+    assert_eq!([third.line(), third.line()], ["", WELCOME]);
+    assert_eq!(third.ask("G21"), "ok");
+}
+
+#[test]
+fn the_half_line_of_a_client_that_left_is_cut() {
+    let server = Server::new(&[]);
+    server.served().send("G0X");
+    let mut next = server.served();
+    assert_eq!(next.ask("5"), "error:1");
+    assert!(next.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"));
+}
+
+/// `G4` waits for the end of the motion, so its answer and that of the line behind it are pending when the client leaves;
+/// with none pending it is the same.
+#[test]
+fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
+    for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
+        let server = Server::new(&["--set", &format!("914={hold}")]);
+        let mut first = server.served();
+        assert_eq!(first.ask("G1 X60 F60"), "ok");
+        if pending {
+            first.send("G4 P0\nG1 X61\n");
+        }
+        drop(first);
+        let mut next = server.served();
+        if hold == 1 {
+            let report = next.wait_for("<Hold:0");
+            assert!(!report.contains("MPos:60."), "{report}");
+            next.send("~");
+        }
+        // No answer but to its own question.
+        let end = next.wait_for("<Idle");
+        let place = if pending { "MPos:61.000" } else { "MPos:60.000" };
+        assert!(end.contains(place), "$914={hold}, {pending}: {end}");
+        assert_eq!(next.ask("G21"), "ok");
+        assert!(next.status().starts_with("<Idle"));
+    }
+}
+
+#[test]
+fn a_second_client_is_told_so_and_nothing_of_it_acts() {
+    let server = Server::new(&[]);
+    let mut first = server.served();
+    assert_eq!(first.ask("G1 X60 F60"), "ok");
+    let mut second = server.connect();
+    second.send("!G0 Y9\n\x18");
+    let mut said = String::new();
+    second.lines.read_to_string(&mut said).expect("it is closed");
+    assert_eq!(said, BUSY);
+    assert!(first.wait_for("<Idle").contains("MPos:60.000,0.000,0.000"));
+    drop(first);
+    let mut third = server.served();
+    assert!(third.wait_for("<Idle").contains("MPos:60.000,0.000,0.000"));
+    assert_eq!(third.ask("G21"), "ok");
+}
+
+#[test]
+fn a_reset_on_connection_gives_one_welcome() {
+    let server = Server::new(&["--reset-on-connect"]);
+    server.served().send("G4 P60\n$$\n");
+    let mut next = server.served();
+    assert_eq!(next.ask("G21"), "ok");
+}
+
+#[test]
+fn a_store_is_of_one_server() {
+    let store = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one_server.img");
+    std::fs::write(&store, []).expect("an empty file");
+    let store = store.to_str().expect("a path in UTF-8");
+    let first = Server::new(&["--store", store]);
+    let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--tcp", "127.0.0.1:0", "--store", store])
+        .stdin(Stdio::null())
+        .output()
+        .expect("it ends by itself");
+    assert_eq!(second.status.code(), Some(2));
+    let reason = String::from_utf8_lossy(&second.stderr);
+    assert!(reason.contains("one_server.img is in use by another oxmill"), "{reason}");
+    assert_eq!(first.served().ask("$100=80"), "ok");
+    drop(first);
+    let again = Server::new(&["--store", store]);
+    let mut client = again.served();
+    client.send("$$\n");
+    let said: Vec<String> =
+        std::iter::from_fn(|| Some(client.line())).take_while(|line| !line.starts_with("$101=")).collect();
+    assert!(said.iter().any(|line| line.starts_with("$100=80")), "{said:?}");
+}
+
+/// A machine in a hold takes no lines: the program ends all the same, for no host will come.
+#[test]
+fn standard_input_that_ends_in_a_hold_ends_the_program() {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--stdio", "--speed", "max"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    program.stdin.take().expect("a pipe").write_all(b"!\nG1 X1 F100\n").expect("it reads");
+    let end = Instant::now() + PATIENCE;
+    while program.try_wait().expect("a program").is_none() {
+        if Instant::now() > end {
+            let _ = program.kill();
+            panic!("it does not end");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
+    let link = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pty");
+    let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--speed", "50", "--pty"])
+        .arg(&link)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut line = String::new();
+    BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it is");
+    // A read that would never end ends with the program.
+    let (done, waits) = std::sync::mpsc::channel::<()>();
+    let watch = std::thread::spawn(move || {
+        let _ = waits.recv_timeout(PATIENCE);
+        let _ = program.kill();
+        program.wait()
+    });
+    let open = || std::fs::OpenOptions::new().read(true).write(true).open(&link).expect("a terminal");
+    let mut first = open();
+    first.write_all(b"$$\nG0X").expect("it reads");
+    let mut lines = BufReader::new(first.try_clone().expect("a file")).lines();
+    assert!(lines.any(|line| line.expect("text").starts_with("$0=")));
+    drop((first, lines));
+    std::thread::sleep(Duration::from_millis(500));
+    let mut second = open();
+    let mut lines = BufReader::new(second.try_clone().expect("a file")).lines().map(|line| line.expect("text"));
+    assert_eq!([lines.next(), lines.next()].map(Option::unwrap_or_default), ["", WELCOME]);
+    second.write_all(b"5\n?").expect("it reads");
+    assert_eq!(lines.next().as_deref(), Some("error:1"));
+    assert!(lines.next().is_some_and(|line| line.contains("MPos:0.000")));
+    drop(done);
+    watch.join().expect("no panic").expect("a program");
+}
