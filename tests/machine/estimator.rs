@@ -23,10 +23,13 @@
 //!   ends of neighbouring moves, and points about [`REACHES`] away to both sides, which are taken where the path turns by
 //!   less than [`GENTLE`] between them. The junction deviation grants a jump for the whole of the turn on top. Every point
 //!   may be half a digit off; the part of the bend that this can explain is taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
+//! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line from the
+//!   start of the first to the end of the last, which every point between is within half a step of.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
 //!   of the shorter one count as straight on.
 
 use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
+use std::collections::BTreeSet;
 
 /// Share by which a limit may be exceeded.
 pub const TOLERANCE: f64 = 0.01;
@@ -139,21 +142,121 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
+/// Longest line that may be joined with others, the sum of its axes, and the longest that comes of it, mm.
+const MOST_PIECE: f64 = 0.045 + 1e-9;
+const MOST_JOINED: f64 = 0.5 + 1e-6;
+
+/// Whether a straight line passes a place within half a step of every axis.
+fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES]) -> bool {
+    let (mut least, mut most) = (0.0_f64, 1.0_f64);
+    for a in 0..AXES {
+        let (way, part, half) = (to[a] - from[a], place[a] - from[a], 0.5 / limits.steps_per_mm[a] + 1e-7);
+        if way != 0.0 {
+            let (one, other) = ((part - half) / way, (part + half) / way);
+            (least, most) = (least.max(one.min(other)), most.min(one.max(other)));
+        } else if part.abs() > half {
+            return false;
+        }
+    }
+    least <= most
+}
+
+/// The lines with steps, of which the machine may have made one at each place of a program.
+struct Joins<'a> {
+    lines: &'a [Line],
+    limits: &'a Limits,
+}
+
+impl Joins<'_> {
+    fn has_steps(&self, index: usize) -> bool {
+        let line = &self.lines[index];
+        dominant(self.limits.place(line.from), self.limits.place(line.to)).1 > 0
+    }
+
+    /// The last lines of all moves that may begin with this one, the shortest first.
+    fn ends(&self, first: usize) -> Vec<usize> {
+        let (start, mut ends) = (&self.lines[first], vec![first]);
+        let is_short = |line: &Line| (0..AXES).map(|a| (line.to[a] - line.from[a]).abs()).sum::<f64>() <= MOST_PIECE;
+        if !is_short(start) {
+            return ends;
+        }
+        for (index, line) in self.lines.iter().enumerate().skip(first + 1) {
+            let length = norm(std::array::from_fn(|a| line.to[a] - start.from[a]));
+            if line.feed != start.feed || !is_short(line) || length > MOST_JOINED {
+                break;
+            }
+            let mut between = self.lines[first..index].iter();
+            let moved = dominant(self.limits.place(start.from), self.limits.place(line.to)).1 > 0;
+            if moved && self.has_steps(index) && between.all(|l| passes(self.limits, start.from, line.to, l.to)) {
+                ends.push(index);
+            }
+        }
+        ends
+    }
+
+    /// Finds moves that the trace follows from its beginning to its end: for each its last line and the times of its
+    /// dominant steps. The longest are tried first.
+    fn follow(&self, trace: &[Pulse]) -> Result<Vec<(usize, usize, Vec<u64>)>, String> {
+        let mut found: Vec<(usize, usize, Vec<u64>)> = Vec::new();
+        let mut open: Vec<(usize, &[Pulse], Vec<usize>)> = Vec::new();
+        let (mut next, mut rest) = (0, trace);
+        let mut seen = BTreeSet::new();
+        let mut first_fault = None;
+        loop {
+            while next < self.lines.len() && !self.has_steps(next) {
+                next += 1;
+            }
+            if next == self.lines.len() {
+                if rest.is_empty() {
+                    return Ok(found);
+                }
+                first_fault.get_or_insert(format!(
+                    "{} pulses after the end of the last move, the first at {}",
+                    rest.len(),
+                    rest[0].at
+                ));
+            } else if seen.insert((next, rest.len())) {
+                open.push((next, rest, self.ends(next)));
+            }
+            loop {
+                let Some((first, before, ends)) = open.last_mut() else { return Err(first_fault.unwrap_or_default()) };
+                let Some(last) = ends.pop() else {
+                    open.pop();
+                    found.pop();
+                    continue;
+                };
+                let (from, to) = (self.limits.place(self.lines[*first].from), self.limits.place(self.lines[last].to));
+                let mut after = *before;
+                match follow_line(&mut after, from, to) {
+                    Ok(times) => {
+                        found.truncate(open.len() - 1);
+                        found.push((open[open.len() - 1].0, last, times));
+                        (next, rest) = (last + 1, after);
+                        break;
+                    }
+                    Err(fault) if ends.is_empty() => {
+                        first_fault.get_or_insert(fault);
+                    }
+                    Err(_) => {}
+                }
+            }
+        }
+    }
+}
+
 /// The moves that have steps, with the times of these.
 fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, String> {
-    let mut rest = trace;
     let mut moves = Vec::new();
-    // Moves of no steps pass their length on to the next one.
-    let mut carried = 0.0;
-    for line in lines {
+    let mut next = 0;
+    for (first, last, times) in (Joins { lines, limits }).follow(trace)? {
+        // Moves of no steps pass their length on to the next one.
+        let skipped = &lines[next..first];
+        let carried: f64 = skipped.iter().map(|line| norm(std::array::from_fn(|a| line.to[a] - line.from[a]))).sum();
+        next = last + 1;
+        let line = &Line { to: lines[last].to, ..lines[first] };
         let delta: [f64; AXES] = std::array::from_fn(|a| line.to[a] - line.from[a]);
         let length = norm(delta);
-        let (from, to) = (limits.place(line.from), limits.place(line.to));
-        let (_, count) = dominant(from, to);
-        if count == 0 {
-            carried += length;
-            continue;
-        }
+        let count = dominant(limits.place(line.from), limits.place(line.to)).1;
         let unit = delta.map(|d| d / length);
         let rate = limits.along(limits.rate, unit);
         moves.push(Move {
@@ -165,12 +268,8 @@ fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, 
             acceleration: limits.along(limits.acceleration, unit),
             pitch: (length + carried) / count as f64,
             slack: 0.5 / count as f64,
-            times: follow_line(&mut rest, from, to)?,
+            times,
         });
-        carried = 0.0;
-    }
-    if let Some(pulse) = rest.first() {
-        return Err(format!("{} pulses after the end of the last move, the first at {}", rest.len(), pulse.at));
     }
     Ok(moves)
 }

@@ -10,6 +10,7 @@ mod examples;
 mod host;
 mod jerk;
 mod jerk_in_use;
+mod joined;
 mod kinematics;
 mod known_jobs;
 mod motion_properties;

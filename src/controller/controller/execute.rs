@@ -415,6 +415,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         } else if job.jog {
             self.mode = Mode::Jog { cancelling: false };
             self.start_motion();
+        } else if self.motion.has_joined_enough() {
+            self.start_queued();
         }
         taken
     }

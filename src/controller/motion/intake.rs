@@ -122,7 +122,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     }
 
     /// mm from the end of the queue.
-    fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
+    pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {
             let way = (*to - *from).to_mm();
@@ -133,6 +133,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32, chord: bool) {
+        let promised2 = self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord);
         let ends = self.true_ends(&m.target, target_steps, chord);
         let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
@@ -189,6 +190,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             if let Some(motors) = self.take_up(&mut steps, &mut directions, &moved, length, acceleration, speed) {
                 (acceleration, limit) = self.limits(&motors, length);
                 block.jerk = self.jerk_along(&motors, length, acceleration);
+                self.join.close();
             }
         }
         block.legs = match ends {
@@ -222,11 +224,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if waits || self.waited {
             let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
             block.corner2 = lesser(block.corner2, square * self.turns.deviation * SQUARE_CORNER);
+            self.join.close();
         }
         self.waited = waits;
         if core::mem::take(&mut self.tool_stands) {
             block.corner2 = 0.0;
         }
+        block.corner2 = greater(block.corner2, promised2);
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
@@ -235,8 +239,10 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
         }
         self.planner.push(block, self.overrides);
-        let planner = &mut self.planner;
-        self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
+        if !self.join.keeps(&piece) {
+            let planner = &mut self.planner;
+            self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
+        }
         self.planner.plan();
     }
 
@@ -271,7 +277,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Greatest acceleration and speed along a way of this length at which no axis goes beyond its own.
     #[inline]
-    fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
+    pub(super) fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
         for ((part, most), rate) in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {
@@ -298,7 +304,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Greatest jerk along a way of this length at which no axis goes beyond its own.
     #[inline]
-    fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+    pub(super) fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
         let mut jerk = acceleration / LEAST_EASE;
         if self.planner.jerk_limited {
             for (part, most) in way.iter().zip(self.jerk) {
@@ -423,6 +429,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // The tool stands: a beam would burn a hole.
         block.power = 0;
         self.tool_stands = true;
+        self.end_join();
         self.planner.push(block, self.overrides);
         self.planner.plan();
     }

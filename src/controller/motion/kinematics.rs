@@ -82,6 +82,20 @@ impl<const N: usize> Kinematics<N> {
         way
     }
 
+    /// The ways of the motors' belts or screws (mm) that move the tool by these ways.
+    pub(super) fn way_of_motors(&self, way: &[f32; N]) -> [f32; N] {
+        let mut motors = *way;
+        if let (Arrangement::CoreXy, [x, y, ..]) = (self.arrangement, motors.as_mut_slice()) {
+            (*x, *y) = (*x + *y, *x - *y);
+        }
+        motors
+    }
+
+    /// The way of each motor's belt or screw in half a step, mm.
+    pub(super) fn half_mm(&self) -> [f32; N] {
+        self.steps_per_mm.0.map(|scale| 0.5 / scale.to_f32())
+    }
+
     /// The place that steps stand for.
     pub(super) fn place(&self, steps: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let place = self.steps_per_mm.zip(steps, |scale, count| scale.coordinate(count));

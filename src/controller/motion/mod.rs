@@ -17,6 +17,7 @@ mod flight;
 mod handover;
 mod intake;
 mod jerk;
+mod join;
 mod kinematics;
 mod measure;
 mod planner;
@@ -37,6 +38,7 @@ use block::{NO_OVERRIDE, Overrides};
 use curvature::{Chain, TurnRule};
 use flight::Flight;
 pub use handover::QUEUED_TIME_MS;
+use join::Join;
 use kinematics::Kinematics;
 use measure::{signed_add, steps_taken};
 use planner::Planner;
@@ -249,6 +251,8 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     settings: MotionSettings<N>,
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     chain: Chain<N>,
+    /// The last block, as far as short moves may continue it.
+    join: Join<N>,
 
     flight: Flight<N>,
     planner: Planner<N, BLOCKS>,
@@ -319,6 +323,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             waited: false,
             tool_stands: false,
             chain: Chain::new(),
+            join: Join::NONE,
             long: None,
             running: Running {
                 active: false,
@@ -358,6 +363,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         self.settings = settings;
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
+        self.join.configure(&self.kinematics);
         self.max_rate = settings.max_rate.0.map(|rate| bounded(rate, LEAST_SPEED, GREATEST_SPEED));
         self.turns.acceleration =
             settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION));
@@ -389,6 +395,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let motors = Motors { lead: self.backlash.lead(), ..motors };
         let steps = motors.tool();
         self.planner.clear();
+        self.join.forget();
         self.long = None;
         self.running.active = false;
         self.far = None;

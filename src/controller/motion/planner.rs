@@ -172,6 +172,15 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         }
     }
 
+    pub(super) fn last(&self) -> Option<&Block<N>> {
+        self.block(self.len.checked_sub(1)?)
+    }
+
+    /// Removes the last block, which must not be running; another one has to follow.
+    pub(super) fn take_back(&mut self) {
+        self.len = self.len.saturating_sub(1);
+    }
+
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
     pub(super) fn push(&mut self, mut block: Block<N>, overrides: Overrides) -> bool {
         if self.len >= BLOCKS {
@@ -186,7 +195,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         let slot = self.slot(self.len);
         if let Some(place) = self.blocks.get_mut(slot) {
             *place = block;
-            self.changed = self.len;
+            self.changed = self.changed.min(self.len);
             self.len += 1;
         }
         true
@@ -223,6 +232,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         } else {
             self.reverse_pass();
         }
+        self.changed = usize::MAX;
     }
 
     /// Applies new overrides to all blocks.

@@ -4,6 +4,7 @@
 
 mod arcs;
 mod jobs;
+mod joins;
 mod ramps;
 mod rig;
 mod steps;

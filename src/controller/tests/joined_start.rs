@@ -1,0 +1,41 @@
+//! A program begins to move when as many of its moves are queued as the look-ahead has blocks, joined or not.
+
+use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, Sensed, ToStep};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile, StepRates};
+
+const NOW: Instant = Instant::from_ticks(0);
+const BLOCKS: usize = 16;
+
+/// Moves along X of this length that are sent until the machine begins to move, while more are always waiting.
+fn moves_before_the_start(millimetres: f64) -> usize {
+    let mut controller = Box::new(Controller::<3, BLOCKS>::new(Profile {
+        name: "test",
+        step_clock_hz: 1_000_000,
+        rates: StepRates { safe_hz: 100_000, attention_ns: 0 },
+        has_second_motor: false,
+        has_store: false,
+    }));
+    controller.start(NOW);
+    controller.event(NOW, Event::Signals(Sensed::default()));
+    for count in 0..1000 {
+        let line = format!("G1 F600 X{:.3}\n", millimetres * f64::from(count + 1));
+        for byte in line.bytes() {
+            controller.event(NOW, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
+        }
+        controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 0, received: 100 });
+        while let Some(output) = controller.output(NOW, Room { step: true, reply: true }) {
+            if let Output::Step(ToStep::Segment(_)) = output {
+                return count as usize + 1;
+            }
+        }
+    }
+    panic!("does not begin to move");
+}
+
+#[test]
+fn joined_moves_do_not_put_off_the_start() {
+    let separate = moves_before_the_start(1.0);
+    assert!((BLOCKS..=BLOCKS + 1).contains(&separate));
+    assert!(moves_before_the_start(0.02) <= separate);
+}
