@@ -277,8 +277,9 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     let mut second = open();
     let mut lines = BufReader::new(second.try_clone().expect("a file")).lines().map(|line| line.expect("text"));
     assert_eq!([lines.next(), lines.next()].map(Option::unwrap_or_default), ["", WELCOME]);
-    second.write_all(b"5\n?").expect("it reads");
+    second.write_all(b"5\n").expect("it reads");
     assert_eq!(lines.next().as_deref(), Some("error:1"));
+    second.write_all(b"?").expect("it reads");
     assert!(lines.next().is_some_and(|line| line.contains("MPos:0.000")));
     drop(done);
     watch.join().expect("no panic").expect("a program");

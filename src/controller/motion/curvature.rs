@@ -64,9 +64,9 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Greatest speed² at their entries.
     pub speed2: f32,
-    /// One slower entry is enough: most of the turn may be a corner, for which the machine brakes and from which it speeds
+    /// One slower entry among these blocks, nearest and farthest, is enough: most of the turn may be a corner, for which the machine brakes and from which it speeds
     /// up with the acceleration of the axes, so that the whole takes the time that it must.
-    pub once: bool,
+    pub once: Option<(usize, usize)>,
     /// What the bend leaves of the acceleration.
     pub curve: CurveLoad,
     pub nearest: usize,
@@ -193,12 +193,14 @@ impl<const N: usize> History<N> {
                 let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
                 // Of neighbours up to the middle of each; otherwise what is between, where the path is slowest.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
+                let start = behind + own - 1 + blocks;
+                let once = limit.turn2 > RADIAN2 && !spread && !bent;
                 found(Bend {
                     speed2: limit.speed2,
-                    once: limit.turn2 > RADIAN2 && !spread && !bent,
+                    once: once.then_some((behind, start + usize::from(old.blocks) - 1)),
                     curve: CurveLoad::NONE,
                     nearest: behind + halves.0,
-                    farthest: behind + own - 1 + blocks + halves.1,
+                    farthest: start + halves.1,
                 });
             }
             between += old.path;
@@ -210,7 +212,7 @@ impl<const N: usize> History<N> {
             // A bend that somebody has drawn: no corner, so nothing is granted but what a square corner has.
             let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
             let speed2 = greater(bend.speed2(), square);
-            found(Bend { speed2, once: false, curve: bend, nearest: behind + own, farthest });
+            found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
         }
         self.0 = [new, *first, *second, *third];
     }

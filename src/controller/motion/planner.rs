@@ -205,12 +205,15 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
-        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
-        // Where the slow entry has been passed already it is not to be found any more.
-        let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
-        if bend.once && (bend.farthest >= newest || blocks.clone().any(is_slow)) {
-            return;
+        if let Some((nearest, farthest)) = bend.once {
+            // Where the slow entry has been passed already it is not to be found any more.
+            let Some(first) = newest.checked_sub(farthest).filter(|first| *first > 0) else { return };
+            let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
+            if (first..=newest - nearest).any(is_slow) {
+                return;
+            }
         }
+        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
         for place in blocks {
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
