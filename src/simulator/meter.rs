@@ -22,8 +22,8 @@ const LONGEST_WINDOW: usize = 1024;
 const SPEED_TOLERANCE: f64 = 0.005;
 /// The same for an acceleration.
 const ACCELERATION_TOLERANCE: f64 = 0.02;
-/// The same for a speed in a drawing.
-const DRAWN_TOLERANCE: f64 = 0.03;
+/// The same for a speed in a drawing. It is seldom reached, and a longer window would blur what follows a short block.
+const DRAWN_TOLERANCE: f64 = 0.06;
 /// How far the end of a block may be from the step that it is rounded to, in steps. The planner rounds the time of a block
 /// as far.
 const ROUNDING: f64 = 0.5;
@@ -176,8 +176,10 @@ pub struct Meter {
     waited: f64,
     /// Ends of the last segments since rest.
     nodes: VecDeque<Node>,
-    /// Segments since power-up.
+    /// Segments since power-up, and those since the last change between rapids and feeds.
     segments: usize,
+    alike: usize,
+    rapid: bool,
     /// Short blocks whose length is not yet counted.
     pending: Pending,
     measured: Measured,
@@ -199,6 +201,8 @@ impl Meter {
             waited: 0.0,
             nodes: VecDeque::with_capacity(2 * LONGEST_WINDOW + 2),
             segments: 0,
+            alike: 0,
+            rapid: false,
             pending: Pending::default(),
             measured: Measured::default(),
             drawing: None,
@@ -329,6 +333,8 @@ impl Meter {
             self.nodes.push_back(node);
         }
         self.segments += 1;
+        self.alike = if rapid == self.rapid { self.alike + 1 } else { 1 };
+        self.rapid = rapid;
         self.peak_speed();
         self.peak_acceleration();
         if self.drawing.is_some() {
@@ -380,12 +386,6 @@ impl Meter {
         }
     }
 
-    /// Lengths of the windows to look at now: a long one four times in its length.
-    fn due_scales(&self) -> impl Iterator<Item = usize> + use<> {
-        let segments = self.segments;
-        scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
-    }
-
     /// The last node, and the one before it by so many segments.
     fn window(&self, segments: usize) -> Option<(&Node, &Node)> {
         let last = self.nodes.len().checked_sub(1)?;
@@ -395,7 +395,7 @@ impl Meter {
     fn draw_segment(&mut self, seconds: f64, time: f64, rapid: bool, done: f64) {
         // The shortest window that is good enough for the eye, or else the longest.
         let mut known = None;
-        for segments in scales() {
+        for segments in scales().take_while(|segments| *segments <= self.alike) {
             let Some((from, to)) = self.window(segments) else { break };
             let (along, straight) = (from.along(to), from.straight(to));
             let way = if straight.wrong() < along.wrong() && straight.length > along.length { straight } else { along };
@@ -424,7 +424,7 @@ impl Meter {
 
     fn peak_speed(&mut self) {
         let mut measured = self.measured;
-        for segments in self.due_scales() {
+        for segments in due_scales(self.segments) {
             let Some((from, to)) = self.window(segments) else { break };
             let along = from.along(to);
             if along.time <= 0.0 {
@@ -456,7 +456,7 @@ impl Meter {
 
     fn peak_acceleration(&mut self) {
         let mut measured = self.measured;
-        for segments in self.due_scales() {
+        for segments in due_scales(self.segments) {
             let (Some((middle, to)), Some((from, _))) = (self.window(segments), self.window(2 * segments)) else {
                 break;
             };
@@ -554,6 +554,11 @@ impl Meter {
 /// Lengths of windows, in segments.
 fn scales() -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
+}
+
+/// Lengths of the windows to look at after so many segments: a long one four times in its length.
+fn due_scales(segments: usize) -> impl Iterator<Item = usize> {
+    scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
 }
 
 /// Change of speed per time between two neighbouring ways, and how wrong it may be.

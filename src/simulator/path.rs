@@ -48,24 +48,28 @@ pub struct Point {
     pub rapid: bool,
 }
 
-/// Least and greatest speed in a span of time.
+/// Speeds in a span of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Column {
-    /// Least speed, mm/s.
-    pub low: f32,
-    /// Greatest speed, mm/s.
-    pub high: f32,
-    /// Whether anything is known of the span; if not, nothing changed in it.
-    pub known: bool,
+    /// Least and greatest speed of feeds in mm/s, 0 at rest; if anything but rapids is known of the span.
+    pub feed: Option<(f32, f32)>,
+    /// Greatest speed of rapids, mm/s; if there was one.
+    pub rapid: Option<f32>,
 }
 
 impl Column {
-    fn merge(self, other: Column) -> Column {
-        match (self.known, other.known) {
-            (true, true) => Column { low: self.low.min(other.low), high: self.high.max(other.high), known: true },
-            (true, false) => self,
-            _ => other,
-        }
+    pub(crate) fn merge(self, other: Column) -> Column {
+        let feed = match (self.feed, other.feed) {
+            (Some((low, high)), Some((l, h))) => Some((low.min(l), high.max(h))),
+            (one, None) => one,
+            (None, other) => other,
+        };
+        Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
+    }
+
+    /// If not, nothing changed in its span.
+    fn is_known(&self) -> bool {
+        self.feed.is_some() || self.rapid.is_some()
     }
 }
 
@@ -119,15 +123,20 @@ impl Drawing {
             self.thin_out();
         }
         if self.columns.is_empty() || sample.seconds > self.end + self.width {
-            self.mark(sample.seconds, 0.0);
+            self.mark(sample.seconds, Column { feed: Some((0.0, 0.0)), rapid: None });
         }
-        self.mark(sample.known_at, point.speed);
+        let speed = point.speed;
+        let column = match sample.rapid {
+            true => Column { feed: None, rapid: Some(speed) },
+            false => Column { feed: Some((speed, speed)), rapid: None },
+        };
+        self.mark(sample.known_at, column);
         self.end = self.end.max(sample.seconds + sample.time);
     }
 
     /// The machine stands still from `seconds` on.
     pub fn rest(&mut self, seconds: f64) {
-        self.mark(seconds, 0.0);
+        self.mark(seconds, Column { feed: Some((0.0, 0.0)), rapid: None });
         self.end = self.end.max(seconds);
         self.extend = false;
     }
@@ -140,7 +149,11 @@ impl Drawing {
     /// The speed curve as (seconds from the start, column), in order of time, known columns only.
     pub fn columns(&self) -> impl Iterator<Item = (f64, Column)> + '_ {
         let middle = |index: usize| (index as f64 + 0.5) * self.width;
-        self.columns.iter().enumerate().filter(|(_, column)| column.known).map(move |(i, column)| (middle(i), *column))
+        self.columns
+            .iter()
+            .enumerate()
+            .filter(|(_, column)| column.is_known())
+            .map(move |(i, column)| (middle(i), *column))
     }
 
     /// How long the drawing is, in seconds.
@@ -148,7 +161,7 @@ impl Drawing {
         self.end - self.origin
     }
 
-    fn mark(&mut self, seconds: f64, speed: f32) {
+    fn mark(&mut self, seconds: f64, column: Column) {
         let seconds = (seconds - self.origin).max(0.0);
         while seconds >= self.width * COLUMNS as f64 {
             self.columns = self
@@ -162,7 +175,6 @@ impl Drawing {
         if self.columns.len() <= index {
             self.columns.resize(index + 1, Column::default());
         }
-        let column = Column { low: speed, high: speed, known: true };
         self.columns[index] = self.columns[index].merge(column);
     }
 
@@ -275,8 +287,9 @@ mod tests {
             s.known_at += 100.0;
             drawing.add(s);
         }
-        let (at, peak) = drawing.columns().max_by(|a, b| a.1.high.total_cmp(&b.1.high)).unwrap();
-        assert_eq!(peak.high, 99.0);
+        let top = |column: &Column| column.feed.map_or(0.0, |feed| feed.1);
+        let (at, peak) = drawing.columns().max_by(|a, b| top(&a.1).total_cmp(&top(&b.1))).unwrap();
+        assert_eq!(top(&peak), 99.0);
         assert!((at - 70.0).abs() < 0.1);
         assert!(drawing.columns().count() <= COLUMNS);
     }

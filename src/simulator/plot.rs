@@ -1,11 +1,12 @@
-//! The drawing of a job: the tool path from above, at an angle if it has depth, and path speed over time.
+//! The drawing of a job: the tool path from above, coloured by speed; at an angle and coloured by height, if it has depth;
+//! and path speed over time.
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.
 
 use crate::boards::AXES;
 use crate::files::Output;
-use crate::path::{Drawing, Point};
+use crate::path::{Column, Drawing, Point};
 use crate::summary::{Summary, clock_time, counted};
 use anyhow::{Context, Result, anyhow, bail};
 use plotters::coord::Shift;
@@ -20,6 +21,8 @@ const SIZE: (u32, u32) = (1400, 1040);
 const FINE: i32 = 10;
 /// Pixels of a PNG for a pixel of the drawing.
 const PNG_SCALE: f32 = 1.5;
+/// Width of a colour scale with its marks, in pixels.
+const BAR: i32 = 95;
 /// Space left free around the tool path, as a part of its size.
 const MARGIN: f64 = 0.06;
 /// A job is drawn at an angle too if its depth is at least this part of its width.
@@ -27,8 +30,13 @@ const DEPTH: f64 = 0.005;
 /// Columns of the speed curve.
 const CURVE_COLUMNS: usize = 1200;
 
-/// Shades of the speed scale, less one.
+/// Shades of a scale, less one.
 const SHADES: f64 = 23.0;
+/// Height of the view at an angle, as a part of its width and depth: Z is drawn as many times as high as comes below.
+const HEIGHT: f64 = 0.4;
+/// Directions from which that view is seen, in radians: from the right of the front, and from above.
+const ASIDE: f64 = 0.52;
+const ABOVE: f64 = 0.87;
 
 const INK: RGBColor = RGBColor(38, 42, 48);
 const FAINT: RGBColor = RGBColor(228, 231, 235);
@@ -37,6 +45,7 @@ const RAPID: RGBColor = RGBColor(120, 126, 134);
 const START: RGBColor = RGBColor(22, 150, 72);
 const END: RGBColor = RGBColor(208, 40, 44);
 const CURVE: RGBColor = RGBColor(44, 98, 168);
+const RAPID_CURVE: RGBColor = RGBColor(150, 156, 164);
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -127,18 +136,22 @@ fn sheet(root: &Area, drawing: &Drawing, summary: &Summary) -> Drawn {
     let (views, curve) = rest.split_vertically(px(670));
     heading(&head, summary)?;
 
-    let scale = SpeedScale::of(drawing);
-    let (views, bar) = views.split_horizontally(px(SIZE.0 as i32 - 120));
-    let bounds = Bounds::of(drawing.points());
-    if bounds.size(2) >= DEPTH * bounds.size(0).max(bounds.size(1)) && bounds.size(2) > 0.0 {
-        let (left, right) = views.split_horizontally(px(700));
-        plan(&left, drawing.points(), &bounds, &scale)?;
-        angled(&right, drawing.points(), &bounds, &scale)?;
-    } else {
-        plan(&views, drawing.points(), &bounds, &scale)?;
+    let points = drawing.points();
+    let speed = Scale::of_speed(points);
+    let bounds = Bounds::of(points);
+    let deep = bounds.size(2) >= DEPTH * bounds.size(0).max(bounds.size(1)) && bounds.size(2) > 0.0;
+    let width = if deep { 610 } else { SIZE.0 as i32 - BAR };
+    let (view, rest) = views.split_horizontally(px(width));
+    let (bar, rest) = rest.split_horizontally(px(BAR));
+    plan(&view, points, &bounds, &speed)?;
+    scale_bar(&bar, ["Feed,", "mm/min"], &speed)?;
+    if deep {
+        let height = Scale::of_height(points, &bounds);
+        let (view, bar) = rest.split_horizontally(px(SIZE.0 as i32 - width - 2 * BAR));
+        angled(&view, points, &bounds, &height)?;
+        scale_bar(&bar, ["Height Z,", "mm"], &height)?;
     }
-    scale_bar(&bar, &scale)?;
-    speed_curve(&curve, drawing)
+    speed_curve(&curve, drawing, &speed)
 }
 
 fn heading(area: &Area, summary: &Summary) -> Drawn {
@@ -174,7 +187,7 @@ fn heading(area: &Area, summary: &Summary) -> Drawn {
     x += px(130);
     for part in 0..24 {
         let from = x + px(part * 2);
-        let color = colour(f64::from(part) / 23.0);
+        let color = colour(&SPEEDS, f64::from(part) / 23.0);
         area.draw(&PathElement::new([(from, row), (from + px(2), row)], line(color, 30)))?;
     }
     area.draw_text("feed, by speed", &small(), (x + px(56), row - px(8)))?;
@@ -218,62 +231,93 @@ impl Bounds {
     }
 }
 
-/// Colours for the speeds of feeds.
-struct SpeedScale {
-    /// Greatest speed of a feed in mm/min, rounded up to a number that reads well.
-    top: f64,
+/// Colours for the speeds or heights of feeds.
+struct Scale {
+    low: f64,
+    high: f64,
+    /// From mark to mark.
     step: f64,
+    stops: &'static [(f64, f64, f64)],
 }
 
-impl SpeedScale {
-    fn of(drawing: &Drawing) -> Self {
-        let top = drawing.points().iter().skip(1).filter(|p| !p.rapid).map(|p| f64::from(p.speed) * 60.0);
-        let top = top.fold(0.0, f64::max);
-        if top <= 0.0 {
-            return Self { top: 1.0, step: 1.0 };
-        }
-        let step = round_step(top / 5.0);
-        // Within a thousandth of a mark: the feed itself, not more than it.
-        Self { top: ((top / step - 0.001).ceil() * step).max(step), step }
+impl Scale {
+    /// From 0 to the greatest speed of a feed in mm/min.
+    fn of_speed(points: &[Point]) -> Self {
+        let top = points.iter().skip(1).filter(|p| !p.rapid).map(|p| f64::from(p.speed) * 60.0).fold(0.0, f64::max);
+        let (high, step) = if top > 0.0 { tight(top) } else { (1.0, 1.0) };
+        Self { low: 0.0, high, step, stops: &SPEEDS }
     }
 
-    fn part(&self, mm_s: f32) -> f64 {
-        (f64::from(mm_s) * 60.0 / self.top).clamp(0.0, 1.0)
+    /// From the least to the greatest height of a feed in mm.
+    fn of_height(points: &[Point], bounds: &Bounds) -> Self {
+        let feeds = points.windows(2).filter(|pair| !pair[1].rapid).flatten().map(|point| f64::from(point.at[2]));
+        let (low, high) = feeds.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        let (low, high) = if low < high { (low, high) } else { (bounds.low[2], bounds.high[2]) };
+        let step = tight(high - low).1;
+        Self { low, high, step, stops: &HEIGHTS }
     }
 
     /// Pieces of path whose shades differ less than the eye sees are drawn as one.
-    fn shade(&self, mm_s: f32) -> u8 {
-        (self.part(mm_s) * SHADES).round() as u8
+    fn shade(&self, value: f64) -> u8 {
+        (((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0) * SHADES).round() as u8
+    }
+
+    fn colour(&self, part: f64) -> RGBColor {
+        colour(self.stops, part)
+    }
+
+    /// Places of the marks.
+    fn marks(&self) -> impl Iterator<Item = f64> {
+        let first = (self.low / self.step - 0.001).ceil();
+        let count = ((self.high / self.step + 0.001).floor() - first).max(0.0) as usize;
+        (0..=count).map(move |mark| (first + mark as f64) * self.step)
     }
 }
 
-/// The number 1, 2 or 5 times a power of ten that is next above.
-fn round_step(value: f64) -> f64 {
-    let power = 10_f64.powf(value.max(1e-9).log10().floor());
-    [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|step| *step >= value * 0.999).unwrap_or(power * 10.0)
+/// The end of a scale from 0 to at least `top`, and its steps: 3 to 8 of them, of 1, 2, 2.5 or 5 times a power of ten, that
+/// reach the least beyond. A hundredth more than an end is the end: the feed itself, not more than it.
+fn tight(top: f64) -> (f64, f64) {
+    let power = 10_f64.powf(top.max(1e-9).log10().floor() - 1.0);
+    let steps = [1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0].map(|step| step * power);
+    let end = |step: f64| (top * 0.99 / step).ceil().max(1.0) * step;
+    let good =
+        steps.into_iter().map(|step| (end(step), step)).filter(|(end, step)| end / step < 8.5 && end / step > 2.5);
+    // Of two that end at the same place the one with fewer marks.
+    good.min_by(|a, b| (a.0 - a.1 * 1e-6).total_cmp(&(b.0 - b.1 * 1e-6))).unwrap_or((top, top))
 }
 
-/// A colour for 0..=1: dark blue through green to orange. All are dark enough for thin lines on white, and their
-/// lightness rises evenly, so they keep their order in grey and for colour-blind eyes.
-fn colour(part: f64) -> RGBColor {
-    const STOPS: [(f64, f64, f64); 6] = [
-        (48.0, 18.0, 110.0),
-        (46.0, 76.0, 158.0),
-        (24.0, 128.0, 150.0),
-        (40.0, 166.0, 104.0),
-        (160.0, 186.0, 36.0),
-        (246.0, 170.0, 20.0),
-    ];
-    let at = part.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    let index = (at as usize).min(STOPS.len() - 2);
-    let (a, b, t) = (STOPS[index], STOPS[index + 1], at - index as f64);
+/// Dark blue through green to orange. All are dark enough for thin lines on white, and their lightness rises evenly, so
+/// they keep their order in grey and for colour-blind eyes.
+const SPEEDS: [(f64, f64, f64); 6] = [
+    (48.0, 18.0, 110.0),
+    (46.0, 76.0, 158.0),
+    (24.0, 128.0, 150.0),
+    (40.0, 166.0, 104.0),
+    (160.0, 186.0, 36.0),
+    (246.0, 170.0, 20.0),
+];
+/// The deeper the darker.
+const HEIGHTS: [(f64, f64, f64); 4] =
+    [(52.0, 16.0, 40.0), (132.0, 28.0, 62.0), (206.0, 92.0, 70.0), (240.0, 186.0, 130.0)];
+
+/// A colour for 0..=1.
+fn colour(stops: &[(f64, f64, f64)], part: f64) -> RGBColor {
+    let at = part.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
+    let index = (at as usize).min(stops.len() - 2);
+    let (a, b, t) = (stops[index], stops[index + 1], at - index as f64);
     let mix = |a: f64, b: f64| (a + (b - a) * t).round() as u8;
     RGBColor(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
 }
 
-/// The path as lines of one style each: `project` puts a point on the paper.
-fn draw_path(area: &Area, points: &[Point], scale: &SpeedScale, project: impl Fn(&Point) -> (i32, i32)) -> Drawn {
-    let style = |point: &Point| if point.rapid { None } else { Some(scale.shade(point.speed)) };
+/// The path as lines of one style each: `project` puts a point on the paper, `shade` chooses the colour of the way to it.
+fn draw_path(
+    area: &Area,
+    points: &[Point],
+    scale: &Scale,
+    shade: impl Fn(&Point) -> u8,
+    project: impl Fn(&Point) -> (i32, i32),
+) -> Drawn {
+    let style = |point: &Point| if point.rapid { None } else { Some(shade(point)) };
     // Rapids first, so that they never hide a cut.
     for rapids in [true, false] {
         let mut index = 1;
@@ -289,7 +333,7 @@ fn draw_path(area: &Area, points: &[Point], scale: &SpeedScale, project: impl Fn
                     None => dashes(area, &places)?,
                     Some(_) if places.len() < 2 => {}
                     Some(shade) => {
-                        area.draw(&PathElement::new(places, line(colour(f64::from(shade) / SHADES), 15)))?;
+                        area.draw(&PathElement::new(places, line(scale.colour(f64::from(shade) / SHADES), 15)))?;
                     }
                 }
             }
@@ -297,6 +341,22 @@ fn draw_path(area: &Area, points: &[Point], scale: &SpeedScale, project: impl Fn
         }
     }
     Ok(())
+}
+
+/// The path with points between those of a steep way, so that each piece has about one height.
+fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
+    let mut fine = Vec::with_capacity(points.len());
+    fine.extend(points.first());
+    for pair in points.windows(2) {
+        let shades = pair.iter().map(|point| scale.shade(f64::from(point.at[2]))).collect::<Vec<_>>();
+        let parts = if pair[1].rapid { 1 } else { shades[0].abs_diff(shades[1]).max(1) };
+        for part in 1..=parts {
+            let t = f32::from(part) / f32::from(parts);
+            let at = std::array::from_fn(|axis| pair[0].at[axis] + (pair[1].at[axis] - pair[0].at[axis]) * t);
+            fine.push(Point { at, ..pair[1] });
+        }
+    }
+    fine
 }
 
 /// Leaves out places nearer to the one before than the eye sees, but never the last.
@@ -357,7 +417,7 @@ fn equal_scale(low: [f64; 2], high: [f64; 2], pixels: [f64; 2]) -> ([f64; 2], [f
     ([middle[0] - half[0], middle[1] - half[1]], [middle[0] + half[0], middle[1] + half[1]])
 }
 
-fn plan(area: &Area, points: &[Point], bounds: &Bounds, scale: &SpeedScale) -> Drawn {
+fn plan(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let (left, bottom, margin) = (px(72), px(52), px(14));
     let caption = px(30);
@@ -394,7 +454,7 @@ fn plan(area: &Area, points: &[Point], bounds: &Bounds, scale: &SpeedScale) -> D
         let x = (f64::from(point.at[0]) - low[0]) * per_mm;
         (x as i32, ((high[1] - f64::from(point.at[1])) / (high[1] - low[1]) * f64::from(height)) as i32)
     };
-    draw_path(&whole, points, scale, project)?;
+    draw_path(&whole, points, scale, |point| scale.shade(f64::from(point.speed) * 60.0), project)?;
     start_and_end(&whole, points, project)
 }
 
@@ -409,18 +469,31 @@ fn tidy(value: f64, places: usize) -> String {
     if text == "-0" { "0".into() } else { text.replace('-', "\u{2212}") }
 }
 
-/// The path from the front right and above: all three axes have one scale.
-fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &SpeedScale) -> Drawn {
+/// How many times as high as it is Z is drawn at an angle, so that a shallow job is no flat sheet.
+fn stretch(bounds: &Bounds) -> f64 {
+    let most = HEIGHT * bounds.size(0).max(bounds.size(1)) / bounds.size(2);
+    [50.0, 20.0, 10.0, 5.0, 2.0].into_iter().find(|times| *times <= most).unwrap_or(1.0)
+}
+
+/// The path from the front right and above.
+fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Drawn {
+    let stretch = stretch(bounds);
     let flat = |x: f64, y: f64, z: f64| {
-        let (half, third) = (0.5_f64.sqrt(), 6.0_f64.sqrt());
-        [(x + y) * half, (y - x + 2.0 * z) / third]
+        let back = y * ASIDE.cos() - x * ASIDE.sin();
+        [x * ASIDE.cos() + y * ASIDE.sin(), back * ABOVE.sin() + z * stretch * ABOVE.cos()]
     };
     let (width, height) = area.dim_in_pixel();
     let caption = px(30);
-    area.draw_text("At an angle", &font(15), (px(24), px(10)))?;
+    let label = |axis: usize| {
+        let places = decimals(bounds.size(axis));
+        let (low, high) = (tidy(bounds.low[axis], places), tidy(bounds.high[axis], places));
+        format!("{} {low} to {high} mm", ['X', 'Y', 'Z'][axis])
+    };
+    let times = if stretch > 1.0 { format!(", drawn {stretch} times as high") } else { String::new() };
+    area.draw_text(&format!("At an angle: {}{times}", label(2)), &font(15), (px(24), px(10)))?;
     let (_, below) = area.split_vertically(caption);
     // Room for the labels around the box.
-    let (side, foot) = (px(80), px(60));
+    let (side, foot) = (px(16), px(46));
     let pixels = [f64::from(width as i32 - 2 * side), f64::from(height as i32 - caption - 2 * foot)];
     let (low_at, high_at) = (bounds.low, bounds.high);
     let corner = |bits: usize| {
@@ -443,82 +516,111 @@ fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &SpeedScale) ->
         below.draw(&PathElement::new(ends, line(if from & 4 == 0 && axis != 2 { FRAME } else { FAINT }, 10)))?;
     }
     let project = |point: &Point| paper(flat(f64::from(point.at[0]), f64::from(point.at[1]), f64::from(point.at[2])));
-    draw_path(&below, points, scale, project)?;
+    let fine = by_height(points, scale);
+    draw_path(&below, &fine, scale, |point| scale.shade(f64::from(point.at[2])), project)?;
     start_and_end(&below, points, project)?;
 
-    let label = |axis: usize| {
-        let places = decimals(bounds.size(axis));
-        let (low, high) = (tidy(low_at[axis], places), tidy(high_at[axis], places));
-        format!("{} {low} to {high} mm", ['X', 'Y', 'Z'][axis])
-    };
-    let middle = |a: usize, b: usize| {
+    let between = |a: usize, b: usize, part: f64| {
         let (a, b) = (paper(corner(a)), paper(corner(b)));
-        ((a.0 + b.0) / 2, (a.1 + b.1) / 2)
+        let place = |a: i32, b: i32| a + (f64::from(b - a) * part) as i32;
+        (place(a.0, b.0), place(a.1, b.1))
     };
-    let anchored = |h, v| small().pos(Pos::new(h, v));
-    let (x, y) = middle(0, 1);
-    below.draw_text(&label(0), &anchored(HPos::Right, VPos::Top), (x - px(12), y + px(8)))?;
-    let (x, y) = middle(1, 3);
-    below.draw_text(&label(1), &anchored(HPos::Left, VPos::Top), (x + px(12), y + px(8)))?;
-    let (x, y) = paper(corner(4));
-    below.draw_text(&label(2), &anchored(HPos::Left, VPos::Bottom), (x.min(px(480)) - px(20), y - px(20)))?;
+    let bottom = height as i32 - caption - px(24);
+    let anchored = |h| small().pos(Pos::new(h, VPos::Top));
+    let (x, y) = between(0, 1, 0.4);
+    below.draw_text(&label(0), &anchored(HPos::Right), (x.max(px(130)), (y + px(14)).min(bottom)))?;
+    let (x, y) = between(1, 3, 0.25);
+    let (free, edge) = (x + px(16), width as i32 - px(134));
+    // Without room beside a short edge it comes below.
+    let y = if free <= edge { y } else { paper(corner(1)).1 };
+    below.draw_text(&label(1), &anchored(HPos::Left), (free.min(edge), (y + px(10)).min(bottom)))?;
     Ok(())
 }
 
-fn scale_bar(area: &Area, scale: &SpeedScale) -> Drawn {
+fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
     let (top, bottom, left, right) = (px(70), px(560), px(8), px(28));
-    area.draw_text("Feed,", &small(), (left, top - px(46)))?;
-    area.draw_text("mm/min", &small(), (left, top - px(28)))?;
+    area.draw_text(title[0], &small(), (left, top - px(46)))?;
+    area.draw_text(title[1], &small(), (left, top - px(28)))?;
     let parts = 98;
     // Each reaches to the top and the next covers it, so that no seams show between them.
     for part in 0..parts {
         let at = |part: i32| bottom - (bottom - top) * part / parts;
-        let color = colour(f64::from(part) / f64::from(parts - 1));
+        let color = scale.colour(f64::from(part) / f64::from(parts - 1));
         area.draw(&Rectangle::new([(left, top), (right, at(part))], color.filled()))?;
     }
     area.draw(&Rectangle::new([(left, top), (right, bottom)], line(FRAME, 10)))?;
-    let places = decimals(scale.top);
-    let marks = (scale.top / scale.step).round() as i32;
-    for mark in 0..=marks {
-        let y = bottom - (bottom - top) * mark / marks.max(1);
+    let places = decimals(scale.high - scale.low);
+    for mark in scale.marks() {
+        let y = bottom - (f64::from(bottom - top) * (mark - scale.low) / (scale.high - scale.low)) as i32;
         area.draw(&PathElement::new([(right, y), (right + px(4), y)], line(FRAME, 10)))?;
         let style = small().pos(Pos::new(HPos::Left, VPos::Center));
-        area.draw_text(&tidy(f64::from(mark) * scale.step, places), &style, (right + px(8), y))?;
+        area.draw_text(&tidy(mark, places), &style, (right + px(8), y))?;
     }
     Ok(())
 }
 
-/// The speed curve in at most so many spans, each with its least and greatest speed in mm/min.
-fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, f64, f64)> {
+/// The speeds of at most so many spans of time, each with its beginning.
+fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     let width = drawing.seconds() / most as f64;
-    let mut spans: Vec<(f64, f64, f64)> = Vec::new();
+    let mut spans: Vec<(f64, Column)> = Vec::new();
     let mut current = usize::MAX;
     for (at, column) in drawing.columns() {
-        let (low, high) = (f64::from(column.low) * 60.0, f64::from(column.high) * 60.0);
         let index = if width > 0.0 { (at / width) as usize } else { 0 };
         match spans.last_mut() {
-            Some(last) if index == current => {
-                last.1 = last.1.min(low);
-                last.2 = last.2.max(high);
-            }
-            _ => spans.push((at, low, high)),
+            Some(last) if index == current => last.1 = last.1.merge(column),
+            _ => spans.push((at, column)),
         }
         current = index;
     }
     spans
 }
 
-fn speed_curve(area: &Area, drawing: &Drawing) -> Drawn {
+/// Neighbours that have a value, with their places. Each value holds until the next span begins.
+fn stretches<T: Copy>(spans: &[(f64, Column)], value: impl Fn(&Column) -> Option<T>) -> Vec<Vec<(f64, T)>> {
+    let mut parts: Vec<Vec<(f64, T)>> = Vec::new();
+    let mut open = false;
+    for (at, column) in spans {
+        let value = value(column);
+        if open && let Some(part) = parts.last_mut() {
+            part.extend(value.or_else(|| part.last().map(|last| last.1)).map(|value| (*at, value)));
+        } else if let Some(value) = value {
+            parts.push(vec![(*at, value)]);
+        }
+        open = value.is_some();
+    }
+    parts
+}
+
+/// The area under a curve.
+fn under(curve: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
+    let mut area: Vec<(f64, f64)> = curve.collect();
+    if let (Some(first), Some(last)) = (area.first().copied(), area.last().copied()) {
+        area.push((last.0, 0.0));
+        area.push((first.0, 0.0));
+    }
+    area
+}
+
+fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Drawn {
     let seconds = drawing.seconds().max(0.001);
     let (unit, name) = match seconds {
         s if s >= 2.0 * 3600.0 => (3600.0, "Time, h"),
         s if s >= 300.0 => (60.0, "Time, min"),
         _ => (1.0, "Time, s"),
     };
+    let per_minute = |mm_s: f32| f64::from(mm_s) * 60.0;
     let spans = spans(drawing, CURVE_COLUMNS);
-    let top = spans.iter().map(|span| span.2).fold(0.0, f64::max).max(1e-3) * 1.08;
+    // A rapid and what follows it may be one span, so the top is that of the path's points and not of the spans.
+    let feeds = drawing.points().iter().skip(1).any(|point| !point.rapid && point.speed > 0.0);
+    let rapids = spans.iter().filter_map(|span| span.1.rapid).map(per_minute).fold(0.0, f64::max);
+    let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;
     let (left, margin) = (px(72), px(14));
-    area.draw_text("Path speed", &font(15), (left + margin, px(2)))?;
+    let caption = match rapids {
+        r if r > top => format!("Path speed (rapids, in grey, go on to {r:.0} mm/min)"),
+        r if r > 0.0 => "Path speed (rapids in grey)".into(),
+        _ => "Path speed".into(),
+    };
+    area.draw_text(&caption, &font(15), (left + margin, px(2)))?;
     let (_, below) = area.split_vertically(px(22));
     let mut chart = ChartBuilder::on(&below)
         .margin_left(margin)
@@ -544,24 +646,27 @@ fn speed_curve(area: &Area, drawing: &Drawing) -> Drawn {
         .x_label_formatter(&|v| tidy(*v, x_places))
         .y_label_formatter(&|v| tidy(*v, y_places))
         .draw()?;
-    if spans.is_empty() {
-        return Ok(());
+    for rapid in stretches(&spans, |column| column.rapid) {
+        let curve = rapid.iter().map(|(at, speed)| (at / unit, per_minute(*speed).min(top)));
+        chart.draw_series([Polygon::new(under(curve.clone()), RAPID_CURVE.mix(0.25))])?;
+        chart.draw_series([PathElement::new(curve.collect::<Vec<_>>(), line(RAPID_CURVE, 10))])?;
     }
-    let mut under: Vec<(f64, f64)> = spans.iter().map(|(at, _, high)| (at / unit, *high)).collect();
-    under.push((spans[spans.len() - 1].0 / unit, 0.0));
-    under.insert(0, (spans[0].0 / unit, 0.0));
-    chart.draw_series([Polygon::new(under, CURVE.mix(0.14))])?;
-    // Where many changes fall into a span, its least and greatest speed show as a band.
-    let mut curve: Vec<(f64, f64)> = Vec::with_capacity(spans.len() * 2);
-    for (at, low, high) in &spans {
-        let rising = curve.last().is_none_or(|last| (last.1 - low).abs() <= (last.1 - high).abs());
-        let (first, second) = if rising { (*low, *high) } else { (*high, *low) };
-        curve.push((at / unit, first));
-        if first != second {
-            curve.push((at / unit, second));
+    for feed in stretches(&spans, |column| column.feed) {
+        let high = feed.iter().map(|(at, (_, high))| (at / unit, per_minute(*high).min(top)));
+        chart.draw_series([Polygon::new(under(high), CURVE.mix(0.14))])?;
+        // Where many changes fall into a span, its least and greatest speed show as a band.
+        let mut curve: Vec<(f64, f64)> = Vec::with_capacity(feed.len() * 2);
+        for (at, (low, high)) in feed {
+            let (low, high) = (per_minute(low).min(top), per_minute(high).min(top));
+            let rising = curve.last().is_none_or(|last| (last.1 - low).abs() <= (last.1 - high).abs());
+            let (first, second) = if rising { (low, high) } else { (high, low) };
+            curve.push((at / unit, first));
+            if first != second {
+                curve.push((at / unit, second));
+            }
         }
+        chart.draw_series([PathElement::new(curve, line(CURVE, 12))])?;
     }
-    chart.draw_series([PathElement::new(curve, line(CURVE, 12))])?;
     Ok(())
 }
 
@@ -621,12 +726,50 @@ mod tests {
 
     #[test]
     fn scales_read_well() {
-        assert_eq!(round_step(0.3), 0.5);
-        assert_eq!(round_step(100.0), 100.0);
-        assert_eq!(round_step(130.0), 200.0);
+        assert_eq!(tight(1500.0), (1500.0, 500.0));
+        assert_eq!(tight(1503.0), (1500.0, 500.0), "rounding is no speed");
+        assert_eq!(tight(60.0), (60.0, 20.0));
+        assert_eq!(tight(100.0), (100.0, 25.0));
+        for top in [0.013, 7.0, 130.0, 333.0, 707.0, 920.0, 1640.0, 25_000.0] {
+            let (end, step) = tight(top);
+            assert!(end >= top * 0.99 && end <= top * 1.15, "{top} has a scale to {end}");
+            assert!((2.9..8.1).contains(&(end / step)), "{top} has marks each {step}");
+        }
         assert_eq!(tidy(-0.0001, 2), "0");
         assert_eq!(tidy(2.50, 2), "2.5");
         assert_eq!(tidy(100.0, 0), "100");
+    }
+
+    #[test]
+    fn the_speed_chart_is_scaled_to_feeds() {
+        // Rapids of 3000 mm/min, feeds of 700.
+        let svg = svg(&synthetic(), &example()).unwrap();
+        assert!(svg.contains("go on to 3000 mm/min"));
+        assert!(!svg.contains(">\n1500\n<") && svg.contains(">\n600\n<"), "marks above the feeds, or none");
+    }
+
+    #[test]
+    fn height_is_shown_by_shade_and_stretched() {
+        let drawing = synthetic();
+        let bounds = Bounds::of(drawing.points());
+        assert_eq!((bounds.size(2) as f32, stretch(&bounds)), (7.8, 2.0));
+        let scale = Scale::of_height(drawing.points(), &bounds);
+        assert!(scale.shade(-7.8) == 0 && scale.shade(0.0) > 20);
+        let svg = svg(&drawing, &example()).unwrap();
+        for text in ["Height Z,", "drawn 2 times as high", "3 lines", "1 error"] {
+            assert!(svg.contains(text), "{text}");
+        }
+        let mut one = example();
+        one.lines = 1;
+        assert!(super::svg(&drawing, &one).unwrap().contains("1 line ·"));
+    }
+
+    #[test]
+    fn a_plunge_has_all_its_heights() {
+        let down = |z: f32| Point { at: [0.0, 0.0, z], speed: 1.0, rapid: false };
+        let points = [down(0.0), down(-5.0)];
+        let scale = Scale::of_height(&points, &Bounds::of(&points));
+        assert_eq!(by_height(&points, &scale).len(), 24);
     }
 
     #[test]
