@@ -62,7 +62,6 @@ const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 const WELL_FILLED_US: u32 = 12_000;
 const LOW_WATER_US: u32 = 6_000;
 
-
 /// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
 const LOOKING: Duration = Duration::secs(2);
 /// What the controller must know of the machine it runs on.
