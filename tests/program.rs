@@ -102,6 +102,87 @@ fn drawings_and_traces_are_what_their_names_say() {
     assert_eq!(net, serde_json::json!(last.iter().map(|n| n.parse::<i64>().expect("steps")).collect::<Vec<_>>()));
 }
 
+/// Every output as one of the other files, by its own name and by others.
+#[test]
+fn no_file_is_written_over_another() {
+    let program = "G1 X1 F300\n";
+    let job = file("kept.nc", program);
+    let settings = file("kept.txt", "$100=80\n");
+    let linked = file("linked.svg", "");
+    fs::remove_file(&linked).expect("it was just made");
+    fs::hard_link(&job, &linked).expect("a link can be made");
+    let roundabout = job.parent().expect("a folder").join(".").join("kept.nc");
+    let [job, settings, linked, roundabout] = [&job, &settings, &linked, &roundabout].map(|path| text(path));
+    let fresh = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fresh.svg");
+    let fresh = text(&fresh);
+    for outputs in [
+        &["--trace", job][..],
+        &["--trace", roundabout],
+        &["--plot", linked],
+        &["--store", job],
+        &["--settings", settings, "--trace", settings],
+        &["--machine", settings, "--store", settings],
+        &["--plot", fresh, "--trace", fresh],
+        &["--plot", fresh, "--plot", fresh],
+    ] {
+        let output = run(&[&["run", job][..], outputs].concat());
+        assert_eq!(output.status.code(), Some(2), "{outputs:?}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("cannot be both"), "{outputs:?}");
+        assert_eq!(fs::read_to_string(job).expect("the job"), program, "{outputs:?}");
+        assert_eq!(fs::read_to_string(settings).expect("the settings"), "$100=80\n", "{outputs:?}");
+        assert!(!Path::new(fresh).exists(), "{outputs:?}");
+    }
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_found_before_the_machine_starts() {
+    let job = file("started.nc", "G1 X1 F300\n");
+    let trace = file("started.csv", "as it was");
+    for name in ["none/x.svg", "none/x.csv"] {
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        let what = if name.ends_with("svg") { "--plot" } else { "--trace" };
+        let mut arguments = vec!["run", text(&job), what, text(&path)];
+        if what == "--plot" {
+            arguments.extend(["--trace", text(&trace)]);
+        }
+        let output = run(&arguments);
+        assert_eq!(output.status.code(), Some(2), "{name}");
+        assert!(output.stdout.is_empty(), "{name}: the job was run");
+        assert!(String::from_utf8_lossy(&output.stderr).contains(name), "{name} is not named");
+    }
+    assert_eq!(fs::read_to_string(trace).expect("text"), "as it was");
+}
+
+/// A device that takes nothing, as a full disk does.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_summary_is_printed_though_an_output_fails() {
+    let job = file("full.nc", "G1 X1 F300\n");
+    let drawing = Path::new(env!("CARGO_TARGET_TMPDIR")).join("full.svg");
+    let _ = fs::remove_file(&drawing);
+    std::os::unix::fs::symlink("/dev/full", &drawing).expect("a link can be made");
+    for arguments in [["--trace", "/dev/full"], ["--plot", text(&drawing)]] {
+        let output = run(&[&["run", text(&job), "--json"][..], &arguments].concat());
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert_eq!(json(&output)["steps"][0], 250, "{arguments:?}");
+        assert!(!output.stderr.is_empty(), "{arguments:?} ends without a reason");
+    }
+}
+
+#[test]
+fn a_job_of_errors_has_a_summary_of_bounded_size() {
+    let job = file("errors.nc", &"G1\tQ1\n".repeat(30_000));
+    let output = run(&["run", text(&job), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    let summary = json(&output);
+    assert_eq!(summary["errors"].as_array().map(Vec::len), Some(1000));
+    assert_eq!(summary["more_errors"], 29_000);
+    assert_eq!(summary["errors"][0]["source"], "G1 Q1");
+    assert!(output.stdout.len() < 1_000_000, "{} bytes", output.stdout.len());
+    let words = String::from_utf8(run(&["run", text(&job)]).stdout).expect("text");
+    assert!(words.contains("30000") && words.contains("and 29980 more"), "{words}");
+}
+
 #[test]
 fn a_reader_that_has_seen_enough_is_no_failure() {
     let job = file("piped.nc", "G1 X1 F300\n");

@@ -135,7 +135,7 @@ impl Fittings {
     /// # Errors
     /// If it cannot be read or understood.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = crate::file::read(path, crate::file::TEXT)
+        let text = crate::files::read(path, crate::files::TEXT)
             .and_then(|bytes| String::from_utf8(bytes).map_err(std::io::Error::other))
             .with_context(|| format!("cannot read {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))

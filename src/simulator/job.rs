@@ -1,7 +1,7 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::command_line::{Dialect, MachineOptions, Run};
-use crate::file;
+use crate::files::{self, Output, Role};
 use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
@@ -10,7 +10,7 @@ use crate::store::Store;
 use crate::summary::{AlarmReport, Extents, LineError, Summary};
 use crate::text::{self, JobText, Said};
 use crate::trace::Csv;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::{Key, SCALARS};
@@ -20,7 +20,9 @@ use std::time::Instant;
 
 /// Rounds of the virtual clock between looks at the progress: some 10 ms of the host.
 const ROUNDS: u32 = 4096;
-/// Messages of the controller that the report keeps.
+/// Errors that the report keeps. The others are counted.
+const KEPT_ERRORS: usize = 1000;
+/// Messages of the controller, and notes of the simulator, that the report keeps. The others are counted.
 const KEPT_MESSAGES: usize = 50;
 
 /// What a power cut ordered on the command line leaves of the word under way.
@@ -57,7 +59,7 @@ pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
-        let text = file::read(path, file::TEXT)
+        let text = files::read(path, files::TEXT)
             .with_context(|| format!("cannot read the settings file {}", path.display()))?;
         for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
@@ -110,14 +112,18 @@ pub fn run(options: &Run) -> Result<bool> {
     for path in &options.plot {
         plot::format_of(path)?;
     }
+    files::check_apart(&roles(options))?;
     let name = if options.job.as_os_str() == "-" { "standard input".into() } else { options.job.display().to_string() };
     let (reader, length) = text::open(&options.job).with_context(|| format!("cannot read the job {name}"))?;
+    let plots = options.plot.iter().map(|path| output(path, "drawing")).collect::<Result<Vec<_>>>()?;
+    let trace = options.trace.as_deref().map(|path| output(path, "trace")).transpose()?;
     let mut simulator = power_up(&options.machine)?;
     check_store(&simulator, options.machine.store.as_deref())?;
     let origin = simulator.clock().now();
-    if let Some(path) = &options.trace {
-        let csv = Csv::create(path, simulator.board().step_clock_hz, origin)
-            .with_context(|| format!("cannot write the trace {}", path.display()))?;
+    if let Some(trace) = trace {
+        let path = trace.path().display().to_string();
+        let csv = trace.begin().and_then(|file| Csv::new(file, simulator.board().step_clock_hz, origin));
+        let csv = csv.with_context(|| format!("cannot write the trace {path}"))?;
         simulator.trace_mut().write_csv(csv);
     }
     if !options.plot.is_empty() {
@@ -131,24 +137,50 @@ pub fn run(options: &Run) -> Result<bool> {
     progress.finish_and_clear();
     check_power(&simulator)?;
     let mut job = simulator.unload_job().context("the job was lost")?;
-    if let Some(error) = job.failure() {
-        return Err(error).with_context(|| format!("cannot read the job {name} to its end"));
-    }
-    simulator.trace_mut().finish().context("cannot write the trace to its end")?;
+    // Whatever fails from here on, the summary is printed first.
+    let mut outcome = outcome;
+    let failure = job.failure().map(|e| anyhow!(e).context(format!("cannot read the job {name} to its end")));
+    outcome.complete &= failure.is_none();
+    let mut failures = Vec::from_iter(failure);
+    failures.extend(simulator.trace_mut().finish().context("cannot write the trace to its end").err());
     let summary = summarise(&simulator, &job, outcome, origin, base_name(&options.job), started);
-
+    print(&summary, options.json)?;
     if let Some(drawing) = simulator.meter_mut().take_drawing() {
-        for path in &options.plot {
-            plot::write(path, &drawing, &summary).with_context(|| format!("cannot draw {}", path.display()))?;
-        }
+        failures.extend(plots.into_iter().filter_map(|plot| plot::write(plot, &drawing, &summary).err()));
     }
-    let text = if options.json { serde_json::to_string_pretty(&summary)? + "\n" } else { summary.to_string() };
+    let mut failures = failures.into_iter();
+    let Some(first) = failures.next() else { return Ok(summary.is_good()) };
+    for other in failures {
+        eprintln!("oxmill: {other:#}");
+    }
+    Err(first)
+}
+
+/// The files of a run and what they are for.
+fn roles(options: &Run) -> Vec<Role<'_>> {
+    let job = (options.job.as_os_str() != "-").then_some(options.job.as_path());
+    let machine = &options.machine;
+    let read =
+        [(job, "the job"), (machine.settings.as_deref(), "--settings"), (machine.machine.as_deref(), "--machine")];
+    let written = [(machine.store.as_deref(), "--store"), (options.trace.as_deref(), "--trace")];
+    let written = written.into_iter().chain(options.plot.iter().map(|path| (Some(path.as_path()), "--plot")));
+    let read = read.into_iter().map(|file| (file, false));
+    let role = |((path, name), written): ((Option<_>, _), _)| path.map(|path| Role { path, name, written });
+    read.chain(written.map(|file| (file, true))).filter_map(role).collect()
+}
+
+fn output(path: &Path, name: &str) -> Result<Output> {
+    Output::open(path).with_context(|| format!("cannot write the {name} {}", path.display()))
+}
+
+fn print(summary: &Summary, json: bool) -> Result<()> {
+    let text = if json { serde_json::to_string_pretty(summary)? + "\n" } else { summary.to_string() };
     match io::stdout().write_all(text.as_bytes()) {
         // A reader that has seen enough, such as `head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
         written => written.context("cannot write the summary")?,
     }
-    Ok(summary.is_good())
+    Ok(())
 }
 
 fn base_name(path: &Path) -> String {
@@ -162,8 +194,11 @@ fn base_name(path: &Path) -> String {
 #[derive(Debug, Default)]
 struct Outcome {
     errors: Vec<LineError>,
+    more_errors: u64,
     messages: Vec<String>,
+    more_messages: u64,
     notes: Vec<String>,
+    more_notes: u64,
     alarm: Option<AlarmReport>,
     complete: bool,
 }
@@ -172,12 +207,21 @@ impl Outcome {
     fn hear(&mut self, job: &mut JobText) {
         for said in job.said() {
             match said {
+                Said::Error { .. } if self.errors.len() >= KEPT_ERRORS => self.more_errors += 1,
                 Said::Error { line, code, text } => {
                     self.errors.push(LineError { line, code, text: error_text(code).into(), source: text });
                 }
                 Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
-                Said::Message(_) => {}
+                Said::Message(_) => self.more_messages += 1,
             }
+        }
+    }
+
+    fn note(&mut self, note: String) {
+        if self.notes.len() < KEPT_MESSAGES {
+            self.notes.push(note);
+        } else {
+            self.more_notes += 1;
         }
     }
 }
@@ -209,14 +253,14 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
         }
         if simulator.controller().is_paused() {
             let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
-            outcome.notes.push(format!("line {line} paused the program; cycle start was pressed at once"));
+            outcome.note(format!("line {line} paused the program; cycle start was pressed at once"));
             simulator.press(Realtime::CycleStart);
             continue;
         }
         if !simulator.advance_once(u64::MAX) && simulator.unfetched() == 0 {
             if outcome.alarm.is_none() {
                 let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
-                outcome.notes.push(format!("line {line} waits for something that will not come"));
+                outcome.note(format!("line {line} waits for something that will not come"));
             }
             break;
         }
@@ -241,15 +285,18 @@ fn progress_bar(length: Option<u64>) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let (bar, style) = match length {
-        Some(length) => (
-            ProgressBar::new(length),
-            ProgressStyle::with_template("{bar:40} {percent:>3} % of the file, {msg} of machine time, {eta} to go"),
-        ),
-        None => (ProgressBar::new_spinner(), ProgressStyle::with_template("{spinner} {msg} of machine time")),
-    };
+    let bar = length.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
     bar.set_draw_target(ProgressDrawTarget::stderr());
-    style.map_or(bar.clone(), |style| bar.with_style(style))
+    ProgressStyle::with_template(progress_template(length.is_some())).map_or(bar.clone(), |style| bar.with_style(style))
+}
+
+/// No time to go: it would have to be told from the part of the file that was read, and a line may take a second or a day.
+fn progress_template(length_is_known: bool) -> &'static str {
+    if length_is_known {
+        "{bar:40} {percent:>3} % of the file read, {msg} of machine time in {elapsed}"
+    } else {
+        "{spinner} {msg} of machine time in {elapsed}"
+    }
 }
 
 fn summarise(
@@ -278,10 +325,13 @@ fn summarise(
         lines: job.lines(),
         tape_marks: job.tape_marks(),
         errors: outcome.errors,
+        more_errors: outcome.more_errors,
         alarm: outcome.alarm,
         complete: outcome.complete,
         notes: outcome.notes,
+        more_notes: outcome.more_notes,
         messages: outcome.messages,
+        more_messages: outcome.more_messages,
         forecast_s: clock.seconds(clock.now() - origin),
         duration_s: clock.seconds(trace.duration()),
         moving_s: clock.seconds(simulator.busy_ticks()),
@@ -313,4 +363,35 @@ fn error_text(code: u8) -> &'static str {
         .iter()
         .find(|error| error.code() == code)
         .map_or("an error without a description", |error| error.text())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_names_no_time_that_is_not_known() {
+        for length_is_known in [true, false] {
+            let template = progress_template(length_is_known);
+            assert!(ProgressStyle::with_template(template).is_ok());
+            assert!(!template.contains("eta") && template.contains("{elapsed}"), "{template}");
+        }
+    }
+
+    #[test]
+    fn the_lists_of_a_report_are_bounded() {
+        let text = "bad\n".repeat(KEPT_ERRORS + 5);
+        let mut job = JobText::new(io::Cursor::new(text));
+        while job.next_byte().is_some() {}
+        let answers = "[MSG:x]\r\nerror:9\r\n".repeat(KEPT_ERRORS + 5);
+        job.answered(answers.as_bytes());
+        let mut outcome = Outcome::default();
+        outcome.hear(&mut job);
+        assert_eq!((outcome.errors.len(), outcome.more_errors), (KEPT_ERRORS, 5));
+        assert_eq!(outcome.messages.len() as u64 + outcome.more_messages, KEPT_ERRORS as u64 + 5);
+        for _ in 0..KEPT_MESSAGES + 3 {
+            outcome.note("paused".into());
+        }
+        assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
+    }
 }

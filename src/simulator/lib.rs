@@ -19,7 +19,7 @@ pub mod boards;
 
 pub mod clock;
 pub mod command_line;
-pub mod file;
+pub mod files;
 pub mod fittings;
 pub mod job;
 pub mod machine;
@@ -43,7 +43,8 @@ use clap::Parser;
 use command_line::{Command, CommandLine};
 use std::process::ExitCode;
 
-/// The program. 0: all went well; 1: the job had errors or ended in an alarm; 2: it could not be begun.
+/// The program. 0: all went well; 1: the job had errors or ended in an alarm; 2: it could not be begun, or a file could not
+/// be read to its end or written.
 pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Run(options) => job::run(&options),

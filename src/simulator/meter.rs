@@ -1,58 +1,164 @@
 //! How far and how fast the tool went, measured on the blocks and segments that the step task executed.
 //!
 //! A segment says how many units of its block it advances and in how many ticks of the step clock, and a block how many
-//! steps each axis takes: so path speed is known without the noise that counting steps in a window would have. Nothing
-//! here is done per step.
+//! steps each axis takes. Nothing here is done per step.
+//!
+//! The ends of a block are rounded to steps, so the length of a short one is known badly: half a step at each end is 4 %
+//! of 25 steps. Speeds and accelerations are therefore taken over windows that reach across blocks, of one to
+//! [`LONGEST_WINDOW`] segments, and each is lessened by what rounding may have added to it. What remains has been
+//! reached for certain.
 
 use crate::boards::AXES;
 use crate::path::{Drawing, Sample};
 use oxmill_controller::axes::Arrangement;
-use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
+use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
-/// Shortest segment that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
+/// Shortest window that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
 const SHORTEST: f64 = 0.0002;
-/// Fewest steps of its dominant axis from which a move's length in steps is taken for its length: its ends are whole
-/// steps, so that below 3 % of it may be rounding. Shorter moves are measured several together, and their acceleration
-/// is not measured.
+/// Segments of the longest window.
+const LONGEST_WINDOW: usize = 1024;
+/// What rounding may add to a speed that is taken as it is, as a part of it.
+const SPEED_TOLERANCE: f64 = 0.005;
+/// The same for an acceleration.
+const ACCELERATION_TOLERANCE: f64 = 0.02;
+/// The same for a speed in a drawing.
+const DRAWN_TOLERANCE: f64 = 0.03;
+/// How far the end of a block may be from the step that it is rounded to, in steps. The planner rounds the time of a block
+/// as far.
+const ROUNDING: f64 = 0.5;
+/// How wrong the place of an arc's chord may be, whose ends are told in parts of a step.
+const TOLD: f64 = 0.5 / Leg::PARTS as f64;
+/// Blocks shorter than this many steps say little of the length of their path: some are measured together.
+const SHORT: f64 = 4.0;
+/// From so many steps on, what rounding across the path adds to the length is left out of account: less than 0.01 %.
 const LONG: f64 = 32.0;
+/// So many steps of short blocks are measured together.
+const TOGETHER: f64 = 12.0;
+/// Two neighbouring windows are on a line if they are longer than the way from end to end by this part at most: then
+/// they turn by less than 0.13 rad.
+const STRAIGHT: f64 = 0.002;
 
 /// What a job did, in mm and s.
+///
+/// Peaks are means over windows of some segments, less what the rounding to steps may have added. Where blocks are long
+/// the window is a single segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Length of the path.
     pub distance: f64,
     /// Length of its rapids.
     pub rapid_distance: f64,
-    /// Greatest path speed, mean over a segment (or over some short moves).
+    /// Greatest path speed.
     pub speed: f64,
-    /// Greatest change of path speed between neighbouring segments of a straight move, mm/s².
+    /// Greatest change of path speed per time: that of ramps. What curves and corners take across the path is no part of
+    /// it.
     pub acceleration: f64,
-    /// The same for each axis.
+    /// Greatest speed of each axis.
     pub axis_speed: [f64; AXES],
-    /// The same for each axis.
+    /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
     pub axis_acceleration: [f64; AXES],
 }
 
-/// Unsigned steps of each axis, and the axes that go to negative.
-type BlockSteps = ([u32; AXES], u8);
+/// A block on its way to the step task.
+#[derive(Clone, Copy, Debug)]
+struct Coming {
+    legs: [Leg; AXES],
+    /// Axes that go to negative.
+    directions: u8,
+    /// Units of it that had been done before it was left for a detour.
+    entered: u32,
+}
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
     start: [f64; AXES],
     delta: [f64; AXES],
-    unit: [f64; AXES],
     units: f64,
-    steps: f64,
     length: f64,
+    /// What rounding adds to the length on average: it moves the ends across the path, too. And how wrong that may be.
+    excess: f64,
+    doubt: f64,
+    /// How far the ends may be from where they are told to be, along the path.
+    error: f64,
+    /// Below [`SHORT`].
+    short: bool,
+    number: u64,
 }
 
-/// Short moves that are measured together.
+impl Block {
+    /// The place when so much of it is done.
+    fn place(&self, part: f64) -> [f64; AXES] {
+        std::array::from_fn(|axis| self.start[axis] + self.delta[axis] * part)
+    }
+}
+
+/// Short blocks that are measured together.
 #[derive(Clone, Copy, Debug, Default)]
-struct Window {
+struct Pending {
+    from: [f64; AXES],
+    to: [f64; AXES],
     length: f64,
+    rapid: bool,
+}
+
+/// The end of a segment.
+#[derive(Clone, Copy, Debug)]
+struct Node {
     time: f64,
-    steps: f64,
+    /// Way to here along the path, without the excess.
+    way: f64,
+    /// Sum of the doubt.
+    doubt: f64,
+    place: [f64; AXES],
+    error: f64,
+    /// Number of its block, and how wrong the block's length may be, as a part of it.
+    block: u64,
+    wrong: f64,
+}
+
+/// What is known of the way between two nodes.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    time: f64,
+    length: f64,
+    /// How wrong the length may be, in mm.
+    error: f64,
+}
+
+impl Way {
+    fn speed(self) -> f64 {
+        self.length / self.time
+    }
+
+    /// How wrong the length may be, as a part of it.
+    fn wrong(self) -> f64 {
+        if self.length > 0.0 { self.error / self.length } else { f64::INFINITY }
+    }
+}
+
+impl Node {
+    /// Along the path.
+    fn along(&self, to: &Node) -> Way {
+        let (time, length) = (to.time - self.time, to.way - self.way);
+        let error =
+            if self.block == to.block { length * to.wrong } else { self.error + to.error + (to.doubt - self.doubt) };
+        Way { time, length, error }
+    }
+
+    /// In a straight line: the shortest that the way can have been.
+    fn straight(&self, to: &Node) -> Way {
+        Way { time: to.time - self.time, length: distance(&self.place, &to.place), error: self.error + to.error }
+    }
+}
+
+fn distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum::<f64>().sqrt()
+}
+
+/// A measured value without what may be error, if that is more than a tolerated part of it.
+fn certain(value: f64, error: f64, tolerance: f64) -> f64 {
+    (value - (error - value * tolerance).max(0.0)).max(0.0)
 }
 
 /// Follows the step task segment by segment.
@@ -63,16 +169,17 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
-    next_block: Option<BlockSteps>,
-    upcoming: VecDeque<(Segment, Option<BlockSteps>)>,
+    next_block: Option<Coming>,
+    upcoming: VecDeque<(Segment, Option<Coming>)>,
     block: Block,
     units_done: f64,
     waited: f64,
-    /// Mean speed and length in time of the segment before, of the same block.
-    before: Option<(f64, f64)>,
-    window: Window,
-    /// Mean speed of the last window.
-    window_speed: Option<f64>,
+    /// Ends of the last segments since rest.
+    nodes: VecDeque<Node>,
+    /// Segments since power-up.
+    segments: usize,
+    /// Short blocks whose length is not yet counted.
+    pending: Pending,
     measured: Measured,
     drawing: Option<Drawing>,
 }
@@ -90,9 +197,9 @@ impl Meter {
             block: Block::default(),
             units_done: 0.0,
             waited: 0.0,
-            before: None,
-            window: Window::default(),
-            window_speed: None,
+            nodes: VecDeque::with_capacity(2 * LONGEST_WINDOW + 2),
+            segments: 0,
+            pending: Pending::default(),
             measured: Measured::default(),
             drawing: None,
         }
@@ -106,7 +213,11 @@ impl Meter {
 
     /// The place of the tool in mm when the motors stand at these steps.
     pub fn millimetres(&self, steps: [i32; AXES]) -> [f64; AXES] {
-        let [a, b, z] = std::array::from_fn(|motor| f64::from(steps[motor]) / self.steps_per_mm[motor]);
+        self.place_of(steps.map(f64::from))
+    }
+
+    fn place_of(&self, steps: [f64; AXES]) -> [f64; AXES] {
+        let [a, b, z] = std::array::from_fn(|motor| steps[motor] / self.steps_per_mm[motor]);
         match self.arrangement {
             Arrangement::Cartesian => [a, b, z],
             Arrangement::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
@@ -146,7 +257,12 @@ impl Meter {
     pub fn loaded(&mut self, message: &ToStep) {
         match message {
             ToStep::Block { legs, directions } => {
-                self.next_block = Some((std::array::from_fn(|axis| legs[axis].steps()), *directions));
+                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0 });
+            }
+            ToStep::Reenter { units } => {
+                if let Some(block) = &mut self.next_block {
+                    block.entered = *units;
+                }
             }
             ToStep::Segment(segment) => {
                 let block = if segment.flags & Segment::FLAG_NEW_BLOCK != 0 { self.next_block.take() } else { None };
@@ -165,13 +281,9 @@ impl Meter {
 
     /// The step task came to rest.
     pub fn at_rest(&mut self, seconds: f64) {
-        self.before = None;
+        self.nodes.clear();
+        self.count_pending();
         self.waited = 0.0;
-        if self.window.time > 0.0 {
-            let speed = self.close_window();
-            self.peak_speed(speed);
-        }
-        self.window_speed = None;
         if let Some(drawing) = &mut self.drawing {
             drawing.rest(seconds);
         }
@@ -180,8 +292,8 @@ impl Meter {
     /// The step task began the next segment at `seconds`; `position` is where the machine is.
     pub fn begin(&mut self, seconds: f64, position: [i32; AXES]) {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
-        if let Some((steps, directions)) = block {
-            self.new_block(steps, directions, position);
+        if let Some(block) = block {
+            self.new_block(block, position);
             // Held until something of the block is drawn: its first segment may be a wait.
             self.fresh = true;
         }
@@ -196,89 +308,258 @@ impl Meter {
             return;
         }
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
-        let length = units / self.block.units * self.block.length;
+        let part = units / self.block.units;
+        let length = part * (self.block.length - self.block.excess);
         // Waits belong to the step that they put off.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
+        if self.nodes.is_empty() {
+            self.nodes.push_back(self.node(0.0, 0.0, 0.0, self.units_done / self.block.units));
+        }
+        let before = self.units_done / self.block.units;
         self.units_done += units;
+        let done = (self.units_done / self.block.units).min(1.0);
+        self.add_distance(length, [before, done], rapid);
+        if let Some(last) = self.nodes.back() {
+            let node = self.node(last.time + time, last.way + length, last.doubt + part * self.block.doubt, done);
+            if self.nodes.len() > 2 * LONGEST_WINDOW {
+                self.nodes.pop_front();
+            }
+            self.nodes.push_back(node);
+        }
+        self.segments += 1;
+        self.peak_speed();
+        self.peak_acceleration();
+        if self.drawing.is_some() {
+            self.draw_segment(seconds - waited, time, rapid, done);
+        }
+    }
+
+    /// Counts a piece of the block. A path in pieces of a step or two is a staircase, longer than the path that it
+    /// follows, so some of them are counted together, as a straight line.
+    fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
+        if !self.block.short || rapid != self.pending.rapid {
+            self.count_pending();
+        }
+        let block = &self.block;
+        if !block.short {
+            self.measured.distance += length;
+            self.measured.rapid_distance += if rapid { length } else { 0.0 };
+            return;
+        }
+        if self.pending.length <= 0.0 {
+            self.pending = Pending { from: block.place(parts[0]), rapid, ..Pending::default() };
+        }
+        self.pending.length += length;
+        self.pending.to = block.place(parts[1]);
+        if self.pending.length > TOGETHER * 2.0 * block.error {
+            self.count_pending();
+        }
+    }
+
+    fn count_pending(&mut self) {
+        let Pending { from, to, length, rapid } = std::mem::take(&mut self.pending);
+        let straight = distance(&from, &to);
+        // Much shorter: the path turns there.
+        let length = if straight >= length * 0.7 { straight } else { length };
         self.measured.distance += length;
         self.measured.rapid_distance += if rapid { length } else { 0.0 };
-        let speed = if self.block.steps >= LONG {
-            self.window = Window::default();
-            self.window_speed = None;
-            let speed = if time > 0.0 { length / time } else { 0.0 };
-            self.peak_speed(speed);
-            self.peak_acceleration(speed, time);
-            speed
-        } else {
-            self.window.length += length;
-            self.window.time += time;
-            self.window.steps += units / f64::from(UNITS_PER_STEP);
-            if self.window.steps >= LONG {
-                let speed = self.close_window();
-                self.peak_speed(speed);
-                speed
-            } else {
-                self.window_speed.unwrap_or(self.window.length / self.window.time)
+    }
+
+    fn node(&self, time: f64, way: f64, doubt: f64, done: f64) -> Node {
+        let block = &self.block;
+        Node {
+            time,
+            way,
+            doubt,
+            place: block.place(done),
+            error: block.error,
+            block: block.number,
+            wrong: if block.length > 0.0 { 2.0 * block.error / block.length } else { 0.0 },
+        }
+    }
+
+    /// Lengths of the windows to look at now: a long one four times in its length.
+    fn due_scales(&self) -> impl Iterator<Item = usize> + use<> {
+        let segments = self.segments;
+        scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
+    }
+
+    /// The last node, and the one before it by so many segments.
+    fn window(&self, segments: usize) -> Option<(&Node, &Node)> {
+        let last = self.nodes.len().checked_sub(1)?;
+        Some((self.nodes.get(last.checked_sub(segments)?)?, self.nodes.get(last)?))
+    }
+
+    fn draw_segment(&mut self, seconds: f64, time: f64, rapid: bool, done: f64) {
+        // The shortest window that is good enough for the eye, or else the longest.
+        let mut known = None;
+        for segments in scales() {
+            let Some((from, to)) = self.window(segments) else { break };
+            let (along, straight) = (from.along(to), from.straight(to));
+            let way = if straight.wrong() < along.wrong() && straight.length > along.length { straight } else { along };
+            if way.time > 0.0 {
+                known = Some(way);
+                if way.wrong() <= DRAWN_TOLERANCE {
+                    break;
+                }
             }
+        }
+        let (speed, window) = known.map_or((0.0, time), |way| (way.speed(), way.time));
+        let sample = Sample {
+            seconds,
+            time,
+            speed,
+            known_at: seconds + time - window / 2.0,
+            rapid,
+            from: self.block.start,
+            to: self.block.place(done),
+            new_block: std::mem::take(&mut self.fresh),
         };
         if let Some(drawing) = &mut self.drawing {
-            let done = (self.units_done / self.block.units).min(1.0);
-            drawing.add(Sample {
-                seconds: seconds - waited,
-                time,
-                speed,
-                rapid,
-                from: self.block.start,
-                to: std::array::from_fn(|axis| self.block.start[axis] + self.block.delta[axis] * done),
-                new_block: std::mem::take(&mut self.fresh),
-            });
+            drawing.add(sample);
         }
     }
 
-    fn close_window(&mut self) -> f64 {
-        let window = std::mem::take(&mut self.window);
-        let speed = window.length / window.time;
-        self.window_speed = Some(speed);
-        speed
-    }
-
-    fn peak_speed(&mut self, speed: f64) {
-        self.measured.speed = self.measured.speed.max(speed);
-        for (peak, unit) in self.measured.axis_speed.iter_mut().zip(self.block.unit) {
-            *peak = peak.max(speed * unit);
-        }
-    }
-
-    fn peak_acceleration(&mut self, speed: f64, time: f64) {
-        if let Some((before, time_before)) = self.before
-            && time.min(time_before) >= SHORTEST
-        {
-            let acceleration = (speed - before).abs() * 2.0 / (time + time_before);
-            self.measured.acceleration = self.measured.acceleration.max(acceleration);
-            for (peak, unit) in self.measured.axis_acceleration.iter_mut().zip(self.block.unit) {
-                *peak = peak.max(acceleration * unit);
+    fn peak_speed(&mut self) {
+        let mut measured = self.measured;
+        for segments in self.due_scales() {
+            let Some((from, to)) = self.window(segments) else { break };
+            let along = from.along(to);
+            if along.time <= 0.0 {
+                continue;
+            }
+            if along.length + along.error > measured.speed * along.time {
+                for way in [along, from.straight(to)] {
+                    measured.speed = measured.speed.max(certain(way.length, way.error, SPEED_TOLERANCE) / way.time);
+                }
+            }
+            for axis in 0..AXES {
+                let length = (to.place[axis] - from.place[axis]).abs();
+                if length <= measured.axis_speed[axis] * along.time {
+                    continue;
+                }
+                let error = 2.0 * ROUNDING * self.coarseness(axis);
+                let whole = self.block.delta[axis].abs();
+                let error = if from.block == to.block && whole > 0.0 { error * length / whole } else { error };
+                let speed = certain(length, error, SPEED_TOLERANCE) / along.time;
+                measured.axis_speed[axis] = measured.axis_speed[axis].max(speed);
+            }
+            // A longer window has no greater mean.
+            if along.wrong() <= SPEED_TOLERANCE {
+                break;
             }
         }
-        self.before = Some((speed, time));
+        self.measured = measured;
     }
 
-    fn new_block(&mut self, steps: [u32; AXES], directions: u8, position: [i32; AXES]) {
-        let start = self.millimetres(position);
-        let motors = std::array::from_fn(|motor| {
-            let steps = steps[motor] as i32;
-            if directions & (1 << motor) != 0 { -steps } else { steps }
-        });
-        let delta = self.millimetres(motors);
-        let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
-        let unit = delta.map(|d| if length > 0.0 { d.abs() / length } else { 0.0 });
-        let dominant = steps.iter().copied().max().unwrap_or(0);
-        let steps = f64::from(dominant);
-        self.block = Block { start, delta, unit, units: steps * f64::from(UNITS_PER_STEP), steps, length };
-        self.units_done = 0.0;
-        self.before = None;
+    fn peak_acceleration(&mut self) {
+        let mut measured = self.measured;
+        for segments in self.due_scales() {
+            let (Some((middle, to)), Some((from, _))) = (self.window(segments), self.window(2 * segments)) else {
+                break;
+            };
+            let (first, second) = (from.along(middle), middle.along(to));
+            if first.time.min(second.time) < SHORTEST {
+                continue;
+            }
+            let (mut acceleration, mut error) = change(first, second);
+            let way = to.way - from.way;
+            let part =
+                |axis: usize| if way > 0.0 { ((to.place[axis] - from.place[axis]).abs() / way).min(1.0) } else { 0.0 };
+            let parts: [f64; AXES] = std::array::from_fn(part);
+            let mut peaks = parts.iter().zip(measured.axis_acceleration);
+            if acceleration <= measured.acceleration && peaks.all(|(part, peak)| acceleration * part <= peak) {
+                // A longer window has no greater mean; but short blocks may hide it.
+                if error <= acceleration * ACCELERATION_TOLERANCE {
+                    break;
+                }
+                continue;
+            }
+            if from.block == to.block {
+                error = acceleration * to.wrong;
+            } else {
+                // On a line the places tell the length better than a sum of short blocks.
+                let (one, two, all) = (from.straight(middle), middle.straight(to), from.straight(to));
+                let sum = one.length + two.length;
+                if sum - all.length <= sum * STRAIGHT && sum >= (first.length + second.length) * 0.9 {
+                    let (other, other_error) = change(one, two);
+                    if other_error < error {
+                        (acceleration, error) = (other, other_error);
+                    }
+                }
+            }
+            let least = certain(acceleration, error, ACCELERATION_TOLERANCE);
+            measured.acceleration = measured.acceleration.max(least);
+            for (peak, part) in measured.axis_acceleration.iter_mut().zip(parts) {
+                *peak = peak.max(least * part);
+            }
+            if error <= acceleration * ACCELERATION_TOLERANCE {
+                break;
+            }
+        }
+        self.measured = measured;
     }
+
+    /// How far a step of each motor moves an axis together, in mm.
+    fn coarseness(&self, axis: usize) -> f64 {
+        let other = 1 - axis.min(1);
+        match self.arrangement {
+            Arrangement::CoreXy if axis < 2 => 0.5 / self.steps_per_mm[axis] + 0.5 / self.steps_per_mm[other],
+            _ => 1.0 / self.steps_per_mm[axis],
+        }
+    }
+
+    fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
+        let Coming { legs, directions, entered } = block;
+        let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
+        // The ends are told in the direction of motion, and to positive where there is no motion.
+        let way = |motor: usize| if legs[motor].steps() == 0 { 1.0 } else { sign(motor) };
+        let told = |parts: i32| f64::from(parts) / f64::from(Leg::PARTS);
+        let delta = self.place_of(std::array::from_fn(|motor| {
+            let leg = legs[motor];
+            sign(motor) * f64::from(leg.steps()) + way(motor) * told(leg.end() - leg.start())
+        }));
+        let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
+        let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
+        // How much a step of each motor moves the tool along the path.
+        let steps = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|step| {
+            let moved = self.place_of(step);
+            (0..AXES).map(|axis| moved[axis] * unit[axis]).sum::<f64>().abs()
+        });
+        let error = ROUNDING * steps.iter().sum::<f64>();
+        let step = steps.iter().copied().fold(0.0, f64::max);
+        let short = length < SHORT * step;
+        // Two ends, each even over a range of 2 r across the path, are apart by r² 2/3 in the mean square.
+        let across = step * if legs.iter().all(|leg| leg.is_on_steps()) { ROUNDING } else { TOLD };
+        let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
+        let doubt = if short { length * 0.3 } else { excess };
+        let units = f64::from(legs.iter().map(|leg| leg.steps()).max().unwrap_or(0)) * f64::from(UNITS_PER_STEP);
+        let start = match entered {
+            0 => self.place_of(std::array::from_fn(|motor| {
+                f64::from(position[motor]) + way(motor) * told(legs[motor].start())
+            })),
+            entered => {
+                let here = self.millimetres(position);
+                std::array::from_fn(|axis| here[axis] - delta[axis] * f64::from(entered) / units)
+            }
+        };
+        let number = self.block.number + 1;
+        self.block = Block { start, delta, units, length, excess, doubt, error, short, number };
+        self.units_done = f64::from(entered);
+    }
+}
+
+/// Lengths of windows, in segments.
+fn scales() -> impl Iterator<Item = usize> {
+    std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
+}
+
+/// Change of speed per time between two neighbouring ways, and how wrong it may be.
+fn change(first: Way, second: Way) -> (f64, f64) {
+    let per = 2.0 / (first.time + second.time);
+    ((second.speed() - first.speed()).abs() * per, (first.error / first.time + second.error / second.time) * per)
 }
 
 #[cfg(test)]
@@ -315,12 +596,12 @@ mod tests {
     #[test]
     fn waiting_slows_the_next_segment() {
         let mut meter = Meter::new(1_000_000);
-        meter.loaded(&ToStep::Block { legs: [1, 0, 0].map(Leg::on_steps), directions: 0 });
-        meter.loaded(&segment(500_000, 1, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT));
-        meter.loaded(&segment(500_000, 1, Segment::FLAG_LAST));
+        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 });
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT));
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST));
         meter.begin(0.0, [0; AXES]);
-        meter.begin(0.5, [0; AXES]);
-        meter.at_rest(1.0);
+        meter.begin(500.0, [0; AXES]);
+        meter.at_rest(1000.0);
         assert!((meter.measured().speed - 1.0).abs() < 1e-9);
     }
 }

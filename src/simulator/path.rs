@@ -25,6 +25,8 @@ pub struct Sample {
     pub time: f64,
     /// Mean path speed in mm/s.
     pub speed: f64,
+    /// The time at which the speed was this: the middle of what it is a mean over.
+    pub known_at: f64,
     /// Whether its move is a rapid.
     pub rapid: bool,
     /// Where the straight move began, in mm.
@@ -119,7 +121,7 @@ impl Drawing {
         if self.columns.is_empty() || sample.seconds > self.end + self.width {
             self.mark(sample.seconds, 0.0);
         }
-        self.mark(sample.seconds + sample.time / 2.0, point.speed);
+        self.mark(sample.known_at, point.speed);
         self.end = self.end.max(sample.seconds + sample.time);
     }
 
@@ -232,7 +234,8 @@ mod tests {
 
     fn sample(index: usize, to: [f64; 3], speed: f64, new_block: bool) -> Sample {
         let seconds = index as f64 * 0.001;
-        Sample { seconds, time: 0.001, speed, rapid: false, from: [0.0; 3], to, new_block }
+        let known_at = seconds + 0.0005;
+        Sample { seconds, time: 0.001, speed, known_at, rapid: false, from: [0.0; 3], to, new_block }
     }
 
     #[test]
@@ -269,6 +272,7 @@ mod tests {
         for i in 0..100_000 {
             let mut s = sample(i, [i as f64, 0.0, 0.0], if i == 70_000 { 99.0 } else { 10.0 }, false);
             s.seconds += 100.0;
+            s.known_at += 100.0;
             drawing.add(s);
         }
         let (at, peak) = drawing.columns().max_by(|a, b| a.1.high.total_cmp(&b.1.high)).unwrap();

@@ -4,8 +4,9 @@
 //! machine.
 
 use crate::boards::AXES;
+use crate::files::Output;
 use crate::path::{Drawing, Point};
-use crate::summary::{Summary, clock_time};
+use crate::summary::{Summary, clock_time, counted};
 use anyhow::{Context, Result, anyhow, bail};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -58,13 +59,17 @@ pub fn format_of(path: &Path) -> Result<Format> {
 }
 
 /// Draws a job into a file.
-pub fn write(path: &Path, drawing: &Drawing, summary: &Summary) -> Result<()> {
-    let svg = svg(drawing, summary)?;
-    let bytes = match format_of(path)? {
-        Format::Svg => svg.into_bytes(),
-        Format::Png => png(&svg)?,
+pub fn write(output: Output, drawing: &Drawing, summary: &Summary) -> Result<()> {
+    let format = format_of(output.path())?;
+    let draw = || {
+        let svg = svg(drawing, summary)?;
+        match format {
+            Format::Svg => Ok(svg.into_bytes()),
+            Format::Png => png(&svg),
+        }
     };
-    Ok(std::fs::write(path, bytes)?)
+    let bytes = draw().with_context(|| format!("cannot draw {}", output.path().display()))?;
+    output.write(&bytes)
 }
 
 /// The drawing as SVG.
@@ -138,15 +143,14 @@ fn sheet(root: &Area, drawing: &Drawing, summary: &Summary) -> Drawn {
 
 fn heading(area: &Area, summary: &Summary) -> Drawn {
     area.draw_text(&shortened(&summary.job, 70), &font(24), (px(24), px(14)))?;
-    let faults = match (&summary.alarm, summary.errors.len()) {
+    let faults = match (&summary.alarm, summary.error_count()) {
         (Some(alarm), _) => format!(" · ALARM:{}", alarm.code),
         (None, 0) => String::new(),
-        (None, 1) => " · 1 error".into(),
-        (None, errors) => format!(" · {errors} errors"),
+        (None, errors) => format!(" · {}", counted(errors, "error")),
     };
     let text = format!(
-        "{} lines · {} · {:.1} mm of path · board {}{faults}",
-        summary.lines,
+        "{} · {} · {:.1} mm of path · board {}{faults}",
+        counted(summary.lines, "line"),
         clock_time(summary.duration_s),
         summary.distance_mm,
         summary.board
@@ -581,7 +585,9 @@ mod tests {
                 _ => [60.0 - size, 60.0 - size, -0.2 * i as f64],
             };
             let speed = if i % 10 == 0 { 50.0 } else { 2.0 + f64::from(i) / 4.0 };
-            drawing.add(Sample { seconds, time: 0.5, speed, rapid: i % 10 == 0, from: at, to, new_block: true });
+            let rapid = i % 10 == 0;
+            let known_at = seconds + 0.25;
+            drawing.add(Sample { seconds, time: 0.5, speed, known_at, rapid, from: at, to, new_block: true });
             seconds += 0.5;
             at = to;
         }

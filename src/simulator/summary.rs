@@ -49,14 +49,21 @@ pub struct Summary {
     pub lines: u64,
     /// Lines that begin with `%` and were left out.
     pub tape_marks: u64,
+    /// The first errors, at most 1000.
     pub errors: Vec<LineError>,
+    /// How many errors there were beyond those of the list.
+    pub more_errors: u64,
     pub alarm: Option<AlarmReport>,
     /// Whether the job was taken to its end.
     pub complete: bool,
     /// Remarks of the simulator, such as a pause that it ended.
     pub notes: Vec<String>,
+    /// How many there were beyond those of the list, which has 50 at most.
+    pub more_notes: u64,
     /// Messages of the controller.
     pub messages: Vec<String>,
+    /// How many there were beyond those of the list, which has 50 at most.
+    pub more_messages: u64,
     /// From the first line to rest: what a board will take over a link that never starves it.
     pub forecast_s: f64,
     /// From the first step to the last.
@@ -76,9 +83,14 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
+    /// Greatest path speed: a mean over some milliseconds or more, less what the rounding to steps may have added to it.
     pub peak_speed_mm_s: f64,
+    /// Greatest change of path speed per time, measured likewise: that of ramps. What curves and corners take across the
+    /// path is no part of it.
     pub peak_acceleration_mm_s2: f64,
+    /// Greatest speed of each axis, measured likewise.
     pub peak_axis_speed_mm_s: [f64; AXES],
+    /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
     pub peak_axis_acceleration_mm_s2: [f64; AXES],
     /// Over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
@@ -89,6 +101,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// How many errors there were.
+    pub fn error_count(&self) -> u64 {
+        self.errors.len() as u64 + self.more_errors
+    }
+
     /// Whether every line was accepted and nothing went wrong.
     pub fn is_good(&self) -> bool {
         self.errors.is_empty() && self.alarm.is_none() && self.complete
@@ -104,6 +121,7 @@ impl fmt::Display for Summary {
         writeln!(f, "{} on {} ({} MHz step clock)", self.job, self.board, f64::from(self.step_clock_hz) / 1e6)?;
         let tape = match self.tape_marks {
             0 => String::new(),
+            1 => ", 1 of them a tape mark (%) that was left out".into(),
             marks => format!(", {marks} of them tape marks (%) that were left out"),
         };
         row(f, "lines", format!("{}{tape}", self.lines))?;
@@ -116,12 +134,19 @@ impl fmt::Display for Summary {
             (false, None) => "not taken to the end".into(),
         };
         row(f, "job", ended)?;
-        row(f, "errors", if self.errors.is_empty() { "none".into() } else { self.errors.len().to_string() })?;
+        // A message may be the reason of many errors.
+        for (message, times) in runs(&self.messages) {
+            row(f, "message", if times > 1 { format!("{message} ({times} times)") } else { message.into() })?;
+        }
+        if self.more_messages > 0 {
+            row(f, "", format!("and {}", counted(self.more_messages, "more message")))?;
+        }
+        row(f, "errors", if self.errors.is_empty() { "none".into() } else { self.error_count().to_string() })?;
         for error in self.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "    line {}: error:{} ({}): {}", error.line, error.code, error.text, error.source)?;
         }
-        if self.errors.len() > SHOWN_ERRORS {
-            writeln!(f, "    and {} more", self.errors.len() - SHOWN_ERRORS)?;
+        if self.error_count() > SHOWN_ERRORS as u64 {
+            writeln!(f, "    and {} more", self.error_count() - SHOWN_ERRORS as u64)?;
         }
         row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
         let duration = format!("{}, moving for {}", clock_time(self.duration_s), clock_time(self.moving_s));
@@ -157,11 +182,11 @@ impl fmt::Display for Summary {
             ),
         )?;
         row(f, "hashes", format!("trace {}, order {}", self.trace_hash, self.order_hash))?;
-        for message in &self.messages {
-            row(f, "message", message.clone())?;
-        }
         for note in &self.notes {
             row(f, "note", note.clone())?;
+        }
+        if self.more_notes > 0 {
+            row(f, "", format!("and {}", counted(self.more_notes, "more note")))?;
         }
         let faster = if self.host_s > 0.0 { self.forecast_s / self.host_s } else { 0.0 };
         row(f, "simulated in", format!("{:.2} s, {faster:.0} times faster than the machine", self.host_s))
@@ -174,6 +199,16 @@ fn place(place: &[f64; AXES]) -> String {
 
 fn list(values: [f64; AXES]) -> String {
     values.map(|v| format!("{v:.1}")).join(", ")
+}
+
+/// A number of things.
+pub fn counted(number: u64, name: &str) -> String {
+    format!("{number} {name}{}", if number == 1 { "" } else { "s" })
+}
+
+/// Equal texts that follow each other, and how many they are.
+fn runs(texts: &[String]) -> impl Iterator<Item = (&str, usize)> {
+    texts.chunk_by(|a, b| a == b).map(|run| (run[0].as_str(), run.len()))
 }
 
 /// Seconds as people read them.
@@ -202,6 +237,9 @@ pub(crate) mod tests {
             step_clock_hz: 100_000_000,
             lines: 3,
             tape_marks: 0,
+            more_errors: 0,
+            more_notes: 0,
+            more_messages: 0,
             errors: vec![LineError { line: 2, code: 20, text: "unknown".into(), source: "G1 Q1".into() }],
             alarm: None,
             complete: true,
@@ -263,6 +301,19 @@ pub(crate) mod tests {
         assert!(summary.is_good());
         summary.complete = false;
         assert!(!summary.is_good());
+    }
+
+    #[test]
+    fn lists_that_were_cut_short_are_counted_whole() {
+        let mut summary = example();
+        summary.errors = vec![summary.errors[0].clone(); 1000];
+        summary.more_errors = 234;
+        summary.messages = ["[MSG:a]", "[MSG:a]", "[MSG:b]"].map(String::from).to_vec();
+        summary.more_messages = 1;
+        let text = summary.to_string();
+        assert!(text.contains("  errors        1234\n") && text.contains("    and 1214 more\n"), "{text}");
+        assert!(text.contains("[MSG:a] (2 times)\n") && text.contains("and 1 more message\n"), "{text}");
+        assert!(text.find("[MSG:a]") < text.find("error:20"), "the reason comes before what it led to");
     }
 
     #[test]

@@ -177,7 +177,7 @@ impl JobText {
         }
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
-        let shown = text.trim().chars().take(120).map(|c| if c.is_control() { '?' } else { c }).collect();
+        let shown = text.trim().chars().take(120).map(shown_character).collect();
         self.unanswered.push_back((self.lines, shown));
     }
 
@@ -206,6 +206,15 @@ impl JobText {
         } else if !reply.is_empty() {
             self.said.push(Said::Message(reply.to_owned()));
         }
+    }
+}
+
+/// A character as people are shown it.
+fn shown_character(character: char) -> char {
+    match character {
+        '\t' => ' ',
+        _ if character.is_control() => '?',
+        _ => character,
     }
 }
 
@@ -272,6 +281,14 @@ mod tests {
         );
         assert!(job.is_used_up());
         assert_eq!(job.answers(), 3);
+    }
+
+    #[test]
+    fn a_refused_line_is_shown_with_blanks_for_tabs() {
+        let mut job = JobText::new(&b"G1\tX\x07\n"[..]);
+        drain(&mut job);
+        job.answered(b"error:2\r\n");
+        assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into() }]);
     }
 
     #[test]

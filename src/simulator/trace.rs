@@ -4,7 +4,6 @@ use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
 
 use crate::boards::AXES;
 
@@ -153,9 +152,9 @@ pub struct Csv {
 }
 
 impl Csv {
-    /// Creates the file and writes its head. `hz` is the step clock, `origin` the tick at which `t_s` is 0.
-    pub fn create(path: &Path, hz: u32, origin: u64) -> io::Result<Self> {
-        let mut out = BufWriter::with_capacity(1 << 18, File::create(path)?);
+    /// Writes the head into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0.
+    pub fn new(file: File, hz: u32, origin: u64) -> io::Result<Self> {
+        let mut out = BufWriter::with_capacity(1 << 18, file);
         writeln!(out, "t_s,x,y,z,spindle,power,coolant")?;
         let row = Vec::with_capacity(64);
         Ok(Self { out, hz: u64::from(hz), origin, row, shown: None, current: None, failed: None })
@@ -238,7 +237,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.csv");
         let mut trace = Trace::default();
-        trace.write_csv(Csv::create(&path, 1_000_000, 500).unwrap());
+        trace.write_csv(Csv::new(File::create(&path).unwrap(), 1_000_000, 500).unwrap());
         trace.step(step(500, [1, 0, 0]));
         let outputs = SlowOutputs {
             spindle: SpindleDirection::Clockwise,

@@ -198,14 +198,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
+        self.queue_reply(&text);
+    }
+
+    // Once, and not in each of the forty places that say something.
+    #[inline(never)]
+    fn queue_reply(&mut self, text: &[u8]) {
         // The next host would take the answer to a line of one that has gone for one of its own.
-        let unheard = self.hosts_gone != self.lines.hosts_cut() && !self.echoed && report::is_answer(&text);
+        let unheard = self.hosts_gone != self.lines.hosts_cut() && !self.echoed && report::is_answer(text);
         if unheard || self.replies.capacity() - self.replies.len() < text.len() {
             return;
         }
         self.echoed = text.last() == Some(&b':');
         for byte in text {
-            let _ = self.replies.push_back(byte);
+            let _ = self.replies.push_back(*byte);
         }
     }
 

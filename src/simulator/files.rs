@@ -1,0 +1,207 @@
+//! The files of a run: none is written over another, all that will be written can be opened before the machine starts, and
+//! what is read has a bound: a device or a pipe may have no end.
+
+use anyhow::{Context, Result, bail};
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Symbolic links that are followed to a file that does not exist yet.
+const MOST_LINKS: usize = 40;
+
+/// Longest file of text that somebody has written for a machine: settings, a description.
+pub const TEXT: usize = 1 << 20;
+
+/// Reads a whole file of at most so many bytes.
+///
+/// # Errors
+/// If it cannot be read or is longer.
+pub fn read(path: &Path, most: usize) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most as u64 + 1).read_to_end(&mut bytes)?;
+    if bytes.len() > most {
+        return Err(io::Error::other(format!("it has more than {most} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// A file with its part in the run, such as `the job`.
+#[derive(Clone, Copy, Debug)]
+pub struct Role<'a> {
+    /// The file.
+    pub path: &'a Path,
+    /// What it is.
+    pub name: &'static str,
+    /// Whether it is written.
+    pub written: bool,
+}
+
+/// Refuses files of which one would be written over another. Names that lead to one file by links are the same.
+pub fn check_apart(files: &[Role]) -> Result<()> {
+    let places: Vec<Place> = files.iter().map(|file| Place::of(file.path)).collect();
+    for (index, (file, place)) in files.iter().zip(&places).enumerate() {
+        for (other, other_place) in files.iter().zip(&places).take(index) {
+            if (file.written || other.written) && place.is(other_place) {
+                let (path, name, other_name) = (file.path.display(), file.name, other.name);
+                bail!("{path} cannot be both {other_name} and {name}: one would be written over the other");
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Where a path leads.
+#[derive(Debug)]
+struct Place {
+    path: Option<PathBuf>,
+    /// Device and number of the file on it.
+    file: Option<(u64, u64)>,
+    /// A device, a pipe or the like, which is not written over.
+    special: bool,
+}
+
+impl Place {
+    fn of(path: &Path) -> Self {
+        match fs::metadata(path) {
+            Ok(about) => Self { path: path.canonicalize().ok(), file: number(&about), special: !about.is_file() },
+            Err(_) => Self { path: future(path), file: None, special: false },
+        }
+    }
+
+    fn is(&self, other: &Place) -> bool {
+        let same_path = self.path.is_some() && self.path == other.path;
+        let same_file = self.file.is_some() && self.file == other.file;
+        !self.special && !other.special && (same_path || same_file)
+    }
+}
+
+#[cfg(unix)]
+fn number(about: &fs::Metadata) -> Option<(u64, u64)> {
+    use std::os::unix::fs::MetadataExt;
+    Some((about.dev(), about.ino()))
+}
+
+#[cfg(not(unix))]
+fn number(_: &fs::Metadata) -> Option<(u64, u64)> {
+    None
+}
+
+/// The place of a file that does not exist yet: its folder without links, and its name.
+fn future(path: &Path) -> Option<PathBuf> {
+    let mut path = path.to_path_buf();
+    for _ in 0..MOST_LINKS {
+        let name: OsString = path.file_name()?.into();
+        let folder = match path.parent() {
+            Some(folder) if folder != Path::new("") => folder.canonicalize().ok()?,
+            _ => Path::new(".").canonicalize().ok()?,
+        };
+        match fs::read_link(&path) {
+            Ok(target) => path = folder.join(target),
+            Err(_) => return Some(folder.join(name)),
+        }
+    }
+    None
+}
+
+/// A file that will be written. It is opened at once, so that one that cannot be written is found out before the work, and
+/// keeps what it has until then. One that was made for this and is not written is removed.
+#[derive(Debug)]
+pub struct Output {
+    path: PathBuf,
+    file: Option<File>,
+    made: bool,
+}
+
+impl Output {
+    /// Opens the file, which is made if there is none.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let made = fs::symlink_metadata(path).is_err();
+        let file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        Ok(Self { path: path.to_path_buf(), file: Some(file), made })
+    }
+
+    /// The file, emptied.
+    pub fn begin(mut self) -> io::Result<File> {
+        let file = self.file.take().ok_or(io::ErrorKind::NotFound)?;
+        if file.metadata()?.is_file() {
+            file.set_len(0)?;
+        }
+        Ok(file)
+    }
+
+    /// Writes the whole file.
+    pub fn write(self, bytes: &[u8]) -> Result<()> {
+        let path = self.path.clone();
+        let mut file = self.begin().with_context(|| format!("cannot write {}", path.display()))?;
+        file.write_all(bytes).and_then(|()| file.flush()).with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    /// Its name.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        if self.made && self.file.is_some() {
+            // Nothing is lost if this fails: the file is empty.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn role(path: &Path, written: bool) -> Role<'_> {
+        Role { path, name: "a file", written }
+    }
+
+    fn apart(a: &Path, b: &Path) -> bool {
+        check_apart(&[role(a, false), role(b, true)]).is_ok()
+    }
+
+    #[test]
+    fn one_file_by_several_names_is_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, b, new] = ["a", "b", "new"].map(|name| folder.path().join(name));
+        fs::write(&a, "a").unwrap();
+        fs::write(&b, "b").unwrap();
+        assert!(apart(&a, &b) && apart(&a, &new));
+        assert!(!apart(&a, &a) && !apart(&new, &new));
+        assert!(!apart(&a, &folder.path().join(".").join("a")));
+        assert!(!apart(&new, &folder.path().join(".").join("new")));
+        assert!(check_apart(&[role(&a, false), role(&a, false)]).is_ok(), "two readers do no harm");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_lead_to_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, soft, hard, new, ahead] = ["a", "soft", "hard", "new", "ahead"].map(|name| folder.path().join(name));
+        fs::write(&a, "a").unwrap();
+        std::os::unix::fs::symlink("a", &soft).unwrap();
+        fs::hard_link(&a, &hard).unwrap();
+        std::os::unix::fs::symlink("new", &ahead).unwrap();
+        assert!(!apart(&a, &soft) && !apart(&a, &hard) && !apart(&soft, &hard));
+        assert!(!apart(&new, &ahead), "neither exists");
+        assert!(apart(Path::new("/dev/null"), Path::new("/dev/null")), "a device is not written over");
+    }
+
+    #[test]
+    fn an_output_keeps_what_it_has_until_it_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let [old, new] = ["old", "new"].map(|name| folder.path().join(name));
+        fs::write(&old, "as it was").unwrap();
+        drop((Output::open(&old).unwrap(), Output::open(&new).unwrap()));
+        assert_eq!(fs::read_to_string(&old).unwrap(), "as it was");
+        assert!(!new.exists());
+        Output::open(&old).unwrap().write(b"now").unwrap();
+        assert_eq!(fs::read_to_string(&old).unwrap(), "now");
+        assert!(Output::open(folder.path()).is_err());
+        assert!(Output::open(&folder.path().join("none").join("x")).is_err());
+    }
+}
