@@ -82,6 +82,14 @@ const MUTANTS: &[Mutant] = &[
         }],
     },
     Mutant {
+        name: "joined-without-bound",
+        edits: &[Edit {
+            file: "src/controller/motion/join.rs",
+            find: "if !self.pass_end() || !self.join.allows(&motors) {",
+            replace: "if !self.pass_end() || self.join.along(&motors).is_none() {",
+        }],
+    },
+    Mutant {
         name: "fraction-of-a-tick-dropped",
         edits: &[Edit {
             file: STEPPER,

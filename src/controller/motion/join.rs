@@ -245,21 +245,24 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     }
 
     /// The ways of the motors from where the last block begins.
-    fn from_start(&self, place: &PerAxis<Coordinate, N>) -> [f32; N] {
+    fn way_to(&self, place: &PerAxis<Coordinate, N>) -> [f32; N] {
         self.kinematics.way_of_motors(&place.zip(&self.join.before.block_end, |to, from| (to - from).to_mm()).0)
     }
 
     /// A point from which no block is made. `false`: nothing continues the line.
     fn pass_by(&mut self, m: &Move<N>) -> bool {
         self.join.path += self.distance(&m.target);
-        if self.join.fresh {
-            let end = self.from_start(&self.block_end);
-            if !self.join.pass(&end) {
-                return false;
-            }
+        let way = self.way_to(&m.target);
+        self.pass_end() && self.join.pass(&way)
+    }
+
+    /// The end of the first move is the first point.
+    fn pass_end(&mut self) -> bool {
+        if !self.join.fresh {
+            return true;
         }
-        let way = self.from_start(&m.target);
-        self.join.pass(&way)
+        let end = self.way_to(&self.block_end);
+        self.join.pass(&end)
     }
 
     /// Whether a move continues the last block within its bounds, and if so, what speed² has been promised for its entry.
@@ -268,14 +271,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if self.planner.len() < 2 && (self.running.active || self.pace.speed2 > 0.0) {
             return None;
         }
-        if self.join.fresh {
-            let end = self.from_start(&self.block_end);
-            if !self.join.pass(&end) {
-                return None;
-            }
-        }
-        let motors = self.from_start(&m.target);
-        if !self.join.allows(&motors) {
+        let motors = self.way_to(&m.target);
+        if !self.pass_end() || !self.join.allows(&motors) {
             return None;
         }
         let before = &self.join.before;
@@ -289,11 +286,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let own = way.zip(&skipped, |way, skipped| way - skipped);
         let length = square_root(own.iter().fold(0.0, |sum, part| sum + part * part)) + before.carried;
         let moved = target_steps.zip(&before.planned_steps, i32::wrapping_sub);
-        let least = moved.iter().zip(self.kinematics.least_mm);
-        if moved.iter().all(|steps| *steps == 0) {
-            return None;
-        }
-        if least.into_iter().any(|(steps, mm)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length) {
+        // Steps that stand for more than the length would bring other limits (`append`); none make no block.
+        let too_many = |(steps, mm): (&i32, f32)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length;
+        if moved.iter().all(|steps| *steps == 0) || moved.iter().zip(self.kinematics.least_mm).any(too_many) {
             return None;
         }
         if self.backlash.is_on() {
