@@ -35,6 +35,7 @@ const INTAKE: &str = "src/controller/motion/intake.rs";
 const MOTION: &str = "src/controller/motion/mod.rs";
 const HANDOVER: &str = "src/controller/motion/handover.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
+const CURVATURE: &str = "src/controller/motion/curvature.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";
 
 const MUTANTS: &[Mutant] = &[
@@ -50,35 +51,40 @@ const MUTANTS: &[Mutant] = &[
         name: "one-axis-ignored",
         edits: &[Edit {
             file: INTAKE,
-            find: "in way.iter().zip(self.acceleration).zip(self.max_rate) {",
-            replace: "in way.iter().zip(self.acceleration).zip(self.max_rate).skip(1) {",
+            find: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {",
+            replace: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate).skip(1) {",
         }],
     },
     Mutant {
         name: "no-junction-rule",
         edits: &[Edit {
-            file: PLANNER,
-            find: "lesser(corner2, bend_speed2(",
-            replace: "lesser(corner2 * 1.0e9, bend_speed2(",
+            file: CURVATURE,
+            find: "        self.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
+            replace: "        1.0e9 * self.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
         }],
     },
     Mutant {
-        name: "no-curvature-rule",
-        edits: &[
-            Edit {
-                file: PLANNER,
-                find: "lesser(corner2, bend_speed2(",
-                replace: "lesser(corner2, 1.0e9 * bend_speed2(",
-            },
-            Edit { file: INTAKE, find: "if bend.speed2 < self.chain_speed2 {", replace: "if bend.speed2 < 0.0 {" },
-        ],
+        name: "no-rule-for-turns-of-several-moves",
+        edits: &[Edit {
+            file: CURVATURE,
+            find: "(speed2 < fast2).then_some(Limit {",
+            replace: "(speed2 < -fast2).then_some(Limit {",
+        }],
     },
     Mutant {
-        name: "no-curvature-of-spans",
+        name: "no-limit-of-bends",
         edits: &[Edit {
-            file: INTAKE,
-            find: "if bend.speed2 < self.chain_speed2 {",
-            replace: "if bend.speed2 < 0.0 {",
+            file: CURVATURE,
+            find: "let speed2 = greater(bend.speed2(), square);",
+            replace: "let speed2 = greater(UNLIMITED2, square);",
+        }],
+    },
+    Mutant {
+        name: "bends-leave-all-of-the-acceleration",
+        edits: &[Edit {
+            file: "src/controller/motion/block.rs",
+            find: "if self.curve.is_none() { self.acceleration } else",
+            replace: "if self.curve.is_none() || speed2 >= 0.0 { self.acceleration } else",
         }],
     },
     Mutant {
@@ -117,8 +123,8 @@ const MUTANTS: &[Mutant] = &[
         name: "hold-twice-as-hard",
         edits: &[Edit {
             file: HANDOVER,
-            find: "let way = self.pace.speed2 / (2.0 * run.acceleration);",
-            replace: "let way = self.pace.speed2 / (4.0 * run.acceleration);",
+            find: "let way = self.pace.speed2 / (2.0 * acceleration);",
+            replace: "let way = self.pace.speed2 / (4.0 * acceleration);",
         }],
     },
     Mutant {
@@ -236,7 +242,7 @@ fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
 
 /// The tests of motion in the copy; the step traces of whole jobs first.
 fn tests_pass(tree: &Path) -> Result<bool, Failure> {
-    Ok(tests(tree, &["--test", "machine", "--", "motion_properties", "jerk"])?
+    Ok(tests(tree, &["--test", "machine", "--", "motion_properties", "jerk", "turns::", "curves::"])?
         && tests(
             tree,
             &[

@@ -71,6 +71,7 @@ fn a_wrong_bit_costs_one_value_at_most() {
     let (mut whole, said) = power_up(&path);
     assert!(!said.contains("damaged"), "{said}");
     let before = listing(&mut whole);
+    drop(whole);
     let end = image.len() / 2 - image[..image.len() / 2].iter().rev().take_while(|b| **b == 255).count();
     assert!(end > 200, "{end}");
     let mut changed = 0;

@@ -128,8 +128,9 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
                     (path, seconds) = (0.0, 0.0);
                 }
             }
-            // What noise could explain of the bend: 4 % at R = 1 mm; half of that in speed, and 1 % for steps.
-            assert!(sum < most * (1.01 + 0.02 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
+            // What noise could explain of the bend: 4 % at R = 1 mm; half of that in speed, 1 % for steps, and what the junction
+            // deviation grants at the ends of the circle, where spans are short.
+            assert!(sum < most * (1.01 + 0.035 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
             assert!(sum > most * 0.97, "{sum} of {most}, R = {radius}: slower than it need be");
         }
     }
@@ -197,8 +198,9 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
+    // A span that has a part of the corner in it may take it for a gentle bend: less than 1 % of the time.
     let (short, long) = (row(400), row(1));
-    assert!((short / long - 1.0).abs() < 0.002, "{short} and {long}");
+    assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }
 
 #[test]
