@@ -169,9 +169,11 @@ pub(super) struct Piece<'a, const N: usize> {
 struct History<const N: usize>([Span<N>; HISTORY]);
 
 impl<const N: usize> History<N> {
+    // One copy: it is called for pieces, for spans that end and for those that are ended.
     /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
     /// two single pieces is known already ([`Chain::corner2`]).
-    fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut impl FnMut(Bend)) {
+    #[inline(never)]
+    fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, third, _] = &self.0;
         rule.join(first, &mut new);
         // A corner turns two neighbouring spans at most, a bend all of them.
@@ -240,6 +242,7 @@ impl<const N: usize> Scale<N> {
     }
 
     /// Ends the span and begins the next.
+    #[inline(never)]
     fn end(&mut self, end: &PerAxis<Coordinate, N>, digit: f32) -> Span<N> {
         let way = end.zip(&self.start, |to, from| (to - from).to_mm());
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
@@ -323,7 +326,7 @@ fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
 
 impl<const N: usize> TurnRule<N> {
     /// Greatest acceleration along the change of direction at which no axis exceeds its own.
-    #[inline]
+    #[inline(never)]
     fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         let mut least = UNLIMITED2;
         for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
@@ -337,7 +340,7 @@ impl<const N: usize> TurnRule<N> {
 
     /// Greatest acceleration that every axis takes in any direction of the plane of a turn: with the normal n and the
     /// tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the bend. So the speed on a circle is even.
-    #[inline]
+    #[inline(never)]
     fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
         // Of a turn straight back only the normal is known; the shorter spans know the rest.
@@ -376,7 +379,7 @@ impl<const N: usize> TurnRule<N> {
     }
 
     /// What is granted between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
-    #[inline]
+    #[inline(never)]
     fn span(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<Limit> {
         let all2 = turn2(&old.direction, &new.direction);
         let (turn2, sine) = certain(all2, old.noise + new.noise)?;
@@ -448,13 +451,15 @@ impl<const N: usize> Chain<N> {
     }
 
     /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.
+    #[inline(never)]
     pub(super) fn corner2(&self, piece: &Piece<'_, N>, rule: &TurnRule<N>) -> f32 {
         let [before, ..] = &self.pieces.0;
         if before.blocks == 0 { UNLIMITED2 } else { rule.corner2(before, &Span::of(piece)) }
     }
 
     /// Adds the newest block, which has been pushed already, and tells what bends are found.
-    pub(super) fn extend(&mut self, piece: &Piece<'_, N>, rule: &TurnRule<N>, mut found: impl FnMut(Bend)) {
+    #[inline(never)]
+    pub(super) fn extend(&mut self, piece: &Piece<'_, N>, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let digit = piece.digit;
         let new = Span::of(piece);
         let mut scale_length = SHORTEST;
@@ -464,13 +469,13 @@ impl<const N: usize> Chain<N> {
             whole += 1;
         }
         if self.whole < whole {
-            self.end_before(piece, &new, whole, rule, &mut found);
+            self.end_before(piece, &new, whole, rule, found);
         }
         for scale in self.scales.iter_mut().take(self.whole).skip(whole) {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
-        self.pieces.take(new, 0, rule, &mut found);
+        self.pieces.take(new, 0, rule, found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
         for scale in self.scales.iter_mut().skip(whole) {
@@ -482,7 +487,7 @@ impl<const N: usize> Chain<N> {
             }
             (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
             let span = scale.end(piece.end, digit);
-            scale.history.take(span, 0, rule, &mut found);
+            scale.history.take(span, 0, rule, found);
             scale_length *= 2.0;
         }
     }
@@ -495,7 +500,7 @@ impl<const N: usize> Chain<N> {
         new: &Span<N>,
         whole: usize,
         rule: &TurnRule<N>,
-        found: &mut impl FnMut(Bend),
+        found: &mut dyn FnMut(Bend),
     ) {
         let (mut path, mut fast2, mut blocks) = (0.0, 0.0, 0);
         for (index, scale) in self.scales.iter_mut().enumerate().skip(self.whole) {

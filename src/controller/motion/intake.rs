@@ -133,7 +133,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32, chord: bool) {
-        let promised2 = self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord);
+        let promised2 = if Self::LOOKS_AHEAD { self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
         let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
@@ -239,9 +239,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
         }
         self.planner.push(block, self.overrides);
-        if !self.join.keeps(&piece) {
+        if Self::LOOKS_AHEAD && !self.join.keeps(&piece) {
             let planner = &mut self.planner;
-            self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
+            self.chain.extend(&piece, &self.turns, &mut |bend| planner.limit(&bend));
         }
         self.planner.plan();
     }

@@ -240,7 +240,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 digit: join.digit,
             };
             let planner = &mut self.planner;
-            self.chain.extend(&piece, &self.turns, |bend| planner.limit(&bend));
+            self.chain.extend(&piece, &self.turns, &mut |bend| planner.limit(&bend));
         }
     }
 

@@ -281,6 +281,9 @@ fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
+    const LOOKS_AHEAD: bool = BLOCKS > 2;
+
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz);

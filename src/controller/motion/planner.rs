@@ -203,6 +203,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// Lowers corners that turn out to lie on a bend. What the machine is too fast for already is braked for, but not in
     /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
+    #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
         if let Some((nearest, farthest)) = bend.once {
