@@ -20,8 +20,8 @@
 //! # Damage
 //! Flash may lose a bit, and a file may be overwritten. A record whose crc is wrong is left out, and the next one is looked
 //! for word by word: records begin at multiples of 4, a sector is erased as a whole, so what has a right crc behind the
-//! damage is a record of this log. (No text that a host can store looks like one: no character has the code of [`PUT`], and
-//! none the length of a [`REMOVE`].) A header with one wrong byte is mended by its crc.
+//! damage is a record of this log. (No text that a host can store looks like one: no character has the code of `PUT`, and
+//! none the length of a `REMOVE`.) A header with one wrong byte is mended by its crc.
 //!
 //! A power cut leaves damage of its own, at the end: words of one record up to some word, of which any bits may be
 //! programmed, and nothing but erased words behind it. That is no damage, unless one wrong byte in an otherwise whole

@@ -71,7 +71,8 @@ const ROWS: [Row; 20] = [
     row("stop", "stop, with its report", Figure::Worst, None, (384, 697)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1_475)).beside("205 / 329", "196 / 313"),
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1_475))
+        .beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_340, 4_410))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (24, 30))
