@@ -5,7 +5,7 @@
 //!
 //! The ends of a block are rounded to steps, so the length of a short one is known badly: half a step at each end is 4 %
 //! of 25 steps. Speeds and accelerations are therefore taken over windows that reach across blocks, of one to
-//! [`LONGEST_WINDOW`] segments, and each is lessened by what rounding may have added to it. What remains has been
+//! `LONGEST_WINDOW` segments, and each is lessened by what rounding may have added to it. What remains has been
 //! reached for certain.
 
 use crate::boards::AXES;
