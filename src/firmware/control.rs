@@ -135,6 +135,9 @@ impl Control {
             self.observe();
             self.controller.event(now, Event::Step(event));
         }
+        // Of the line bytes only those that are in their queue now are taken below: hosts and commands that came before them have
+        // been taken by then, so a report that was asked for before a line comes before its answer.
+        let lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
         let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
         if went != self.hosts_went {
             self.observe();
@@ -146,9 +149,6 @@ impl Control {
             self.controller.event(now, Event::Connected);
         }
         let (mut made_room, owes) = (false, crossing::owes());
-        // Of the line bytes only those that are in their queue now are taken below: the commands received before them have
-        // been taken by then, so a report that was asked for before a line comes before its answer.
-        let lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
         while let Ok(command) = self.ends.realtime.try_recv() {
             made_room = true;
             self.observe();

@@ -1,6 +1,6 @@
 //! Pins, answers and reports: what the outside gets to see.
 
-use super::{Controller, REPLY_RESERVE, StopReason, WiringSource, motion_settings};
+use super::{Controller, Damage, REPLY_RESERVE, StopReason, WiringSource, motion_settings};
 use crate::axes::AxisMask;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, MotionMode};
@@ -217,6 +217,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The welcome line. What a host is told once, it may not have heard before.
     pub(super) fn greet(&mut self) {
+        if self.is_store_damaged() {
+            self.damage = Damage::Untold;
+        }
         self.say(report::welcome);
         self.tell_failure();
         self.settings_lock.host_greeted();

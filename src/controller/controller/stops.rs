@@ -3,7 +3,7 @@
 use super::cycles::Probing;
 use super::door::DoorState;
 use super::execute::Task;
-use super::{Controller, Damage, StopReason, StopState};
+use super::{Controller, StopReason, StopState};
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::gcode::Dialect;
@@ -231,9 +231,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.probe_succeeded = false;
         self.rare_fields = RareFields::default();
         self.status_due = false;
-        if self.is_store_damaged() {
-            self.damage = Damage::Untold;
-        }
         self.greet();
         if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
             self.mode = Mode::Alarm;

@@ -138,7 +138,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // or those of the blocks in which the braking for another reason would be eased off.
         let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
         let planned = target.bounds.acceleration;
-        let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, steepest) };
+        // A raised override or a bend that is noticed late leaves less in a bend than was counted on: all of it is taken then.
+        let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
+        let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
         if acceleration <= 0.0 {
             let next = speed + acceleration * guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
@@ -147,7 +149,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let gone = to(lesser(within(wanted), best));
         // Where the ramp's last piece is coarse (a tick in which most of the speed goes), it ends as planned all the same.
         let even = (speed * speed - aim * aim) / (2.0 * way);
-        if distance <= way && aim < 0.5 * speed && gone.end.speed > aim && even <= bounds.acceleration {
+        if distance <= way && aim < 0.5 * speed && gone.end.speed > aim && even <= all {
             return Gone { seconds: 2.0 * way / (speed + aim), end: State { speed: aim, acceleration: 0.0 } };
         }
         gone

@@ -325,3 +325,29 @@ proptest! {
         prop_assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.iter().take(3).cloned().collect::<Vec<_>>().join("\n"));
     }
 }
+
+/// A bend up to the end of the queue, and an override that is raised at any moment of the braking: bounds become tighter by
+/// it, for more of the acceleration is counted to the bend, and the machine comes to rest all the same.
+#[test]
+fn an_override_raised_in_a_bend_leaves_the_braking() {
+    for jerk in [20_000.0] {
+        let mut config = settings(80.0, 500.0, 500.0);
+        config.jerk = PerAxis::all(jerk);
+        let arc: Vec<Move<3>> = (1..=200)
+            .map(|k| f64::from(k) * 0.005)
+            .map(|t: f64| to([20.0 * t.sin(), 20.0 - 20.0 * t.cos(), 0.0], Speed::Feed(100.0)))
+            .collect();
+        for cut in (0..400).step_by(7) {
+            let mut course = Course::<512>::new(config, arc.clone());
+            course.fill(512);
+            course.motion.set_overrides(0.5, 1.0);
+            while course.points.len() < cut && course.step() {}
+            course.motion.set_overrides(1.0, 1.0);
+            while course.step() {}
+            let [.., before, last] = &course.points[..] else { panic!("it moves") };
+            assert!(last.last, "cut at {cut}: {last:?}");
+            // What a step at the end takes: a jump from there is a step long.
+            assert!(before.speed < 8.0, "cut at {cut}, jerk {jerk}: {before:?}, {last:?}");
+        }
+    }
+}
