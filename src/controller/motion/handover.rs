@@ -139,7 +139,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let run = &self.running;
         let left = run.total - run.done;
         let planned2 = self.planner.exit2();
-        let acceleration = self.acceleration_towards(planned2, left);
+        let acceleration = self.acceleration_towards(planned2);
         if self.hold != Hold::Ramp {
             let exit2 = planned2 * (run.scale * run.scale);
             let curve = Curve { acceleration, nominal2: run.nominal2, exit2 };
@@ -169,17 +169,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         Some((curve, stop))
     }
 
-    /// The running block's acceleration, in units/s²: in a bend what it leaves at the present speed; or more, up to all of it,
-    /// where the planned exit speed² needs that.
+    /// The running block's acceleration, in units/s²: in a bend what it leaves at the lower of the present speed and the
+    /// planned exit speed², as the reverse pass has counted on.
     #[inline]
-    fn acceleration_towards(&self, exit2: f32, left: u32) -> f32 {
+    fn acceleration_towards(&self, exit2: f32) -> f32 {
         let run = &self.running;
         match self.planner.first() {
             Some(block) if !block.curve.is_none() => {
-                let scale2 = run.scale * run.scale;
-                let least = block.acceleration_at(self.pace.speed2 / scale2) * run.scale;
-                let needed = (self.pace.speed2 - exit2 * scale2) / (2.0 * left as f32);
-                lesser(greater(least, needed), run.acceleration)
+                let speed2 = self.pace.speed2 / (run.scale * run.scale);
+                block.acceleration_at(lesser(speed2, exit2)) * run.scale
             }
             _ => run.acceleration,
         }
