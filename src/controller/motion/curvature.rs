@@ -45,15 +45,15 @@ const STRAIGHT: f32 = 2.0e-6;
 const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// q² of 0.6 rad: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
 /// faster than on a bend.
-const RADIAN2: f32 = 0.36;
-/// It is spread over the whole length if both ends of it turn by this share of q² at least; and where L/t is more than so
-/// many junction deviations that does not matter, as the J² of 0.6 rad is but a quarter of a·L/t.
+const LARGE_TURN2: f32 = 0.36;
+/// A large turn is spread over its whole length if both ends of it turn by this share of q² at least.
 const ENDS2: f32 = 1.0 / 36.0;
+/// L/t in junction deviations up to which that counts: beyond, the J² of the smaller turns within is little beside a·L/t.
+const VAGUE: f32 = 72.0;
 /// Of three turns in a row the middle one is no corner if its q² is less than this many times the lesser of the others.
 const EVEN2: f32 = 9.0;
 /// q² up to which a turn tells the curvature of its own place, and not a mean of what is far away.
 const GENTLE2: f32 = 0.0625;
-const VAGUE: f32 = 72.0;
 /// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
 /// Points of which the finest digit counts: words lose their trailing zeros, but not all of them.
@@ -175,7 +175,7 @@ impl<const N: usize> History<N> {
     #[inline(never)]
     fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, third, _] = &self.0;
-        rule.join(first, &mut new);
+        rule.note_turn(first, &mut new);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
         let own = usize::from(new.blocks);
@@ -196,7 +196,7 @@ impl<const N: usize> History<N> {
                 // Of neighbours up to the middle of each; otherwise what is between, where the path is slowest.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 let start = behind + own - 1 + blocks;
-                let once = limit.turn2 > RADIAN2 && !spread && !bent;
+                let once = limit.turn2 > LARGE_TURN2 && !spread && !bent;
                 found(Bend {
                     speed2: limit.speed2,
                     once: once.then_some((behind, start + usize::from(old.blocks) - 1)),
@@ -211,7 +211,7 @@ impl<const N: usize> History<N> {
         }
         if !bend.is_none() {
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // A bend that somebody has drawn: no corner, so nothing is granted but what a square corner has.
+            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
             let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
             let speed2 = greater(bend.speed2(), square);
             found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
@@ -404,7 +404,7 @@ impl<const N: usize> TurnRule<N> {
 
     /// Notes in a span how it continues the one before: the bend only if it tells at the speeds there.
     #[inline]
-    fn join(&self, old: &Span<N>, new: &mut Span<N>) {
+    fn note_turn(&self, old: &Span<N>, new: &mut Span<N>) {
         if old.blocks == 0 || !old.straight || !new.straight {
             return;
         }

@@ -201,8 +201,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         true
     }
 
-    /// Lowers corners that turn out to lie on a bend. What the machine is too fast for already is braked for, but not in
-    /// time; that takes a queue shorter than the bend's span, whose end it has to be able to stop at all the same.
+    /// Lowers corners that turn out to be on a bend, and the acceleration that it leaves. What the machine is too fast for
+    /// already is braked for, but not in time: that takes a queue shorter than the bend's span.
     #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
