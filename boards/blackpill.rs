@@ -52,13 +52,13 @@ use stm32f4xx_hal::{
     serial,
 };
 
-use super::input_bits;
-use super::stm32f4::{self, each};
-pub use super::stm32f4::{
+use crate::input_bits;
+pub use crate::stm32f4::step::Due;
+use crate::stm32f4::{self, each};
+pub use crate::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
     preloaded_job, reset_cause, restart, safe_state,
 };
-pub use super::stm32f4_step::Due;
 pub use stm32f4xx_hal::pac;
 
 /// The clock counts microseconds.
@@ -66,21 +66,34 @@ pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Samples of the inputs in a second.
 pub const SAMPLE_HZ: u32 = 20_000;
 
+/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+#[macro_export]
+macro_rules! vectors {
+    ($app:ident) => {
+        $app!(serial: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
+    };
+}
+
+/// Calls the serial task.
+pub fn call_serial() {
+    pac::NVIC::pend(pac::Interrupt::USART1);
+}
+
 /// The second way to the host.
 pub type SerialPort = stm32f4::Usart<pac::USART1>;
 /// The first way to the host.
 pub type UsbPort = stm32f4::usb::UsbPort;
 /// Step pins on one port, direction pins too.
 pub type StepPins = stm32f4::StepPins<1, 1>;
-/// What [`setup`] deals out.
+/// What `setup` deals out.
 pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1, 1>;
 
 /// Clocks, pins and timers; outputs are off.
-pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
+pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     #[cfg(feature = "blackpill_f411")]
     stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(core_hz.Hz()).require_pll48clk());
-    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
     // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.

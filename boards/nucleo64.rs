@@ -10,13 +10,13 @@ use stm32f4xx_hal::{
     serial,
 };
 
-use super::stm32f4::each;
-pub use super::stm32f4::{
+use crate::stm32f4::each;
+pub use crate::stm32f4::step::Due;
+pub use crate::stm32f4::{
     InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
     preloaded_job, reset_cause, restart, safe_state,
 };
-pub use super::stm32f4_step::Due;
-use super::{NoPort, input_bits, stm32f4};
+use crate::{NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
 /// The clock counts microseconds.
@@ -24,21 +24,34 @@ pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Samples of the inputs in a second.
 pub const SAMPLE_HZ: u32 = 20_000;
 
+/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+#[macro_export]
+macro_rules! vectors {
+    ($app:ident) => {
+        $app!(serial: USART2, step: TIM2, dispatcher: SPI1);
+    };
+}
+
+/// Calls the serial task.
+pub fn call_serial() {
+    pac::NVIC::pend(pac::Interrupt::USART2);
+}
+
 /// The link to the host.
 pub type SerialPort = stm32f4::Usart<pac::USART2>;
 /// USB is the ST-LINK's.
 pub type UsbPort = NoPort;
 /// Step pins on two ports, direction pins too.
 pub type StepPins = stm32f4::StepPins<2, 2>;
-/// What [`setup`] deals out.
+/// What `setup` deals out.
 pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2, 2>;
 
 /// Clocks, pins and timers; outputs are off.
-pub fn setup(device: pac::Peripherals, core_hz: u32) -> Parts {
+pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     #[cfg(feature = "nucleo_f411re")]
     stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(core_hz.Hz()));
-    stm32f4::watch_voltage(&device.PWR, &device.EXTI);
+    stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
     let c = device.GPIOC.split(&mut rcc);

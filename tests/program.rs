@@ -57,7 +57,7 @@ fn a_good_job_ends_with_0_and_a_summary() {
 
 #[test]
 fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
-    let job = file("bad.nc", "G1 X1 F100\nG99\nX2\n");
+    let job = file("bad.nc", "G1 X1 F100\nG999\nX2\n");
     let output = run(&["run", text(&job), "--json"]);
     assert_eq!(output.status.code(), Some(1));
     let summary = json(&output);

@@ -5,13 +5,13 @@
 //! STM32F401CE (512 KiB, 96 KiB), whose further memory it leaves unused. With 256 KiB, built for size, and a look-ahead of
 //! half the length; see "Small parts" in docs/how-it-works.md.
 
-use super::{blackpill, profiles};
+use crate::{blackpill, profiles};
 use oxmill_controller::Profile;
 
-pub use super::blackpill::*;
+pub use crate::blackpill::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F401, true);
+pub const PROFILE: Profile = crate::profile(&profiles::BLACKPILL_F401, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::BLACKPILL_F401.axes;
 /// Depth of the look-ahead.
@@ -20,6 +20,6 @@ pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
 pub const CORE_HZ: u32 = 84_000_000;
 
 /// Clocks, pins and timers; outputs are off.
-pub fn setup(device: pac::Peripherals) -> Parts {
-    blackpill::setup(device, CORE_HZ)
+pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
+    blackpill::setup(device, CORE_HZ, low_voltage)
 }

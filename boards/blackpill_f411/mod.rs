@@ -4,13 +4,13 @@
 //! 96 MHz and not the 100 that the part could do: USB needs 48 MHz, and the one PLL gives both only from a common multiple
 //! (RM0383, 6.3.2: PLLQ divides the same oscillator as PLLP).
 
-use super::{blackpill, profiles};
+use crate::{blackpill, profiles};
 use oxmill_controller::Profile;
 
-pub use super::blackpill::*;
+pub use crate::blackpill::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::BLACKPILL_F411, true);
+pub const PROFILE: Profile = crate::profile(&profiles::BLACKPILL_F411, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::BLACKPILL_F411.axes;
 /// Depth of the look-ahead.
@@ -19,6 +19,6 @@ pub const BLOCKS: usize = profiles::BLACKPILL_F411.blocks;
 pub const CORE_HZ: u32 = 96_000_000;
 
 /// Clocks, pins and timers; outputs are off.
-pub fn setup(device: pac::Peripherals) -> Parts {
-    blackpill::setup(device, CORE_HZ)
+pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
+    blackpill::setup(device, CORE_HZ, low_voltage)
 }

@@ -6,13 +6,13 @@
 //! The clock comes from the ST-LINK (MCO, 8 MHz): bypass mode. 100 MHz core and step clock: no USB here. In reset all pins float: spindle,
 //! laser and coolant need pull-down resistors, driver enable a pull-up.
 
-use super::{nucleo64, profiles};
+use crate::{nucleo64, profiles};
 use oxmill_controller::Profile;
 
-pub use super::nucleo64::*;
+pub use crate::nucleo64::*;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::NUCLEO_F411RE, true);
+pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F411RE, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::NUCLEO_F411RE.axes;
 /// Depth of the look-ahead.
@@ -21,6 +21,6 @@ pub const BLOCKS: usize = profiles::NUCLEO_F411RE.blocks;
 pub const CORE_HZ: u32 = 100_000_000;
 
 /// Clocks, pins and timers; outputs are off.
-pub fn setup(device: pac::Peripherals) -> Parts {
-    nucleo64::setup(device, CORE_HZ)
+pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
+    nucleo64::setup(device, CORE_HZ, low_voltage)
 }

@@ -36,7 +36,7 @@ use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
-use super::{Incoming, NoPort, Port, SecondMotor, SlowLevels, profiles};
+use crate::{Incoming, NoPort, Port, SecondMotor, SlowLevels, profiles, stack};
 
 /// There is none.
 pub type UsbPort = NoPort;
@@ -46,7 +46,7 @@ mod script;
 pub use flash::SettingsFlash;
 
 /// The row of this board.
-pub const PROFILE: Profile = super::profile(&profiles::QEMU_MPS2, false);
+pub const PROFILE: Profile = crate::profile(&profiles::QEMU_MPS2, false);
 /// Axes that are counted.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead.
@@ -78,8 +78,21 @@ pub struct Parts {
     pub watchdog: Watchdog,
 }
 
-/// Starts timers and UARTs.
-pub fn setup(mut device: pac::Peripherals) -> Parts {
+/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+#[macro_export]
+macro_rules! vectors {
+    ($app:ident) => {
+        $app!(serial: UART0_RX, step: TIMER0, dispatcher: SPI);
+    };
+}
+
+/// Calls the serial task.
+pub fn call_serial() {
+    NVIC::pend(Interrupt::UART0_RX);
+}
+
+/// Starts timers and UARTs. There is no supply to watch.
+pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     device.UART0.set_divider(16);
     device
         .UART0
@@ -487,7 +500,7 @@ pub fn idle() {
         reporter.as_ref().filter(|uart| uart.state() & Uart1::RX_FULL != 0).map(|uart| uart.data() as u8)
     });
     match asked {
-        Some(b's') => send(format_args!("stack={} of {}\n", crate::stack::used(), crate::stack::size())),
+        Some(b's') => send(format_args!("stack={} of {}\n", stack::used(), stack::size())),
         Some(b'R') => reset(),
         Some(way @ (b'P' | b'F' | b'C' | b'H')) => fail(way),
         Some(_) => send_record(),

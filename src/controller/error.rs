@@ -1,136 +1,96 @@
 //! What can go wrong, with the numbers that Grbl 1.1 gives it on the wire.
 
-/// Why a line was refused; answered as `error:N`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-#[allow(missing_docs, reason = "each variant is described by Error::text")]
-pub enum Error {
-    ExpectedLetter = 1,
-    BadNumber = 2,
-    InvalidStatement = 3,
-    NegativeValue = 4,
-    HomingDisabled = 5,
-    StepPulseTooShort = 6,
-    StoreReadFailed = 7,
-    NotIdle = 8,
-    Locked = 9,
-    SoftLimitNeedsHoming = 10,
-    LineTooLong = 11,
-    StepRateTooHigh = 12,
-    DoorOpen = 13,
-    JogOutsideTravel = 15,
-    InvalidJog = 16,
-    UnsupportedCommand = 20,
-    ModalGroupViolation = 21,
-    UndefinedFeed = 22,
-    IntegerRequired = 23,
-    TwoAxisCommands = 24,
-    WordRepeated = 25,
-    NoAxisWords = 26,
-    InvalidLineNumber = 27,
-    ValueWordMissing = 28,
-    UnsupportedCoordinateSystem = 29,
-    G53NeedsMotion = 30,
-    AxisWordsUnused = 31,
-    NoPlaneAxisForArc = 32,
-    InvalidTarget = 33,
-    ImpossibleRadius = 34,
-    NoPlaneOffsets = 35,
-    UnusedWords = 36,
-    ToolLengthAxis = 37,
-    ToolNumberTooHigh = 38,
-    /// Not in Grbl; the number is grblHAL's, as the next one's.
-    EmergencyStop = 50,
-    DriverFault = 51,
+/// One row for each error: name, number on the wire, text for people.
+macro_rules! errors {
+    ($($(#[$attribute:meta])* $name:ident = $number:literal, $text:literal;)*) => {
+        /// Why a line was refused; answered as `error:N`.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        #[allow(missing_docs, reason = "each variant is described by Error::text")]
+        pub enum Error {
+            $($(#[$attribute])* $name = $number,)*
+        }
+
+        impl Error {
+            /// All of them, in the order of their numbers.
+            pub const ALL: &'static [Error] = &[$(Error::$name),*];
+
+            /// The number on the wire.
+            pub const fn code(self) -> u8 {
+                self as u8
+            }
+
+            /// What it means, for people.
+            pub const fn text(self) -> &'static str {
+                match self {
+                    $(Error::$name => $text,)*
+                }
+            }
+        }
+    };
 }
 
-impl Error {
-    /// All of them, in the order of their numbers.
-    pub const ALL: [Error; 36] = [
-        Error::ExpectedLetter,
-        Error::BadNumber,
-        Error::InvalidStatement,
-        Error::NegativeValue,
-        Error::HomingDisabled,
-        Error::StepPulseTooShort,
-        Error::StoreReadFailed,
-        Error::NotIdle,
-        Error::Locked,
-        Error::SoftLimitNeedsHoming,
-        Error::LineTooLong,
-        Error::StepRateTooHigh,
-        Error::DoorOpen,
-        Error::JogOutsideTravel,
-        Error::InvalidJog,
-        Error::UnsupportedCommand,
-        Error::ModalGroupViolation,
-        Error::UndefinedFeed,
-        Error::IntegerRequired,
-        Error::TwoAxisCommands,
-        Error::WordRepeated,
-        Error::NoAxisWords,
-        Error::InvalidLineNumber,
-        Error::ValueWordMissing,
-        Error::UnsupportedCoordinateSystem,
-        Error::G53NeedsMotion,
-        Error::AxisWordsUnused,
-        Error::NoPlaneAxisForArc,
-        Error::InvalidTarget,
-        Error::ImpossibleRadius,
-        Error::NoPlaneOffsets,
-        Error::UnusedWords,
-        Error::ToolLengthAxis,
-        Error::ToolNumberTooHigh,
-        Error::EmergencyStop,
-        Error::DriverFault,
-    ];
-
-    /// The number on the wire.
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// What it means, for people.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Error::ExpectedLetter => "a word must begin with a letter",
-            Error::BadNumber => "the number of a word is missing or malformed, or the $ command is unknown",
-            Error::InvalidStatement => "the $ statement was not understood",
-            Error::NegativeValue => "the value must not be negative",
-            Error::HomingDisabled => "homing is disabled by setting $22",
-            Error::StepPulseTooShort => "the step pulse is shorter than the controller can make",
-            Error::StoreReadFailed => "stored settings were damaged and have not been confirmed",
-            Error::NotIdle => "the command works only while the machine is idle",
-            Error::Locked => "G-code is locked out in the alarm or jog state",
-            Error::SoftLimitNeedsHoming => "soft limits need homing to be enabled",
-            Error::LineTooLong => "the line is too long; it was not executed",
-            Error::StepRateTooHigh => "the setting exceeds the greatest step rate",
-            Error::DoorOpen => "the safety door is open",
-            Error::JogOutsideTravel => "the jog target lies outside the machine's travel",
-            Error::InvalidJog => "a jog takes axis words, F, G20, G21, G90, G91 and G53 only",
-            Error::UnsupportedCommand => "the command is unknown or not supported",
-            Error::ModalGroupViolation => "two commands of one modal group stand in the line",
-            Error::UndefinedFeed => "no feed rate has been set",
-            Error::IntegerRequired => "the command needs a whole number",
-            Error::TwoAxisCommands => "two commands that use axis words stand in the line",
-            Error::WordRepeated => "a word is repeated in the line",
-            Error::NoAxisWords => "the command needs axis words and has none",
-            Error::InvalidLineNumber => "the line number is out of range",
-            Error::ValueWordMissing => "the command lacks a P or L word",
-            Error::UnsupportedCoordinateSystem => "the coordinate system does not exist",
-            Error::G53NeedsMotion => "G53 needs G0 or G1 to be active",
-            Error::AxisWordsUnused => "axis words stand in the line with no command to use them",
-            Error::NoPlaneAxisForArc => "the arc has no axis word in the selected plane",
-            Error::InvalidTarget => "the motion's target is invalid",
-            Error::ImpossibleRadius => "no arc with this radius reaches the target",
-            Error::NoPlaneOffsets => "the arc has no centre offset in the selected plane",
-            Error::UnusedWords => "value words stand in the line that no command uses",
-            Error::ToolLengthAxis => "the tool length offset is for the tool axis only",
-            Error::ToolNumberTooHigh => "the tool number is out of range",
-            Error::EmergencyStop => "the emergency stop is active",
-            Error::DriverFault => "a motor driver reports a fault",
-        }
-    }
+errors! {
+    ExpectedLetter = 1, "a word must begin with a letter";
+    BadNumber = 2, "the number of a word is missing or malformed, or the $ command is unknown";
+    InvalidStatement = 3, "the $ statement was not understood";
+    NegativeValue = 4, "the value must not be negative";
+    HomingDisabled = 5, "homing is disabled by setting $22";
+    StepPulseTooShort = 6, "the step pulse is shorter than the controller can make";
+    StoreReadFailed = 7, "stored settings were damaged and have not been confirmed";
+    NotIdle = 8, "the command works only while the machine is idle";
+    Locked = 9, "G-code is locked out in the alarm or jog state";
+    SoftLimitNeedsHoming = 10, "soft limits need homing to be enabled";
+    LineTooLong = 11, "the line is too long; it was not executed";
+    StepRateTooHigh = 12, "the setting exceeds the greatest step rate";
+    DoorOpen = 13, "the safety door is open";
+    JogOutsideTravel = 15, "the jog target lies outside the machine's travel";
+    InvalidJog = 16, "a jog takes axis words, F, G20, G21, G90, G91 and G53 only";
+    UnsupportedCommand = 20, "the command is unknown or not supported";
+    ModalGroupViolation = 21, "two commands of one modal group stand in the line";
+    UndefinedFeed = 22, "no feed rate has been set";
+    IntegerRequired = 23, "the command needs a whole number";
+    TwoAxisCommands = 24, "two commands that use axis words stand in the line";
+    WordRepeated = 25, "a word is repeated in the line";
+    NoAxisWords = 26, "the command needs axis words and has none";
+    InvalidLineNumber = 27, "the line number is out of range";
+    ValueWordMissing = 28, "the command lacks a value word, such as P, L, Q or R";
+    UnsupportedCoordinateSystem = 29, "the coordinate system does not exist";
+    G53NeedsMotion = 30, "G53 needs G0 or G1 to be active";
+    AxisWordsUnused = 31, "axis words stand in the line with no command to use them";
+    NoPlaneAxisForArc = 32, "the arc has no axis word in the selected plane";
+    InvalidTarget = 33, "the motion's target is invalid";
+    ImpossibleRadius = 34, "no arc with this radius reaches the target";
+    NoPlaneOffsets = 35, "the arc has no centre offset in the selected plane";
+    UnusedWords = 36, "value words stand in the line that no command uses";
+    ToolLengthAxis = 37, "the tool length offset is for the tool axis only";
+    ToolNumberTooHigh = 38, "the tool number is out of range";
+    /// Not in Grbl; the numbers from here to 54 are grblHAL's.
+    ValueOutOfRange = 39, "the value of a word is out of range";
+    SpindleNotTurning = 41, "the cycle stops the spindle, which does not turn";
+    UnknownTool = 47, "the tool is not in the table, or the table is full";
+    EmergencyStop = 50, "the emergency stop is active";
+    DriverFault = 51, "a motor driver reports a fault";
+    RetractBelowBottom = 54, "R of the cycle lies below the bottom of the hole";
+    /// The next ones with the numbers of grblHAL.
+    UnknownOperation = 71, "the operator or function in the expression is unknown";
+    DivisionByZero = 72, "the expression divides by zero";
+    ArgumentOutOfRange = 73, "the argument is outside the range of the function or operator";
+    InvalidArgument = 74, "the parameter does not exist or has not been set";
+    ExpressionSyntax = 75, "the expression is malformed";
+    InvalidResult = 76, "the result of the expression is too large";
+    FlowSyntax = 81, "the O word is malformed or does not fit those before it";
+    TooDeep = 82, "too much is nested";
+    OutOfMemory = 83, "the memory for parameters and subroutines is full";
+    /// Oxmill's own numbers, above those of other controllers.
+    CycleNeedsPerMinute = 120, "a canned cycle needs G94";
+    NotSupported = 121, "the word is known but not supported: docs/gcode.md lists which are";
+    CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
+    NothingSaved = 123, "there is no state that M72 could restore";
+    ExtendedLeftOut = 124, "this board has no room for canned cycles, the tool table and words of state";
+    ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
+    ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
+    EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";
 }
 
 /// Why the machine locked itself; announced as `ALARM:N`.

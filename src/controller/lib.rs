@@ -37,6 +37,7 @@ pub mod motion;
 pub mod protocol;
 
 mod controller;
+pub mod pump;
 mod step_rates;
 pub use controller::{Controller, Profile};
 pub use messages::ResetCause;

@@ -17,7 +17,7 @@ pub const REALTIME_DEPTH: usize = 64;
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
-/// normally bounds it (see `QUEUED_TIME` in `motion`).
+/// normally bounds it (see `QUEUED_TIME_MS` in `motion`).
 pub const SEGMENTS_DEPTH: usize = 64;
 /// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` drains it in each turn. Full:
 /// the step task keeps the event and sends it at its next entry.

@@ -44,8 +44,31 @@ pub struct Entry {
     pub grbl: bool,
 }
 
-const fn entry(number: u16, name: &'static str, unit: &'static str, kind: Kind, default: f32, grbl: bool) -> Entry {
-    Entry { number, name, unit, kind, default, grbl }
+/// A table of settings: each row has its key, and its number, name, unit, check, default, and whether Grbl has it.
+macro_rules! table {
+    (
+        $(#[$rows_doc:meta])* $rows:ident;
+        $(#[$keys_doc:meta])* $keys:ident {
+            $($key:ident: $number:expr, $name:expr, $unit:expr, $kind:expr, $default:expr, $grbl:expr;)*
+        }
+    ) => {
+        $(#[$rows_doc])*
+        pub const $rows: [Entry; $keys::COUNT] = [$(
+            Entry { number: $number, name: $name, unit: $unit, kind: $kind, default: $default, grbl: $grbl },
+        )*];
+
+        $(#[$keys_doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[allow(missing_docs, reason = "the table says what each is")]
+        pub enum $keys {
+            $($key,)*
+        }
+
+        impl $keys {
+            /// How many there are.
+            pub const COUNT: usize = [$($keys::$key,)*].len();
+        }
+    };
 }
 
 /// Bits of the control inputs, as in grblHAL's `$14` and `$17`.
@@ -53,163 +76,85 @@ const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
 
-/// Settings that exist once. The order is the order of [`Key`].
-pub const SCALARS: [Entry; Key::COUNT] = [
-    entry(0, "Step pulse", "us", Kind::Whole(1, 255), 10.0, true),
-    entry(1, "Step idle delay", "ms", Kind::Whole(0, 255), 25.0, true),
-    entry(2, "Step invert", "mask", Kind::Whole(0, 255), 0.0, true),
-    entry(3, "Direction invert", "mask", Kind::Whole(0, 255), 0.0, true),
-    entry(4, "Enable invert", "", Kind::Switch, 0.0, true),
-    entry(5, "Limit invert", "", Kind::Switch, 0.0, true),
-    entry(6, "Probe invert", "", Kind::Switch, 0.0, true),
-    entry(10, "Status report", "mask", Kind::Whole(0, 255), 1.0, true),
-    entry(11, "Junction deviation", "mm", Kind::Real, 0.010, true),
-    entry(12, "Arc tolerance", "mm", Kind::Real, 0.002, true),
-    entry(13, "Report in inches", "", Kind::Switch, 0.0, true),
-    entry(
-        14,
-        "Control inputs invert (1 reset, 2 hold, 4 start, 8 door, 64 emergency stop, 256 driver fault)",
-        "mask",
-        CONTROL,
-        0.0,
-        false,
-    ),
-    entry(17, "Control inputs without pull-up (as $14)", "mask", CONTROL, 0.0, false),
-    entry(18, "Limit inputs without pull-up (1 X, 2 Y, 4 Z, 64 second motor)", "mask", LIMITS, 0.0, false),
-    entry(19, "Probe input without pull-up", "", Kind::Switch, 0.0, false),
-    entry(20, "Soft limits", "", Kind::Switch, 0.0, true),
-    entry(21, "Hard limits", "", Kind::Switch, 0.0, true),
-    entry(22, "Homing", "", Kind::Switch, 0.0, true),
-    entry(23, "Homing direction", "mask", Kind::Whole(0, 255), 0.0, true),
-    entry(24, "Homing locate feed", "mm/min", Kind::Real, 25.0, true),
-    entry(25, "Homing seek rate", "mm/min", Kind::Real, 500.0, true),
-    entry(26, "Homing debounce", "ms", Kind::Whole(0, 65_535), 250.0, true),
-    entry(27, "Homing pull-off", "mm", Kind::Real, 1.0, true),
-    entry(29, "Direction set-up", "us", Kind::Whole(0, 255), 5.0, false),
-    entry(30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true),
-    entry(31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true),
-    entry(32, "Laser mode", "", Kind::Switch, 0.0, true),
-    entry(33, "Spindle PWM frequency", "Hz", Kind::Whole(1, 100_000), 5000.0, false),
-    entry(40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false),
-    entry(41, "Parking", "", Kind::Switch, 0.0, false),
-    entry(42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false),
-    entry(43, "Homing locate passes", "", Kind::Whole(1, 128), 1.0, false),
-    entry(56, "Parking pull-out", "mm", Kind::Real, 5.0, false),
-    entry(57, "Parking pull-out rate", "mm/min", Kind::Real, 100.0, false),
-    entry(58, "Parking place", "mm", Kind::Place, -5.0, false),
-    entry(59, "Parking fast rate", "mm/min", Kind::Real, 500.0, false),
-    entry(347, "Squaring fails after (share of the travel)", "%", Kind::Real, 5.0, false),
-    entry(348, "Squaring fails after at least", "mm", Kind::Real, 2.5, false),
-    entry(349, "Squaring fails after at most", "mm", Kind::Real, 25.0, false),
-    entry(392, "Spindle on to coolant on, after a door", "s", Kind::Real, 4.0, false),
-    entry(393, "Coolant on to motion, after a door", "s", Kind::Real, 1.0, false),
-    entry(394, "Spindle on to motion", "s", Kind::Real, 0.0, false),
-    entry(539, "Spindle off to motion", "s", Kind::Real, 0.0, false),
-    entry(900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false),
-    entry(901, "An error stops the job", "", Kind::Switch, 0.0, false),
-    entry(902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false),
-    entry(903, "Safety door fitted", "", Kind::Switch, 1.0, false),
-    entry(904, "Kinematics (0 Cartesian, 1 CoreXY)", "", Kind::Whole(0, 1), 0.0, false),
-    entry(905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false),
-    entry(906, "Second motor turns the other way", "", Kind::Switch, 0.0, false),
-    entry(907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false),
-    entry(908, "Limit inputs of the other polarity than $5 says (as $18)", "mask", LIMITS, 0.0, false),
-    entry(909, "Control inputs with a pull-down (as $14)", "mask", CONTROL, 0.0, false),
-    entry(910, "Limit inputs with a pull-down (as $18)", "mask", LIMITS, 0.0, false),
-    entry(911, "Probe input with a pull-down", "", Kind::Switch, 0.0, false),
-    entry(912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false),
-    entry(913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false),
-    entry(914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false),
-    entry(915, "Spindle at-speed input (0 none, 1 low at speed, 2 high at speed)", "", Kind::Whole(0, 2), 0.0, false),
-    entry(916, "Longest time from spindle on to at speed", "s", Kind::Real, 10.0, false),
-    entry(917, "Acceleration in curves, share of $120 to $122", "%", Kind::Whole(10, 1000), 100.0, false),
-];
-
-/// Settings that exist for each axis: the number of X; Y has the next one, and so on. The order is the order of
-/// [`AxisKey`].
-pub const PER_AXIS: [Entry; AxisKey::COUNT] = [
-    // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
-    // `homing_cycle`.
-    entry(44, "Axes homed in cycle 1, 2, 3", "mask", Kind::Axes, 0.0, false),
-    entry(100, "Resolution", "steps/mm", Kind::Real, 250.0, true),
-    entry(110, "Maximum rate", "mm/min", Kind::Real, 500.0, true),
-    entry(120, "Acceleration", "mm/s2", Kind::Real, 10.0, true),
-    entry(130, "Maximum travel", "mm", Kind::Real, 200.0, true),
-    entry(160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false),
-    entry(220, "Jerk (0 = not limited)", "mm/s3", Kind::Real, 0.0, false),
-];
-
-/// Names the rows of [`SCALARS`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs, reason = "the table says what each is")]
-pub enum Key {
-    StepPulse,
-    IdleDelay,
-    StepInvert,
-    DirectionInvert,
-    EnableInvert,
-    LimitInvert,
-    ProbeInvert,
-    StatusReport,
-    JunctionDeviation,
-    ArcTolerance,
-    ReportInches,
-    ControlInvert,
-    ControlNoPullUp,
-    LimitNoPullUp,
-    ProbeNoPullUp,
-    SoftLimits,
-    HardLimits,
-    Homing,
-    HomingDirection,
-    HomingLocate,
-    HomingSeek,
-    HomingDebounce,
-    HomingPullOff,
-    DirectionSetup,
-    SpindleMaximum,
-    SpindleMinimum,
-    Laser,
-    SpindlePwm,
-    JogClip,
-    Parking,
-    ParkingAxis,
-    HomingPasses,
-    ParkingPullOut,
-    ParkingPullOutRate,
-    ParkingTarget,
-    ParkingFastRate,
-    SquaringShare,
-    SquaringLeast,
-    SquaringMost,
-    DoorSpindleDelay,
-    DoorCoolantDelay,
-    SpinUp,
-    SpinDown,
-    Dialect,
-    StopOnError,
-    TrustNeeded,
-    DoorFitted,
-    Kinematics,
-    GangedAxis,
-    GangedInvert,
-    GangedSwitch,
-    LimitInvertEach,
-    ControlPullDown,
-    LimitPullDown,
-    ProbePullDown,
-    ResetIsEmergencyStop,
-    EmergencyDriversOff,
-    HoldWithoutHost,
-    AtSpeed,
-    AtSpeedWithin,
-    CurveAcceleration,
+table! {
+    /// Settings that exist once.
+    SCALARS;
+    /// Names the rows of [`SCALARS`].
+    Key {
+        StepPulse: 0, "Step pulse", "us", Kind::Whole(1, 255), 10.0, true;
+        IdleDelay: 1, "Step idle delay", "ms", Kind::Whole(0, 255), 25.0, true;
+        StepInvert: 2, "Step invert", "mask", Kind::Whole(0, 255), 0.0, true;
+        DirectionInvert: 3, "Direction invert", "mask", Kind::Whole(0, 255), 0.0, true;
+        EnableInvert: 4, "Enable invert", "", Kind::Switch, 0.0, true;
+        LimitInvert: 5, "Limit invert", "", Kind::Switch, 0.0, true;
+        ProbeInvert: 6, "Probe invert", "", Kind::Switch, 0.0, true;
+        StatusReport: 10, "Status report", "mask", Kind::Whole(0, 255), 1.0, true;
+        JunctionDeviation: 11, "Junction deviation", "mm", Kind::Real, 0.010, true;
+        ArcTolerance: 12, "Arc tolerance", "mm", Kind::Real, 0.002, true;
+        ReportInches: 13, "Report in inches", "", Kind::Switch, 0.0, true;
+        ControlInvert: 14,
+            "Control inputs invert (1 reset, 2 hold, 4 start, 8 door, 64 emergency stop, 256 driver fault)",
+            "mask",
+            CONTROL,
+            0.0,
+            false;
+        ControlNoPullUp: 17, "Control inputs without pull-up (as $14)", "mask", CONTROL, 0.0, false;
+        LimitNoPullUp: 18, "Limit inputs without pull-up (1 X, 2 Y, 4 Z, 64 second motor)", "mask", LIMITS, 0.0, false;
+        ProbeNoPullUp: 19, "Probe input without pull-up", "", Kind::Switch, 0.0, false;
+        SoftLimits: 20, "Soft limits", "", Kind::Switch, 0.0, true;
+        HardLimits: 21, "Hard limits", "", Kind::Switch, 0.0, true;
+        Homing: 22, "Homing", "", Kind::Switch, 0.0, true;
+        HomingDirection: 23, "Homing direction", "mask", Kind::Whole(0, 255), 0.0, true;
+        HomingLocate: 24, "Homing locate feed", "mm/min", Kind::Real, 25.0, true;
+        HomingSeek: 25, "Homing seek rate", "mm/min", Kind::Real, 500.0, true;
+        HomingDebounce: 26, "Homing debounce", "ms", Kind::Whole(0, 65_535), 250.0, true;
+        HomingPullOff: 27, "Homing pull-off", "mm", Kind::Real, 1.0, true;
+        DirectionSetup: 29, "Direction set-up", "us", Kind::Whole(0, 255), 5.0, false;
+        SpindleMaximum: 30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true;
+        SpindleMinimum: 31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true;
+        Laser: 32, "Laser mode", "", Kind::Switch, 0.0, true;
+        SpindlePwm: 33, "Spindle PWM frequency", "Hz", Kind::Whole(1, 100_000), 5000.0, false;
+        JogClip: 40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false;
+        Parking: 41, "Parking", "", Kind::Switch, 0.0, false;
+        ParkingAxis: 42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false;
+        HomingPasses: 43, "Homing locate passes", "", Kind::Whole(1, 128), 1.0, false;
+        ParkingPullOut: 56, "Parking pull-out", "mm", Kind::Real, 5.0, false;
+        ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Kind::Real, 100.0, false;
+        ParkingTarget: 58, "Parking place", "mm", Kind::Place, -5.0, false;
+        ParkingFastRate: 59, "Parking fast rate", "mm/min", Kind::Real, 500.0, false;
+        SquaringShare: 347, "Squaring fails after (share of the travel)", "%", Kind::Real, 5.0, false;
+        SquaringLeast: 348, "Squaring fails after at least", "mm", Kind::Real, 2.5, false;
+        SquaringMost: 349, "Squaring fails after at most", "mm", Kind::Real, 25.0, false;
+        DoorSpindleDelay: 392, "Spindle on to coolant on, after a door", "s", Kind::Real, 4.0, false;
+        DoorCoolantDelay: 393, "Coolant on to motion, after a door", "s", Kind::Real, 1.0, false;
+        SpinUp: 394, "Spindle on to motion", "s", Kind::Real, 0.0, false;
+        SpinDown: 539, "Spindle off to motion", "s", Kind::Real, 0.0, false;
+        Dialect: 900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false;
+        StopOnError: 901, "An error stops the job", "", Kind::Switch, 0.0, false;
+        TrustNeeded: 902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false;
+        DoorFitted: 903, "Safety door fitted", "", Kind::Switch, 1.0, false;
+        Kinematics: 904, "Kinematics (0 Cartesian, 1 CoreXY)", "", Kind::Whole(0, 1), 0.0, false;
+        GangedAxis: 905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false;
+        GangedInvert: 906, "Second motor turns the other way", "", Kind::Switch, 0.0, false;
+        GangedSwitch: 907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false;
+        LimitInvertEach: 908, "Limit inputs of the other polarity than $5 says (as $18)", "mask", LIMITS, 0.0, false;
+        ControlPullDown: 909, "Control inputs with a pull-down (as $14)", "mask", CONTROL, 0.0, false;
+        LimitPullDown: 910, "Limit inputs with a pull-down (as $18)", "mask", LIMITS, 0.0, false;
+        ProbePullDown: 911, "Probe input with a pull-down", "", Kind::Switch, 0.0, false;
+        ResetIsEmergencyStop: 912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false;
+        EmergencyDriversOff: 913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false;
+        HoldWithoutHost: 914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false;
+        AtSpeed: 915, "Spindle at-speed input (0 none, 1 low at speed, 2 high at speed)", "", Kind::Whole(0, 2), 0.0, false;
+        AtSpeedWithin: 916, "Longest time from spindle on to at speed", "s", Kind::Real, 10.0, false;
+        CurveAcceleration: 917, "Acceleration in curves, share of $120 to $122", "%", Kind::Whole(10, 1000), 100.0, false;
+        ToolChange: 918, "M6 (0 is ignored, 1 stops and asks for the tool)", "", Kind::Whole(0, 1), 0.0, false;
+        OptionalStop: 919, "M1 pauses", "", Kind::Switch, 0.0, false;
+        BlockDelete: 920, "Lines that begin with / are skipped", "", Kind::Switch, 0.0, false;
+        PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Kind::Real, 0.254, false;
+    }
 }
 
 impl Key {
-    /// How many there are.
-    pub const COUNT: usize = 61;
-
     /// The number after `$`.
     #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
     pub const fn number(self) -> u16 {
@@ -217,23 +162,24 @@ impl Key {
     }
 }
 
-/// Names the rows of [`PER_AXIS`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs, reason = "the table says what each is")]
-pub enum AxisKey {
-    HomingCycle,
-    Resolution,
-    MaxRate,
-    Acceleration,
-    Travel,
-    Backlash,
-    Jerk,
+table! {
+    /// Settings that exist for each axis: the number of X; Y has the next one, and so on.
+    PER_AXIS;
+    /// Names the rows of [`PER_AXIS`].
+    AxisKey {
+        // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
+        // `homing_cycle`.
+        HomingCycle: 44, "Axes homed in cycle 1, 2, 3", "mask", Kind::Axes, 0.0, false;
+        Resolution: 100, "Resolution", "steps/mm", Kind::Real, 250.0, true;
+        MaxRate: 110, "Maximum rate", "mm/min", Kind::Real, 500.0, true;
+        Acceleration: 120, "Acceleration", "mm/s2", Kind::Real, 10.0, true;
+        Travel: 130, "Maximum travel", "mm", Kind::Real, 200.0, true;
+        Backlash: 160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false;
+        Jerk: 220, "Jerk (0 = not limited)", "mm/s3", Kind::Real, 0.0, false;
+    }
 }
 
 impl AxisKey {
-    /// How many there are.
-    pub const COUNT: usize = 7;
-
     /// The number after `$` for X; Y has the next one, and so on.
     #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
     pub const fn number(self) -> u16 {

@@ -1,10 +1,5 @@
-//! The pump: brings the controller what has happened, and carries away what it wants done.
-//!
-//! The order in which it does so is a rule, and the simulator follows the same one, so that both make the same steps of
-//! the same bytes:
-//! 1. what the step task has done; 2. everything that has happened; 3. bytes of lines, as many as the controller wants;
-//! 4. what the controller puts out. After each message to the step task it begins again with 1, so the look-ahead is as
-//!    full as the bytes allow before each segment, and the steps do not depend on the speed of the CPU.
+//! The control task: carries to the controller what other tasks have queued, and carries out what it decides, in the order
+//! of [`oxmill_controller::pump`].
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
@@ -14,14 +9,14 @@ use crate::crossing::{
 };
 use crate::flash::Settings;
 use crate::outputs::Outputs;
-use crate::{ask_step, pend_serial, pend_step};
 use core::sync::atomic::Ordering;
-use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
     Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
 };
-use oxmill_controller::units::Duration;
+use oxmill_controller::pump::{Pump, Source, round};
+use oxmill_controller::units::{Duration, Instant};
+use oxmill_controller::{Controller, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
@@ -66,6 +61,15 @@ pub struct Control {
     job: Option<Job>,
     /// Wiring facts for which there was no room.
     unsent_wiring: Option<Wiring>,
+    /// Line bytes queued when the round began: those after them belong to a later one.
+    lines_in: u32,
+    /// Commands were owed when the round began; taken, and still to be told.
+    owes: bool,
+    owed: Owed,
+    /// Whether the last record was stored, still to be told.
+    stored: Option<bool>,
+    /// The controller has asked to see the inputs.
+    pins_asked: bool,
 }
 
 /// A preloaded job and how far it has been read.
@@ -89,6 +93,11 @@ impl Control {
             hosts_went: 0,
             job,
             unsent_wiring: None,
+            lines_in: 0,
+            owes: false,
+            owed: Owed::default(),
+            stored: None,
+            pins_asked: false,
         }
     }
 
@@ -98,22 +107,24 @@ impl Control {
         self.controller.start(now);
     }
 
-    /// Pumps until there is nothing to do, and sets the alarm for the next time.
+    /// Pumps until there is nothing to do, and sets the alarm for the next time. A function of its own, so that the virtual
+    /// board can put an endless loop in its place.
+    #[inline(never)]
     pub fn turn(&mut self) {
         let heard = HEARD.load(Ordering::Relaxed);
-        while self.pass() {}
+        while round(self) {}
         self.note_place();
         if self.erase_ahead() {
             // Lines that had to wait for it.
-            while self.pass() {}
+            while round(self) {}
         }
-        let observed = self.observed();
+        let observed = self.observe();
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         let answered = self.controller.is_idle() && self.ends.replies.is_empty();
         crossing::set_free(heard, nothing_waits && answered && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
-            && self.observed().step_idle
+            && self.observe().step_idle
         {
             boards::job_done();
         }
@@ -123,116 +134,6 @@ impl Control {
             wakeup = Some(wakeup.map_or(soon, |at| at.min(soon)));
         }
         self.clock.set_alarm(wakeup);
-    }
-
-    /// One round of the rule; whether another may find more to do.
-    fn pass(&mut self) -> bool {
-        CONTROL_ASKED.store(false, Ordering::Relaxed);
-        let now = self.clock.now();
-        self.observe();
-        while let Ok(event) = self.ends.events.try_recv() {
-            // A segment may have begun before what it tells of.
-            self.observe();
-            self.controller.event(now, Event::Step(event));
-        }
-        // Of the line bytes only those that are in their queue now are taken below: hosts and commands that came before them have
-        // been taken by then, so a report that was asked for before a line comes before its answer.
-        let lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
-        let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
-        if went != self.hosts_went {
-            self.observe();
-            self.hosts_went = went;
-            self.controller.event(now, Event::Disconnected(went));
-        }
-        if came != self.hosts_came {
-            self.hosts_came = came;
-            self.controller.event(now, Event::Connected);
-        }
-        let (mut made_room, owes) = (false, crossing::owes());
-        while let Ok(command) = self.ends.realtime.try_recv() {
-            made_room = true;
-            self.observe();
-            self.controller.event(now, Event::Realtime(command));
-        }
-        if owes {
-            made_room = true;
-            self.observe();
-            for command in crossing::take_owed().commands() {
-                self.controller.event(now, Event::Realtime(command));
-            }
-        }
-        while let Ok(sensed) = self.ends.signals.try_recv() {
-            self.observe();
-            self.controller.event(now, Event::Signals(sensed));
-        }
-        let mut took = false;
-        // A host that sends one setting after the other is made to wait before there is no room for them.
-        while self.controller.wants_line()
-            && !(self.settings.wants_erase_soon() && self.controller.is_nearly_quiet())
-            && let Some(byte) = self.next_byte(lines_in)
-        {
-            took = true;
-            self.controller.event(now, Event::Line(byte));
-        }
-        if (made_room || took) && RX_HELD.load(Ordering::Relaxed) {
-            pend_serial();
-        }
-        self.send_wiring();
-        loop {
-            let room = Room { step: !self.ends.segments.is_full(), reply: !self.ends.replies.is_full() };
-            let Some(output) = self.controller.output(now, room) else { return took };
-            match output {
-                Output::Step(message) => {
-                    // There is room, and nobody else sends.
-                    let _ = self.ends.segments.try_send(message);
-                    if STEP_WANTS.load(Ordering::Relaxed) != 0 {
-                        ask_step();
-                    }
-                    return true;
-                }
-                Output::Reply(chunk) => {
-                    let _ = self.ends.replies.try_send(chunk);
-                    pend_serial();
-                }
-                Output::Pins(levels) => {
-                    self.outputs.show(levels);
-                    Power { level: levels.power, from_segments: levels.power_from_segments }.want();
-                    ask_step();
-                }
-                Output::Wiring(wiring) => {
-                    self.outputs.set_enable_invert(wiring.enable_invert);
-                    self.unsent_wiring = Some(wiring);
-                    self.send_wiring();
-                }
-                Output::Stop => {
-                    crossing::ask_for_stop();
-                    pend_step();
-                }
-                Output::ReadPins { clear_noise: true } => {
-                    for count in &NOISE {
-                        count.store(0, Ordering::Relaxed);
-                    }
-                }
-                Output::ReadPins { clear_noise: false } => {
-                    let view = PinView {
-                        fitted: INPUTS_FITTED.load(Ordering::Relaxed),
-                        low: INPUTS_LOW.load(Ordering::Relaxed),
-                        noise: core::array::from_fn::<_, { input::COUNT }, _>(|bit| {
-                            NOISE.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
-                        }),
-                    };
-                    self.controller.event(now, Event::Pins(view));
-                }
-                Output::Store(change) => {
-                    let event = self.settings.store(&change);
-                    // Bytes may have come while the processor stood.
-                    pend_serial();
-                    self.controller.event(now, event);
-                }
-                // Events first: a long arc must not keep a stop waiting.
-                Output::Worked => return true,
-            }
-        }
     }
 
     /// Leaves place and line where a handler that ends the program finds them.
@@ -247,13 +148,13 @@ impl Control {
     /// Erases flash when nothing moves, turns or waits: the processor stands for a quarter of a second. What the host
     /// sends in that time is kept (see the board).
     fn erase_ahead(&mut self) -> bool {
-        let observed = self.observed();
+        let observed = self.observe();
         let nothing_waits =
             (observed.received == 0 || self.settings.wants_erase_soon()) && self.ends.realtime.is_empty();
         let erases = self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet();
         if erases {
             self.settings.erase();
-            pend_serial();
+            boards::call_serial();
         }
         erases
     }
@@ -267,17 +168,11 @@ impl Control {
             let _ = self.ends.step_wiring.try_send(wiring);
             let _ = self.ends.input_wiring.try_send(wiring);
             self.unsent_wiring = None;
-            ask_step();
+            boards::ask_step();
         }
     }
 
-    /// What has been received before an event is taken out of its queue, has been received now.
-    fn observe(&mut self) {
-        let observed = self.observed();
-        self.controller.observe(observed);
-    }
-
-    fn observed(&self) -> Observed {
+    fn observe(&self) -> Observed {
         // The order matters: what leaves the queue shows up in the step task in the same handler.
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP_AT_REST.load(Ordering::Relaxed);
@@ -294,8 +189,82 @@ impl Control {
         }
     }
 
-    /// The next byte of a line, of the first `lines_in` that were queued.
-    fn next_byte(&mut self, lines_in: u32) -> Option<LineByte> {
+    /// A host that has gone or come since the last call.
+    fn next_of_hosts(&mut self) -> Option<Event<AXES>> {
+        // In this order, for one may go and another come between the two: then it comes with the next round.
+        let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
+        if went != self.hosts_went {
+            self.hosts_went = went;
+            return Some(Event::Disconnected(went));
+        }
+        (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
+    }
+
+    /// The next command: of those queued, then of those that were owed for want of room when the round began. What is
+    /// queued once these have been taken comes after them.
+    fn next_command(&mut self) -> Option<Realtime> {
+        if let Some(command) = self.owed.pop() {
+            return Some(command);
+        }
+        if let Ok(command) = self.ends.realtime.try_recv() {
+            return Some(command);
+        }
+        if core::mem::take(&mut self.owes) {
+            self.owed = crossing::take_owed();
+        }
+        self.owed.pop()
+    }
+
+    fn view_of_pins(&self) -> PinView {
+        PinView {
+            fitted: INPUTS_FITTED.load(Ordering::Relaxed),
+            low: INPUTS_LOW.load(Ordering::Relaxed),
+            noise: core::array::from_fn::<_, { input::COUNT }, _>(|bit| {
+                NOISE.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
+            }),
+        }
+    }
+}
+
+impl Pump<AXES, BLOCKS> for Control {
+    const IS_WOKEN: bool = true;
+
+    #[inline(always)]
+    fn controller(&mut self) -> &mut BoardController {
+        self.controller
+    }
+
+    #[inline(always)]
+    fn begin(&mut self) -> Instant {
+        CONTROL_ASKED.store(false, Ordering::Relaxed);
+        self.lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
+        self.owes = crossing::owes();
+        self.clock.now()
+    }
+
+    #[inline]
+    fn observed(&mut self) -> Observed {
+        self.observe()
+    }
+
+    #[inline]
+    fn next_event(&mut self, source: Source) -> Option<Event<AXES>> {
+        match source {
+            Source::Step => self.ends.events.try_recv().ok().map(Event::Step),
+            Source::Hosts => self.next_of_hosts(),
+            Source::Commands => self.next_command().map(Event::Realtime),
+            Source::Inputs => self.ends.signals.try_recv().ok().map(Event::Signals),
+            Source::Pins => core::mem::take(&mut self.pins_asked).then(|| Event::Pins(self.view_of_pins())),
+            Source::Store => self.stored.take().map(|stored| if stored { Event::Stored } else { Event::StoreFailed }),
+        }
+    }
+
+    #[inline(always)]
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        // A host that sends one setting after the other is made to wait before there is no room for them.
+        if self.settings.wants_erase_soon() && self.controller.is_nearly_quiet() {
+            return None;
+        }
         if let Some(job) = &mut self.job {
             let byte = *job.text.get(job.next)?;
             job.next += 1;
@@ -304,11 +273,69 @@ impl Control {
             }
             return Some(LineByte { byte, epoch: 0, damaged: false });
         }
-        if self.line_bytes_out == lines_in {
+        if self.line_bytes_out == self.lines_in {
             return None;
         }
         let byte = self.ends.lines.try_recv().ok()?;
         self.line_bytes_out = self.line_bytes_out.wrapping_add(1);
         Some(byte)
+    }
+
+    #[inline(always)]
+    fn make_room(&mut self, took: bool) -> bool {
+        if took && RX_HELD.load(Ordering::Relaxed) {
+            boards::call_serial();
+        }
+        self.send_wiring();
+        // What comes wakes this task.
+        false
+    }
+
+    #[inline(always)]
+    fn room(&mut self) -> Room {
+        Room { step: !self.ends.segments.is_full(), reply: !self.ends.replies.is_full() }
+    }
+
+    #[inline(always)]
+    fn carry(&mut self, output: Output) {
+        match output {
+            Output::Step(message) => {
+                // There is room, and no other task sends.
+                let _ = self.ends.segments.try_send(message);
+                if STEP_WANTS.load(Ordering::Relaxed) != 0 {
+                    boards::ask_step();
+                }
+            }
+            Output::Reply(chunk) => {
+                let _ = self.ends.replies.try_send(chunk);
+                boards::call_serial();
+            }
+            Output::Pins(levels) => {
+                self.outputs.show(levels);
+                Power { level: levels.power, from_segments: levels.power_from_segments }.want();
+                boards::ask_step();
+            }
+            Output::Wiring(wiring) => {
+                self.outputs.set_enable_invert(wiring.enable_invert);
+                self.unsent_wiring = Some(wiring);
+                self.send_wiring();
+            }
+            Output::Stop => {
+                crossing::ask_for_stop();
+                boards::call_step();
+            }
+            Output::ReadPins { clear_noise: true } => {
+                for count in &NOISE {
+                    count.store(0, Ordering::Relaxed);
+                }
+            }
+            Output::ReadPins { clear_noise: false } => self.pins_asked = true,
+            Output::Store(change) => {
+                self.stored = Some(self.settings.store(&change));
+                // Bytes may have come while the processor stood.
+                boards::call_serial();
+            }
+            Output::Worked => {}
+        }
     }
 }

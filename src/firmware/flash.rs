@@ -6,7 +6,7 @@
 
 use crate::boards::SettingsFlash;
 use crate::control::BoardController;
-use oxmill_controller::messages::{Event, Store};
+use oxmill_controller::messages::Store;
 use oxmill_store::{Log, StoreError};
 
 /// The log, as long as the flash works.
@@ -31,16 +31,16 @@ impl Settings {
         Settings { log, worn: false }
     }
 
-    /// Carries out a change; what the controller is to be told.
-    pub fn store<const N: usize>(&mut self, change: &Store) -> Event<N> {
+    /// Carries out a change; whether it was stored.
+    pub fn store(&mut self, change: &Store) -> bool {
         match self.log.as_mut().map(|log| log.store(change)) {
-            Some(Ok(())) => Event::Stored,
+            Some(Ok(())) => true,
             failure => {
                 match failure {
                     Some(Err(StoreError::Full)) => defmt::error!("no room to store a setting"),
                     _ => defmt::error!("a setting could not be written"),
                 }
-                Event::StoreFailed
+                false
             }
         }
     }

@@ -4,10 +4,9 @@
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
 
-use crate::boards::{InputPins, input_bits};
+use crate::boards::{self, InputPins, input_bits};
 use crate::clock;
 use crate::crossing::{self, INPUTS_LOW, NOISE, Wake};
-use crate::pend_step;
 use crate::watchdog::Supervisor;
 use core::sync::atomic::Ordering;
 use oxmill_controller::machine::signals;
@@ -60,7 +59,7 @@ impl Inputs {
         let low = self.pins.read();
         if self.inputs.sample(low) {
             crossing::ask_for_stop();
-            pend_step();
+            boards::call_step();
         }
         INPUTS_LOW.store(low, Ordering::Relaxed);
         self.count_noise();

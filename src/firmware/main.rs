@@ -1,67 +1,28 @@
-//! The firmware: the controller of `oxmill-controller`, pumped by tasks of RTIC.
-//!
-//! ```text
-//!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam
-//!  priority 3  serial   UART           ─realtime, lines─▶ ◀─replies─  bytes in and out
-//!  priority 2  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`
-//!  priority 1  control  software task  everything is decided here, by the controller
-//!  priority 0  idle                    sleeps
-//! ```
-//! This file is the wiring diagram and nothing else. Nothing shares the priority of `step`. Each channel has one sender
-//! and one receiver; what happens when one is full stands with its depth in `oxmill_controller::messages`. A channel
-//! call takes 50 to 130 instructions and masks interrupts for 25 cycles of them at most (`cargo xtask count`).
+//! The program: binds the tasks of `oxmill_firmware` to interrupt vectors and gives each its ends of the channels. This
+//! file is the wiring diagram and nothing else.
 #![no_std]
 #![no_main]
 #![allow(unsafe_op_in_unsafe_fn, clippy::undocumented_unsafe_blocks, reason = "code that RTIC generates in this file")]
 
-#[path = "../../boards/mod.rs"]
-mod boards;
-mod clock;
-mod control;
-mod copy;
-mod crossing;
-mod flash;
-mod inputs;
-mod outputs;
 mod panic;
-mod record;
-mod serial;
-mod stack;
-mod startup;
-mod step_timer;
-mod watchdog;
 
 use defmt_rtt as _;
 
-/// The app. RTIC takes vectors as literals and cannot choose one by `cfg`, so each board instantiates it with its own.
+/// The app. RTIC takes vectors as literals and cannot choose one by `cfg`, so the board calls this with its own.
 // Without `skip` rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {
-    (device: $pac:path, serial: $serial:ident $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
-        /// Calls the step task.
-        pub fn pend_step() {
-            boards::call_step();
-        }
-
-        /// Calls the step task for what is not urgent, when no edge is near.
-        pub fn ask_step() {
-            boards::ask_step();
-        }
-
-        /// Calls the serial task.
-        pub fn pend_serial() {
-            rtic::pend(boards::pac::Interrupt::$serial);
-        }
-
-        #[rtic::app(device = $pac, peripherals = true, dispatchers = [$dispatcher])]
+    (serial: $serial:ident $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
+        #[rtic::app(device = oxmill_boards::pac, peripherals = true, dispatchers = [$dispatcher])]
         mod app {
-            use crate::boards::{self, AXES};
-            use crate::control::{BoardController, Control};
-            use crate::inputs::Inputs;
-            use crate::serial::Serial;
-            use crate::startup::{self, Channels};
-            use crate::step_timer::Step;
+            use oxmill_boards::{self as boards, AXES};
             use oxmill_controller::messages::*;
+            use oxmill_firmware::control::{BoardController, Control};
+            use oxmill_firmware::inputs::Inputs;
+            use oxmill_firmware::serial::Serial;
+            use oxmill_firmware::stack;
+            use oxmill_firmware::startup::{self, Channels};
+            use oxmill_firmware::step_timer::Step;
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
 
@@ -95,7 +56,7 @@ macro_rules! firmware {
                 controller: BoardController = BoardController::new(boards::PROFILE),
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                crate::stack::paint();
+                boards::stack::paint();
                 let local = cx.local;
                 let channels = Channels {
                     realtime: local.realtime,
@@ -151,7 +112,7 @@ macro_rules! firmware {
 
             #[idle]
             fn idle(_: idle::Context) -> ! {
-                let mut watch = crate::stack::Watch::new();
+                let mut watch = stack::Watch::start();
                 loop {
                     watch.look();
                     boards::idle();
@@ -161,9 +122,4 @@ macro_rules! firmware {
     };
 }
 
-#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
-firmware!(device: stm32f4xx_hal::pac, serial: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
-#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
-firmware!(device: stm32f4xx_hal::pac, serial: USART2, step: TIM2, dispatcher: SPI1);
-#[cfg(feature = "qemu_mps2")]
-firmware!(device: mps2_pac, serial: UART0_RX, step: TIMER0, dispatcher: SPI);
+oxmill_boards::vectors!(firmware);

@@ -1,31 +1,8 @@
-//! The end after a failure: outputs into the safe state first, then the reason into RAM that outlives the reset and into
-//! the log, then a reset. The host is told of it at the next welcome line, by a machine that is locked.
+//! The handlers of panics and faults, which a program has once: they end in [`oxmill_firmware::failure`].
 
-use crate::{boards, record};
 use core::panic::PanicInfo;
-use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
-
-/// The program is being ended.
-static FAILING: AtomicBool = AtomicBool::new(false);
-
-/// Ends the program. A failure while it does so (in the log, whose frames do not nest; in a `Display` of the reason) leaves
-/// the first record as it is and resets at once.
-pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
-    cortex_m::interrupt::disable();
-    boards::safe_state();
-    if FAILING.swap(true, Ordering::Relaxed) {
-        cortex_m::peripheral::SCB::sys_reset()
-    }
-    record::keep(kind, why);
-    boards::restart(why)
-}
-
-/// The supply sinks: for boards that can tell.
-#[cfg(not(feature = "qemu_mps2"))]
-pub fn low_voltage() -> ! {
-    fail(CrashKind::Voltage, format_args!("supply below 2.9 V"))
-}
+use oxmill_firmware::failure::fail;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
@@ -65,7 +42,7 @@ extern "C" fn hard_fault(frame: usize) -> ! {
         static _stack_start: u32;
     }
     cortex_m::interrupt::disable();
-    boards::safe_state();
+    oxmill_boards::safe_state();
     let stack = &raw const _stack_end as usize..&raw const _stack_start as usize;
     // The program counter is the seventh of the eight words of an exception frame (ARMv7-M, B1.5.6).
     let counter = frame + 6 * size_of::<u32>();

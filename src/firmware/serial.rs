@@ -9,7 +9,7 @@
 //! it changes when the machine has nothing to do, when its holder goes, and with a reset. A reset stops the step task
 //! from here, before anyone has queued or decided anything.
 
-use crate::boards::{Incoming, Port, SerialPort, UsbPort};
+use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::crossing::{
     self, HEARD, HOSTS_CAME, HOSTS_WENT, LINE_BYTES_IN, LINE_BYTES_RECEIVED, RX_HELD, SERIAL_ASKED, Wake,
 };
@@ -48,7 +48,7 @@ impl Queues for ToControl {
         let queued = !crossing::owes() && self.realtime.try_send(command).is_ok();
         let owed = !queued && self.may_owe && crossing::owe(command);
         if owed {
-            crate::pend_step();
+            boards::call_step();
         }
         queued || owed
     }
@@ -72,7 +72,7 @@ impl Queues for ToControl {
 
     fn stop(&mut self) {
         crossing::ask_for_stop();
-        crate::pend_step();
+        boards::call_step();
     }
 }
 

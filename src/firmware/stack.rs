@@ -1,46 +1,8 @@
-//! How deep the stack has been: it is painted at the start, and what is not paint any more has been used.
+//! Watches how deep the stack has been.
 
-use crate::boards;
-
-/// No address, no small number, no float of any sense.
-const PAINT: u32 = 0xA5C3_5A3C;
-/// Bytes below the stack pointer that are left alone: the frame of the painter itself.
-const MARGIN: usize = 256;
-
-unsafe extern "C" {
-    static mut _stack_end: u32;
-    static _stack_start: u32;
-}
-
-/// Bytes of the whole stack.
-pub fn size() -> u32 {
-    &raw const _stack_start as u32 - &raw const _stack_end as u32
-}
-
-/// Paints what is free of the stack. Before the tasks run.
-pub fn paint() {
-    let mut at = &raw mut _stack_end;
-    let until = cortex_m::register::msp::read() as usize - MARGIN;
-    while (at as usize) < until {
-        // SAFETY: unsafe because memory is written by its address; safe because it lies between the end of the stack and
-        // the frame of this function, where nothing is alive.
-        unsafe {
-            at.write_volatile(PAINT);
-            at = at.add(1);
-        }
-    }
-}
-
-/// The most that has been used since then, in bytes.
-pub fn used() -> u32 {
-    let mut at = &raw const _stack_end;
-    let start = &raw const _stack_start;
-    // SAFETY: unsafe because memory is read by its address; safe because it lies within the stack, which is always there.
-    while at < start && unsafe { at.read_volatile() } == PAINT {
-        at = at.wrapping_add(1);
-    }
-    start as u32 - at as u32
-}
+use crate::boards::{self, stack};
+use crate::crossing::STEP_AT_REST;
+use core::sync::atomic::Ordering;
 
 /// Logs each new depth, but not more often than once in a second: looking takes a hundred microseconds.
 pub struct Watch {
@@ -50,14 +12,14 @@ pub struct Watch {
 
 impl Watch {
     /// Nothing seen yet.
-    pub fn new() -> Watch {
+    pub fn start() -> Watch {
         Watch { looked: boards::clock_ticks(), most: 0 }
     }
 
     /// To be called when there is nothing else to do.
     pub fn look(&mut self) {
         // A line of the log masks interrupts for as long as it takes: not while motors turn.
-        if !crate::crossing::STEP_AT_REST.load(core::sync::atomic::Ordering::Relaxed) {
+        if !STEP_AT_REST.load(Ordering::Relaxed) {
             return;
         }
         let now = boards::clock_ticks();
@@ -65,10 +27,10 @@ impl Watch {
             return;
         }
         self.looked = now;
-        let used = used();
+        let used = stack::used();
         if used > self.most {
             self.most = used;
-            defmt::info!("stack: {} of {} bytes used", used, size());
+            defmt::info!("stack: {} of {} bytes used", used, stack::size());
         }
     }
 }

@@ -3,6 +3,7 @@
 use crate::boards::{self, AXES};
 use crate::control::{BoardController, Control, Ends};
 use crate::crossing::Wake;
+use crate::failure;
 use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
@@ -48,7 +49,7 @@ pub fn start(
     channels: Channels,
     controller: &'static mut BoardController,
 ) -> Tasks {
-    let parts = boards::setup(device);
+    let parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();
     let (replies, replies_out) = channels.replies.split();

@@ -10,9 +10,9 @@
 //! by the hardware, after its own time. Time is counted in samples of `inputs`, so that a processor that stood still (an
 //! erase of flash) blames nobody.
 
-use crate::boards::{SAMPLE_HZ, Watchdog};
+use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::crossing::{CONTROL_ASKED, SERIAL_ASKED, STEP_ASKED, STEP_WANTS, Wake};
-use crate::{ask_step, panic, pend_serial};
+use crate::failure;
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::CrashKind;
 
@@ -63,14 +63,14 @@ impl Supervisor {
             Some(task) => {
                 self.unanswered += 1;
                 if self.unanswered >= PATIENCE {
-                    panic::fail(CrashKind::Stuck, format_args!("{task}"));
+                    failure::fail(CrashKind::Stuck, format_args!("{task}"));
                 }
             }
         }
         STEP_WANTS.store(STEP_ASKED, Ordering::Relaxed);
-        ask_step();
+        boards::ask_step();
         SERIAL_ASKED.store(true, Ordering::Relaxed);
-        pend_serial();
+        boards::call_serial();
         CONTROL_ASKED.store(true, Ordering::Relaxed);
         wake.write(());
     }

@@ -5,7 +5,7 @@ use crate::files::{self, Output, Role};
 use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
-use crate::pump::{Options, Simulator};
+use crate::simulator::{Options, Simulator};
 use crate::store::Store;
 use crate::summary::{AlarmReport, Extents, LineError, Summary};
 use crate::text::{self, JobText, Said};

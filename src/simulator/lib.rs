@@ -14,28 +14,30 @@
 //! ```
 #![forbid(unsafe_code)]
 
-#[path = "../../boards/profiles.rs"]
-pub mod boards;
-
 pub mod clock;
 pub mod command_line;
 pub mod files;
 pub mod fittings;
+pub mod host_link;
+pub mod input_task;
 pub mod job;
 pub mod machine;
 pub mod meter;
 pub mod path;
 pub mod pins;
 pub mod plot;
-pub mod pump;
+mod pump;
 pub mod server;
+pub mod simulator;
+pub mod step_task;
 pub mod store;
 pub mod summary;
 pub mod text;
 pub mod trace;
 
 pub use fittings::Fittings;
-pub use pump::{Options, Simulator};
+pub use oxmill_boards::profiles as boards;
+pub use simulator::{Options, Simulator};
 pub use store::Store;
 pub use text::JobText;
 

@@ -9,7 +9,7 @@
 
 use crate::command_line::{Serve, Speed};
 use crate::job::{check_power, power_up};
-use crate::pump::Simulator;
+use crate::simulator::Simulator;
 use anyhow::{Context, Result, anyhow};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};

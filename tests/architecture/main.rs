@@ -1,6 +1,9 @@
 //! Who may know whom. Reads the sources, so that a shortcut between rooms fails here and not in somebody's head.
 
+mod docs;
+mod shape;
 mod source;
+mod walls;
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -37,6 +40,7 @@ const ROOMS: &[(&str, &[&str])] = &[
             "step_rates",
         ],
     ),
+    ("pump", &["controller", "messages", "units"]),
 ];
 
 /// Crates that the controller may build on.
@@ -49,22 +53,11 @@ fn root() -> PathBuf {
 /// All Rust files below a folder, with their path from there. `tests` (folder or file) is left out: no rule is for it, and
 /// [`faults`] sees to it that it belongs to test builds only.
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
-    let mut found = Vec::new();
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(&next).unwrap_or_else(|e| panic!("{}: {e}", next.display())) {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                if path.file_name().is_some_and(|n| n != "target" && n != "tests") {
-                    folders.push(path);
-                }
-            } else if path.extension().is_some_and(|e| e == "rs") && path.file_name().is_some_and(|n| n != "tests.rs") {
-                let text = fs::read_to_string(&path).unwrap();
-                found.push((path.strip_prefix(folder).unwrap().to_path_buf(), text));
-            }
-        }
-    }
-    found.sort();
+    let mut found = source::all(folder);
+    found.retain(|(file, _)| {
+        let mut folders = file.parent().into_iter().flat_map(Path::components);
+        file.file_name().is_some_and(|n| n != "tests.rs") && folders.all(|f| f.as_os_str() != "tests")
+    });
     assert!(!found.is_empty(), "no sources in {}", folder.display());
     found
 }

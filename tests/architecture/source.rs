@@ -1,13 +1,48 @@
 //! Reads Rust text just well enough to tell which paths it names: comments, strings and test modules are taken out, then
 //! `use` trees and qualified paths are collected.
 
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// All Rust files below a folder, with their path from there, in order.
+pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next).unwrap_or_else(|e| panic!("{}: {e}", next.display())) {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                if path.file_name().is_some_and(|n| n != "target") {
+                    folders.push(path);
+                }
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let text = fs::read_to_string(&path).unwrap();
+                found.push((path.strip_prefix(folder).unwrap().to_path_buf(), text));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
 /// The text without comments, strings, characters and everything under `#[cfg(test)]`.
 pub fn bare(text: &str) -> String {
     without_tests(&without_comments_and_strings(text))
 }
 
+/// The comments alone, with their line breaks.
+pub fn comments(text: &str) -> String {
+    split(text).1
+}
+
 /// Comments, and the insides of strings and character literals, become blanks. Line breaks stay.
 fn without_comments_and_strings(text: &str) -> String {
+    split(text).0
+}
+
+/// The code, with blanks for comments, strings and characters; and the comments.
+fn split(text: &str) -> (String, String) {
+    let mut comments = String::new();
     let source: Vec<char> = text.chars().collect();
     let mut out = String::with_capacity(text.len());
     let mut at = 0;
@@ -29,9 +64,13 @@ fn without_comments_and_strings(text: &str) -> String {
             continue;
         };
         out.extend(rest[..end].iter().map(|&c| if c == '\n' { '\n' } else { ' ' }));
+        if rest[0] == '/' {
+            comments.extend(&rest[..end]);
+            comments.push('\n');
+        }
         at += end;
     }
-    out
+    (out, comments)
 }
 
 fn block_comment(rest: &[char]) -> usize {
@@ -119,13 +158,24 @@ fn without_tests(text: &str) -> String {
     out
 }
 
+/// A name, a number or a sign, and its line.
+#[derive(Clone, Debug)]
+pub struct Token {
+    pub text: String,
+    pub line: usize,
+}
+
 /// Names and punctuation, in order; `::` is one.
-fn tokens(text: &str) -> Vec<String> {
-    let mut found: Vec<String> = Vec::new();
+pub fn lex(text: &str) -> Vec<Token> {
+    let mut found: Vec<Token> = Vec::new();
+    let mut line = 1;
     let mut chars = text.chars().peekable();
     while let Some(c) = chars.next() {
+        let mut word = String::from(c);
+        if c == '\n' {
+            line += 1;
+        }
         if c.is_alphanumeric() || c == '_' {
-            let mut word = String::from(c);
             while let Some(&next) = chars.peek() {
                 if !(next.is_alphanumeric() || next == '_') {
                     break;
@@ -133,15 +183,133 @@ fn tokens(text: &str) -> Vec<String> {
                 word.push(next);
                 chars.next();
             }
-            found.push(word);
         } else if c == ':' && chars.peek() == Some(&':') {
             chars.next();
-            found.push("::".to_string());
-        } else if !c.is_whitespace() {
-            found.push(c.to_string());
+            word.push(':');
+        } else if c.is_whitespace() {
+            continue;
         }
+        found.push(Token { text: word, line });
     }
     found
+}
+
+fn tokens(text: &str) -> Vec<String> {
+    lex(text).into_iter().map(|token| token.text).collect()
+}
+
+/// Something with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
+pub struct Item {
+    pub kind: String,
+    /// Of an `impl`, the type.
+    pub name: String,
+    /// From the word that begins it to its end.
+    pub body: Vec<Token>,
+}
+
+impl Item {
+    /// The functions in it, or itself if it is one: name and lines.
+    pub fn functions(&self) -> Vec<(String, usize)> {
+        let mut found = Vec::new();
+        let mut at = 0;
+        while at + 1 < self.body.len() {
+            // `fn(` is a type.
+            if self.body[at].text == "fn" && is_name(&self.body[at + 1].text) {
+                let end = end_of(&self.body, at);
+                if self.body[end].text == "}" {
+                    found.push((self.body[at + 1].text.clone(), self.body[end].line - self.body[at].line + 1));
+                }
+                at = end;
+            }
+            at += 1;
+        }
+        found
+    }
+}
+
+/// Index of the last token of an item that begins at `at`: its closing brace, or the semicolon of one without a body.
+fn end_of(tokens: &[Token], at: usize) -> usize {
+    let (mut depth, mut braces) = (0_usize, 0_usize);
+    for (i, token) in tokens.iter().enumerate().skip(at) {
+        match token.text.as_str() {
+            "(" | "[" => depth += 1,
+            ")" | "]" => depth = depth.saturating_sub(1),
+            "{" => braces += 1,
+            "}" => {
+                braces = braces.saturating_sub(1);
+                if braces == 0 && depth == 0 {
+                    return i;
+                }
+            }
+            ";" if braces == 0 && depth == 0 => return i,
+            _ => {}
+        }
+    }
+    tokens.len() - 1
+}
+
+/// The items of a file, also those of inline modules; those within items are not listed.
+pub fn items(tokens: &[Token]) -> Vec<Item> {
+    let mut found = Vec::new();
+    let mut at = 0;
+    while at + 1 < tokens.len() {
+        let word = tokens[at].text.as_str();
+        if !["struct", "enum", "trait", "impl", "fn"].contains(&word) {
+            at += 1;
+            continue;
+        }
+        let end = end_of(tokens, at);
+        let body = tokens[at..=end].to_vec();
+        let name = if word == "impl" { type_of_impl(&body) } else { tokens[at + 1].text.clone() };
+        found.push(Item { kind: word.to_owned(), name, body });
+        at = end + 1;
+    }
+    found
+}
+
+/// The last name of the type that an `impl` is for, without its parameters.
+fn type_of_impl(tokens: &[Token]) -> String {
+    let (mut angles, mut name) = (0_usize, String::new());
+    for (i, token) in tokens.iter().enumerate().skip(1) {
+        match token.text.as_str() {
+            "<" => angles += 1,
+            ">" if tokens[i - 1].text != "-" => angles = angles.saturating_sub(1),
+            "for" if angles == 0 => name.clear(),
+            "{" | "where" if angles == 0 => break,
+            word if angles == 0 && is_name(word) => name = word.to_owned(),
+            _ => {}
+        }
+    }
+    name
+}
+
+/// How many fields the body of a `struct` has.
+pub fn fields(body: &[Token]) -> usize {
+    let Some(open) = body.iter().position(|token| token.text == "{") else { return 0 };
+    let (mut depth, mut count) = (0_usize, 0);
+    for token in &body[open..] {
+        match token.text.as_str() {
+            "(" | "[" | "{" => depth += 1,
+            ")" | "]" | "}" => depth = depth.saturating_sub(1),
+            ":" if depth == 1 => count += 1,
+            _ => {}
+        }
+    }
+    count
+}
+
+/// Whether a method takes `&mut self`.
+pub fn has_mut_self(body: &[Token]) -> bool {
+    body.windows(3).any(|w| w[0].text == "&" && w[1].text == "mut" && w[2].text == "self")
+}
+
+/// Names of the methods called on `self`.
+pub fn calls_of_self(body: &[Token]) -> Vec<String> {
+    let is = |token: &Token, text: &str| token.text == text;
+    body.windows(4)
+        .filter(|w| is(&w[0], "self") && is(&w[1], ".") && is_name(&w[2].text) && is(&w[3], "("))
+        .map(|w| w[2].text.clone())
+        .collect()
 }
 
 /// All words of the text.

@@ -3,6 +3,7 @@
 
 use super::oracle::AXES;
 use super::rig::HZ;
+use oxmill_controller::messages::Realtime;
 use oxmill_simulator::{Fittings, Options, Simulator};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -240,13 +241,15 @@ proptest! {
         let mut mill = compensated("");
         mill.send(&text);
         mill.run_for(Duration::from_millis(milliseconds));
-        mill.send(if reset { "\x18" } else { "!" });
+        // Not over the wire, where it would wait behind the text.
+        mill.press(if reset { Realtime::Reset } else { Realtime::FeedHold });
         mill.run_for(Duration::from_millis(500));
-        prop_assert!(off(&mill) < 1.01 / STEPS, "{:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());
+        prop_assert!(!mill.is_stepping());
+        prop_assert!(off(&mill) < 1e-9, "{:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());
         if reset {
             run(&mut mill, "$X\nG90 G0 X1 Y-1\nX0.5");
         } else {
-            mill.send("~");
+            mill.press(Realtime::CycleStart);
             prop_assert!(mill.run_until_idle());
         }
         prop_assert!(off(&mill) < 1e-9, "{:?} {:?}", mill.machine_position(), mill.fittings().driven_mm());

@@ -6,8 +6,9 @@ use super::axis_speeds::{Change, Course, Unsure, granted, greatest_change};
 use super::estimator::Limits;
 use super::optimum::{Bound, Piece, duration, optimum};
 use super::oracle::AXES;
-use super::rig::HZ;
+use super::rig::{HZ, Rig};
 use super::turns::{Style, program, run, seconds, settings};
+use oxmill_controller::messages::Realtime;
 use std::f64::consts::{PI, TAU};
 
 /// Window in which speeds are compared, s: long enough that steps and digits are 1 % of what the acceleration makes of it.
@@ -266,3 +267,46 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
 
 /// By how many percent a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
+
+/// On a circle at the speed at which it takes all of the acceleration.
+fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
+    let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
+    let mut rig = Rig::with(&settings(&LIMITS, jerk));
+    rig.send(text.as_bytes());
+    rig.run_for(after);
+    let begin = rig.trace.len();
+    let time = rig.trace[begin - 1].at;
+    for command in commands {
+        rig.press(*command);
+    }
+    rig.run_for(3.0);
+    // The way of the axes in steps; 1000 of them a mm.
+    let speed = |pulses: &[super::oracle::Pulse]| {
+        let ends = pulses[pulses.len() - 1].at - pulses[0].at;
+        pulses.iter().map(|pulse| pulse.steps.count_ones()).sum::<u32>() as f64 / (ends as f64 / HZ as f64) / 1000.0
+    };
+    let slow = rig.trace[begin..].windows(200).find(|pulses| speed(pulses) < 15.0).expect("it brakes");
+    let took = (slow[0].at - time) as f64 / HZ as f64;
+    rig.press(Realtime::CycleStart);
+    rig.press(Realtime::FeedReset);
+    assert!(rig.run_until(600.0, |rig| rig.is_idle()));
+    (greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap(), took)
+}
+
+/// A lower override and a hold in a bend brake with what the bend leaves of the acceleration. From v² = a·R down that takes
+/// v/a times the integral of 1/√(1 - x⁴) from 0 to 1, 1.31; and with a jerk limit, a/J more.
+#[test]
+fn braking_in_a_bend_stays_within_the_acceleration() {
+    let lower = [Realtime::FeedDown10; 9];
+    for jerk in [0.0, 5000.0, 20_000.0] {
+        let built_up = if jerk > 0.0 { 500.0 / jerk } else { 0.0 };
+        for commands in [&lower[..], &[Realtime::FeedHold]] {
+            for after in [1.05, 1.15, 1.25] {
+                let (change, took) = braked_on_a_circle(jerk, after, commands);
+                let most = 1.31 * 100.0 / 500.0 + built_up + 0.016;
+                assert!(change.ratio <= 1.0, "jerk {jerk}, {:?}: {change}", commands[0]);
+                assert!(took < most, "jerk {jerk}, {:?}: {took} of {most} s", commands[0]);
+            }
+        }
+    }
+}

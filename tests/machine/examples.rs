@@ -75,6 +75,55 @@ fn five_circles() {
     }
 }
 
+/// The drilling program of the document's chapter 4.5, in the dialect that is made for it.
+#[test]
+fn drilling() {
+    const INCH: f64 = 25.4;
+    let mut rig = Rig::with(CARVER);
+    rig.carry_out("$900=2");
+    rig.run_clean(&program("drilling"));
+    let end = [-7.0 * INCH, -4.0 * INCH, 0.1 * INCH];
+    assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
+    assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
+    let all = places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
+    // The ground of each hole, in the order in which they are drilled; one of them is drilled twice.
+    let bottom = (-0.75 * INCH * CARVER_STEPS).round() / CARVER_STEPS;
+    let mut holes: Vec<f64> = Vec::new();
+    for cut in all.split(|p| p[2] != bottom).filter(|cut| !cut.is_empty()) {
+        assert!((cut[0][1] - -4.0 * INCH).abs() <= HALF_STEP);
+        holes.push(cut[0][0]);
+    }
+    let columns =
+        [-7.0, -5.8889, -4.7778, -3.6667, -2.5556, -1.4444, -1.4444, -0.3333, 0.7778, 1.8889, 3.0].map(|x| x * INCH);
+    assert_eq!(holes.len(), columns.len());
+    for (hole, column) in holes.iter().zip(columns) {
+        assert!((hole - column).abs() <= HALF_STEP, "{hole} for {column}");
+    }
+    // Nothing moves in the plane while the tool is in the work.
+    for pair in all.windows(2) {
+        assert!(pair[0][2] > 0.0 || pair[0][..2] == pair[1][..2], "{pair:?}");
+    }
+    // Pecks of 0.2 inch from R: the tool turns at each, and backs off by 0.01 inch.
+    let turns: Vec<f64> = all
+        .windows(3)
+        .filter(|p| p[0][0] == first_hole(&all, bottom) && p[0][2] > p[1][2] && p[2][2] > p[1][2])
+        .map(|p| p[1][2])
+        .collect();
+    let grounds = [-0.1, -0.3, -0.5, -0.7, -0.75].map(|z| z * INCH);
+    assert_eq!(turns.len(), grounds.len(), "{turns:?}");
+    for (turn, ground) in turns.iter().zip(grounds) {
+        assert!((turn - ground).abs() <= HALF_STEP, "{turn} for {ground}");
+    }
+    let [low, high] = extents(&all);
+    assert_near(low, [-7.0 * INCH, -4.0 * INCH, -0.75 * INCH], HALF_STEP);
+    assert_near(high, [3.0 * INCH, 0.0, 0.1 * INCH], HALF_STEP);
+}
+
+/// X of the first hole.
+fn first_hole(all: &[[f64; AXES]], bottom: f64) -> f64 {
+    all.iter().find(|place| place[2] == bottom).map_or(f64::NAN, |place| place[0])
+}
+
 #[test]
 fn pocket_mm() {
     run("pocket_mm", [0.0, 0.0, 5.0], [[-37.0, -22.0, -6.0], [37.0, 22.0, 5.0]]);
@@ -101,7 +150,7 @@ fn pcb_isolation() {
 }
 
 #[test]
-fn every_example_has_a_test_and_fits_grbl() {
+fn every_example_has_a_test_and_short_lines() {
     let mut names: Vec<String> = std::fs::read_dir(folder())
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -109,7 +158,7 @@ fn every_example_has_a_test_and_fits_grbl() {
         .map(|path| path.file_stem().unwrap().to_string_lossy().into_owned())
         .collect();
     names.sort();
-    assert_eq!(names, ["five_circles", "house", "pcb_isolation", "pocket_inch", "pocket_mm", "relief"]);
+    assert_eq!(names, ["drilling", "five_circles", "house", "pcb_isolation", "pocket_inch", "pocket_mm", "relief"]);
     for name in names {
         let text = program(&name);
         assert!(text.is_ascii(), "{name}");

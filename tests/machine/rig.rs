@@ -1,6 +1,7 @@
 //! A machine to try: the simulator in process, with the pulses of its step outputs counted apart from it.
 
 use super::oracle::{AXES, Place, Pulse};
+use oxmill_controller::messages::Realtime;
 use oxmill_simulator::{Options, Simulator, boards};
 use std::time::Duration;
 
@@ -33,6 +34,12 @@ impl Rig {
     /// Bytes from the host; they arrive as fast as the line queue takes them.
     pub fn send(&mut self, bytes: &[u8]) {
         self.mill.send(bytes);
+        self.count();
+    }
+
+    /// A realtime command that does not wait behind what the host has sent.
+    pub fn press(&mut self, command: Realtime) {
+        self.mill.press(command);
         self.count();
     }
 

@@ -163,7 +163,7 @@ const EVENTS: &[Event] = &[
     line("probe", "G91 G38.2 Z-0.4 F200"),
     line("jog", "$J=G91 X-0.3 F200"),
     line("jog_nowhere", "$J=G91 X0 F200"),
-    line("wrong", "G99"),
+    line("wrong", "G999"),
     line("empty", ""),
     line("too_long", TOO_LONG),
     line("$", "$"),

@@ -94,7 +94,7 @@ class Headless(Sender.Sender):
 
 def stream(job):
     options = ["--dialect", "grbl"]
-    plain = subprocess.run([OXMILL, "run", ROOT / job, "--json", *options], capture_output=True, text=True)
+    plain = subprocess.run([OXMILL, "run", ROOT / job, "--json", *options], capture_output=True, text=True, check=False)
     summary = json.loads(plain.stdout)
     if plain.returncode != 0:
         sys.exit(f"{job}: oxmill run: {summary['errors']}")
@@ -121,7 +121,7 @@ def stream(job):
             mill.kill()
             mill.wait()
     expected = summary["position_mm"]
-    if any(abs(a - b) > 0.0006 for a, b in zip(believed, expected)):
+    if any(abs(a - b) > 0.0006 for a, b in zip(believed, expected, strict=True)):
         sys.exit(f"{job}: bCNC believes {believed}, the machine should be at {expected}")
     print(f"{job}: {lines} lines in {took:.1f} s, ended at {believed}")
 

@@ -285,7 +285,7 @@ class Board:
                 return function(*arguments) or 0
             except (Unmodelled, Misuse, Failure) as failure:
                 self._fail(f"{type(failure).__name__}: {failure}")
-            except Exception as failure:  # noqa: BLE001: a fault of the emulation itself
+            except Exception as failure:  # a fault of the emulation itself
                 import traceback
 
                 self._fail(f"the emulation is at fault: {failure!r}\n{traceback.format_exc()}")

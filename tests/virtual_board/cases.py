@@ -4,6 +4,7 @@ fails with a `Failure`."""
 import csv
 import subprocess
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 from .board import Board, Failure
@@ -184,7 +185,7 @@ def simulated(bench, job):
         with open(trace, newline="") as file:
             for row in csv.DictReader(file):
                 place = tuple(int(row[axis]) for axis in "xyz")
-                change = [b - a for a, b in zip(before, place)]
+                change = [b - a for a, b in zip(before, place, strict=True)]
                 before = place
                 if any(change):
                     axes = sum(1 << k for k, c in enumerate(change) if c)
@@ -214,7 +215,7 @@ def streamed(bench, job):
     expected, end = simulated(bench, job)
     if scope.counts() != list(end):
         raise Failure(f"the motors are at {scope.counts()} and not at {end}")
-    first = next((k for k, (a, b) in enumerate(zip(steps, expected)) if a != b), None)
+    first = next((k for k, (a, b) in enumerate(zip(steps, expected, strict=False)) if a != b), None)
     if first is not None or len(steps) != len(expected):
         raise Failure(f"step {first} of {len(steps)} differs from the simulator's {len(expected)} steps")
     mask, where = bench.longest_mask()
@@ -256,8 +257,8 @@ def at_rates(bench, *rates, acceleration=3_000):
     board, hz = bench.board, bench.wiring.core_hz
     safe = bench.wiring.safe_step_hz
     fast(bench, acceleration)
-    for rate, steps, pulse_us in rates:
-        rate = min(rate, safe)
+    for wanted, steps, pulse_us in rates:
+        rate = min(wanted, safe)
         greatest = round(min(rate * 1.001, safe) * 60 / 1000, 3)
         bench.settings(s0=2, s110=greatest, s111=greatest, s112=greatest)
         bench.settings(s0=pulse_us, s29=10)
@@ -336,7 +337,7 @@ def turns(bench):
         bench.wait_state("Idle", 5)
         events, widths, setups, holds = scope.read()
         hz = bench.wiring.core_hz
-        fastest = min((b.at - a.at) / hz for a, b in zip(events, events[1:]))
+        fastest = min((b.at - a.at) / hz for a, b in pairwise(events))
         yield f"$0={pulse_us}: {len(setups)} changes of direction, set-up from {us(min(setups))} with $29={setup_us}, hold from {us(min(holds))}; pulses from {us(min(widths))}, shortest period {us(fastest)}"
         if scope.counts() != [8000, 0, 0] or len(setups) < 39:
             raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
@@ -393,7 +394,7 @@ def hold(bench):
     bench.wait_state("Hold:0", 2)
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
-    intervals = [(b - a) / hz for a, b in zip(later, later[1:])]
+    intervals = [(b - a) / hz for a, b in pairwise(later)]
     # Single intervals carry the jitter of the interrupt: the ramp begins where twenty of them are longer by 1 % on average.
     begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
     if begin is None:
@@ -586,7 +587,7 @@ def probe(bench):
         board.run(seconds=wait)
         contact, after = board.now, len(host.lines)
         board.drive(wiring.probe, 0)
-        bench.wait(lambda: any(line.startswith("[PRB:") for _, line in host.lines[after:]), 2, "the probe's report")
+        bench.wait(lambda after=after: any(line.startswith("[PRB:") for _, line in host.lines[after:]), 2, "the probe's report")
         board.drive(wiring.probe, None)
         report = next(line for _, line in host.lines[after:] if line.startswith("[PRB:"))
         latched = round(float(report.split(":")[1].split(",")[2]) * 1000)
@@ -720,10 +721,10 @@ def settings_write(bench):
     host.text.clear()
     bench.wait_text("Grbl 1.1h", 1)
     again = bench.ask("$$")
-    keep = lambda text: [line for line in text if line.startswith("$")]
-    if keep(shown) != keep(again):
+    shown, again = ([line for line in text if line.startswith("$")] for text in (shown, again))
+    if shown != again:
         raise Failure("settings changed over a reset")
-    yield f"{len(keep(again))} settings unchanged after a reset"
+    yield f"{len(again)} settings unchanged after a reset"
 
 
 def power_cut(bench):
@@ -1188,6 +1189,7 @@ def usb_unread(bench):
 
 KNOWN = {
     ("blackpill_f401", "turns"): "with $29=200 every corner at 76 kHz is followed by a burst of ticks that were put off, in which a received byte is lost: told, and its line refused (error:11)",
+    ("blackpill_f411", "called at turns"): "beside a call at each tick, control is too slow for moves of seven steps at 50 mm/s: the step task runs dry",
     ("blackpill_f401", "called at turns"): "built for size, control is too slow for moves of seven steps at 50 mm/s beside a call at each tick: the step task runs dry",
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""

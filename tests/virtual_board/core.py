@@ -71,7 +71,10 @@ def cost_of(instruction):
         flags = LOAD | STORE if name.startswith("v") else STORE
         return 1 + registers_of(instruction), flags | (FPU if name.startswith("v") else 0), 255, 255
     memory = next((o.mem for o in operands if o.type == ARM_OP_MEM), None)
-    register = lambda number: REGISTERS.get(instruction.reg_name(number) or "", 255)
+
+    def register(number):
+        return REGISTERS.get(instruction.reg_name(number) or "", 255)
+
     fpu = FPU if name.startswith("v") else 0
     wide = bool(fpu and operands and operands[0].type == ARM_OP_REG and instruction.reg_name(operands[0].reg).startswith("d"))
     if name.startswith(("tbb", "tbh")):

@@ -1,6 +1,7 @@
 """Reads the step outputs from the recorded edges: pulses, steps, and what the data sheets of drivers ask of them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 
 @dataclass
@@ -82,7 +83,7 @@ def steady(steps, hz, period_s, ramp):
     """Steps at a nominal period, those of the two ramps left out: how far periods are off at most, and how far the last
     step is from where it would be if no error added up, in s."""
     times = [step.at / hz for step in steps[ramp : len(steps) - ramp]]
-    periods = [b - a for a, b in zip(times, times[1:])]
+    periods = [b - a for a, b in pairwise(times)]
     if len(periods) < 20:
         return None
     return {

@@ -335,7 +335,11 @@ class TimerTraces(unittest.TestCase):
         controller.write(stream + dma.NDTR, 2)
         controller.write(stream + dma.CR, 2 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1)
         model = timer.Timer("TIM4", bench, 2, 30, False, 0x4000_0800)
-        flags = lambda: model.read(timer.SR) & (4 | 1 << 10)  # noqa: E731: the others have compared meanwhile
+
+        def flags():
+            # Of channel 2; the others have compared meanwhile.
+            return model.read(timer.SR) & (4 | 1 << 10)
+
         model.write(timer.CCMR1, 0x2121)
         model.write(timer.CR1, 1)
         bench.until(model, 1000)

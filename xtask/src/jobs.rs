@@ -56,7 +56,9 @@ pub fn compare_all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
     // Made for this test: both ways. Examples, the small ones: preloaded only, as they take minutes of machine time.
     let made = job_files("tests/jobs", u64::MAX);
-    let examples = job_files("examples", LARGEST_EXAMPLE);
+    let mut examples = job_files("examples", LARGEST_EXAMPLE);
+    // Written for the dialect of `$900=2`; jobs here run with the default settings.
+    examples.retain(|file| !file.ends_with("drilling.nc"));
     let files: Vec<(&PathBuf, bool)> =
         made.iter().map(|f| (f, true)).chain(examples.iter().map(|f| (f, false))).collect();
     if !made.iter().any(|file| file.file_stem().is_some_and(|stem| stem == ONE_AXIS_AT_A_TIME)) {

@@ -13,6 +13,7 @@ mod programs;
 mod qemu;
 mod reach;
 mod recordings;
+mod rs274;
 mod sizes;
 mod suites;
 mod thumb;
@@ -21,9 +22,7 @@ mod virtual_board;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-#[path = "../../boards/build.rs"]
-#[allow(dead_code, reason = "only the list of boards is wanted here")]
-mod boards;
+use oxmill_images as boards;
 
 /// The target of every board.
 const TARGET: &str = "thumbv7em-none-eabihf";
@@ -44,9 +43,10 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
-  cargo xtask mutants [NAME..]  named faults of motion, each of which the tests have to see; some minutes
+  cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
+  cargo xtask rs274 [N [SEED]]  N random programs (10,000) through Oxmill's interpreter and LinuxCNC's, compared
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 
@@ -74,6 +74,7 @@ fn main() -> ExitCode {
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
         ["mutants", ref names @ ..] => mutants::run(names),
+        ["rs274", ref arguments @ ..] => rs274::run(arguments),
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["count", "profile", row] => count::profile(row),

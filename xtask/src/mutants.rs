@@ -1,5 +1,6 @@
-//! Named faults of motion that the tests must see: each is put into a copy of the tree, and the tests of motion have to fail
-//! there. A fault that leaves them green is a hole in the tests; a text that is not found any more, a fault to be written
+//! Named faults that the tests must see: each is put into a copy of the tree, and the tests have to fail there. Faults of
+//! motion have to be seen by the tests of motion; faults of the link to the host and of the input filter by the
+//! conversations with the simulator, which runs the boards' own. A fault that leaves them green is a hole in the tests; a text that is not found any more, a fault to be written
 //! anew. Some minutes long, so it is run by hand: `cargo xtask mutants [NAME..]`.
 
 use crate::{Failure, root};
@@ -83,8 +84,24 @@ const MUTANTS: &[Mutant] = &[
         name: "bends-leave-all-of-the-acceleration",
         edits: &[Edit {
             file: "src/controller/motion/block.rs",
-            find: "if self.curve.is_none() { self.acceleration } else",
-            replace: "if self.curve.is_none() || speed2 >= 0.0 { self.acceleration } else",
+            find: "if self.is_none() { along } else",
+            replace: "if self.is_none() || speed2 >= 0.0 { along } else",
+        }],
+    },
+    Mutant {
+        name: "late-bend-leaves-too-little",
+        edits: &[Edit {
+            file: HANDOVER,
+            find: "if self.feed.pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {",
+            replace: "if planned > 0.0 {",
+        }],
+    },
+    Mutant {
+        name: "lower-override-asked-for-at-once",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "let fallen2 = lesser(fall.speed2, block.max_entry2);",
+            replace: "let fallen2 = lesser(0.0, block.max_entry2);",
         }],
     },
     Mutant {
@@ -115,16 +132,16 @@ const MUTANTS: &[Mutant] = &[
         name: "hold-without-ramp",
         edits: &[Edit {
             file: MOTION,
-            find: "self.hold = if self.rest { Hold::Held } else { Hold::Ramp };",
-            replace: "self.hold = Hold::Held;",
+            find: "self.feed.hold = if self.feed.rest { Hold::Held } else { Hold::Ramp };",
+            replace: "self.feed.hold = Hold::Held;",
         }],
     },
     Mutant {
         name: "hold-twice-as-hard",
         edits: &[Edit {
             file: HANDOVER,
-            find: "let way = self.pace.speed2 / (2.0 * acceleration);",
-            replace: "let way = self.pace.speed2 / (4.0 * acceleration);",
+            find: "let way = self.feed.pace.speed2 / (2.0 * acceleration);",
+            replace: "let way = self.feed.pace.speed2 / (4.0 * acceleration);",
         }],
     },
     Mutant {
@@ -149,8 +166,8 @@ const MUTANTS: &[Mutant] = &[
         name: "override-in-one-jump",
         edits: &[Edit {
             file: MOTION,
-            find: "        self.running.nominal2 = nominal2;\n",
-            replace: "        self.running.nominal2 = nominal2;\n        self.pace = Pace { speed: nominal, speed2: nominal2 };\n",
+            find: "        self.feed.running.nominal2 = nominal2;\n",
+            replace: "        self.feed.running.nominal2 = nominal2;\n        self.feed.pace = Pace { speed: nominal, speed2: nominal2 };\n",
         }],
     },
     Mutant {
@@ -179,6 +196,53 @@ const MUTANTS: &[Mutant] = &[
     },
 ];
 
+const LINK: &str = "src/controller/protocol/link.rs";
+const SIGNALS: &str = "src/controller/machine/signals.rs";
+
+/// Faults of what is between the controller and a host or a switch.
+const OUTSIDE: &[Mutant] = &[
+    Mutant {
+        name: "no-epochs",
+        edits: &[Edit {
+            file: LINK,
+            find: "if queued && command.opens_epoch() {",
+            replace: "if queued && command.opens_epoch() && self.gone == u16::MAX {",
+        }],
+    },
+    Mutant {
+        name: "bytes-of-a-gone-host",
+        edits: &[Edit {
+            file: LINK,
+            find: "*self = Self { stuck: self.stuck, ..Self::new(self.number) };",
+            replace: "self.refusing = false;",
+        }],
+    },
+    Mutant {
+        name: "waiting-bytes-damaged",
+        edits: &[Edit {
+            file: LINK,
+            find: "let byte = LineByte { byte, epoch: entrance.epoch, damaged: self.lost };",
+            replace: "let byte = LineByte { byte, epoch: entrance.epoch, damaged: !self.held.is_empty() };",
+        }],
+    },
+    Mutant {
+        name: "no-filter",
+        edits: &[Edit {
+            file: SIGNALS,
+            find: "let active = self.filter.sample(low ^ wiring.inverted);",
+            replace: "self.filter.sample(low ^ wiring.inverted);\n        let active = low ^ wiring.inverted;",
+        }],
+    },
+    Mutant {
+        name: "no-polarity",
+        edits: &[Edit {
+            file: SIGNALS,
+            find: "let active = self.filter.sample(low ^ wiring.inverted);",
+            replace: "let active = self.filter.sample(low);",
+        }],
+    },
+];
+
 /// What is copied: everything that the tests of motion are built from.
 const COPIED: [&str; 9] =
     ["Cargo.toml", "Cargo.lock", "rust-toolchain.toml", "src", "boards", "tests", "xtask", "examples", ".cargo"];
@@ -186,18 +250,22 @@ const COPIED: [&str; 9] =
 /// `cargo xtask mutants [NAME..]`.
 pub fn run(names: &[&str]) -> Result<(), Failure> {
     for name in names {
-        if !MUTANTS.iter().any(|mutant| mutant.name == *name) {
-            let all: Vec<&str> = MUTANTS.iter().map(|mutant| mutant.name).collect();
+        if !all().any(|(mutant, _)| mutant.name == *name) {
+            let all: Vec<&str> = all().map(|(mutant, _)| mutant.name).collect();
             return Err(format!("there is no mutant `{name}`; there are {}", all.join(", ")));
         }
     }
     let tree = root().join("target/mutants/tree");
     let mut survivors = Vec::new();
     copy_all(&tree)?;
-    if !tests_pass(&tree)? {
-        return Err("the tests fail without a fault".into());
+    let chosen: Vec<_> = all().filter(|(mutant, _)| names.is_empty() || names.contains(&mutant.name)).collect();
+    for suite in [motion as Suite, conversations] {
+        let wanted = chosen.iter().any(|(_, other)| std::ptr::fn_addr_eq(*other, suite));
+        if wanted && !suite(&tree)? {
+            return Err("the tests fail without a fault".into());
+        }
     }
-    for mutant in MUTANTS.iter().filter(|mutant| names.is_empty() || names.contains(&mutant.name)) {
+    for (mutant, suite) in chosen {
         copy_all(&tree)?;
         for edit in mutant.edits {
             let path = tree.join(edit.file);
@@ -208,7 +276,7 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
         if !tests(&tree, &["--no-run"])? {
             return Err(format!("{} does not compile", mutant.name));
         }
-        let seen = !tests_pass(&tree)?;
+        let seen = !suite(&tree)?;
         println!("mutant {} ... {}", mutant.name, if seen { "seen" } else { "NOT SEEN" });
         if !seen {
             survivors.push(mutant.name);
@@ -240,8 +308,21 @@ fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
     fs::write(to, wanted).map_err(failure)
 }
 
-/// The tests of motion in the copy; the step traces of whole jobs first.
-fn tests_pass(tree: &Path) -> Result<bool, Failure> {
+/// Whether the tests that have to see a fault pass in the copy.
+type Suite = fn(&Path) -> Result<bool, Failure>;
+
+/// All faults, each with the tests that have to see it.
+fn all() -> impl Iterator<Item = (&'static Mutant, Suite)> {
+    let (motion, conversations): (Suite, Suite) = (motion, conversations);
+    MUTANTS.iter().map(move |mutant| (mutant, motion)).chain(OUTSIDE.iter().map(move |mutant| (mutant, conversations)))
+}
+
+fn conversations(tree: &Path) -> Result<bool, Failure> {
+    tests(tree, &["--test", "machine", "--", "conversations"])
+}
+
+/// The tests of motion; the step traces of whole jobs first.
+fn motion(tree: &Path) -> Result<bool, Failure> {
     Ok(tests(tree, &["--test", "machine", "--", "motion_properties", "jerk", "turns::", "curves::"])?
         && tests(
             tree,
@@ -250,6 +331,7 @@ fn tests_pass(tree: &Path) -> Result<bool, Failure> {
                 "oxmill-controller",
                 "--lib",
                 "--",
+                "motion::tests::joins",
                 "motion::tests::stops",
                 "motion::tests::ramps",
                 "motion::segment",
@@ -272,7 +354,7 @@ mod tests {
 
     #[test]
     fn each_fault_finds_its_place() {
-        for mutant in MUTANTS {
+        for (mutant, _) in all() {
             for edit in mutant.edits {
                 if let Err(why) = edit.applied(&root().join(edit.file)) {
                     panic!("{}: {why}", mutant.name);

@@ -4,12 +4,16 @@
 //! one: after the `ok` to the change that brought it about, and before the first `error:9` to a line that would move.
 //! Neither is repeated for what follows: a sender that restores one setting after the other would read it at each line,
 //! and so would one that streams a job into a locked machine.
-//!
-//! [`Settings::unrunnable`]: crate::settings::Settings::unrunnable
+
+use crate::settings::Settings;
+use crate::step_rates::StepRates;
 
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SettingsLock {
+    /// What the board can do.
+    rates: StepRates,
+    has_second_motor: bool,
     /// Revision of the settings that were looked at last.
     revision: Option<u32>,
     /// The setting that locks them.
@@ -21,13 +25,21 @@ pub(super) struct SettingsLock {
 }
 
 impl SettingsLock {
-    /// Nothing has been looked at.
-    pub(super) const UNKNOWN: SettingsLock =
-        SettingsLock { revision: None, setting: None, named: None, refused: false };
+    /// For a board of these rates. Nothing has been looked at.
+    pub(super) const fn new(rates: StepRates, has_second_motor: bool) -> Self {
+        Self { rates, has_second_motor, revision: None, setting: None, named: None, refused: false }
+    }
 
-    /// The setting that locks motion; `unrunnable` looks for it, once for each revision.
+    /// The setting that locks motion.
     #[inline]
-    pub(super) fn setting(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
+    pub(super) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
+        let (rates, has_second_motor) = (self.rates, self.has_second_motor);
+        self.look(settings.revision(), || settings.unrunnable(rates, has_second_motor))
+    }
+
+    /// `unrunnable` looks for the setting, once for each revision.
+    #[inline]
+    fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();
             self.revision = Some(revision);
@@ -62,9 +74,9 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::UNKNOWN;
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, attention_ns: 0 }, false);
         for (revision, setting) in settings.iter().enumerate() {
-            assert_eq!(lock.setting(revision as u32, || *setting), *setting);
+            assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }
         lock
     }
@@ -72,9 +84,9 @@ mod tests {
     #[test]
     fn a_set_is_looked_at_once_for_each_revision() {
         let mut lock = after(&[Some(100)]);
-        assert_eq!(lock.setting(0, || panic!("known already")), Some(100));
-        assert_eq!(lock.setting(1, || None), None);
-        assert_eq!(lock.setting(1, || panic!("known already")), None);
+        assert_eq!(lock.look(0, || panic!("known already")), Some(100));
+        assert_eq!(lock.look(1, || None), None);
+        assert_eq!(lock.look(1, || panic!("known already")), None);
         assert_eq!((lock.name_after_change(100), lock.name_at_line()), (None, None));
     }
 
@@ -84,11 +96,11 @@ mod tests {
         assert_eq!(lock.name_after_change(100), Some(100));
         assert_eq!(lock.name_after_change(101), None, "still the same");
         assert_eq!(lock.name_after_change(100), Some(100), "set again");
-        lock.setting(1, || Some(112));
+        lock.look(1, || Some(112));
         assert_eq!(lock.name_after_change(100), Some(112), "the next at fault");
-        lock.setting(2, || None);
+        lock.look(2, || None);
         assert_eq!(lock.name_after_change(112), None);
-        lock.setting(3, || Some(112));
+        lock.look(3, || Some(112));
         assert_eq!(lock.name_after_change(0), Some(112), "locked again, by another setting's change");
     }
 
@@ -96,9 +108,9 @@ mod tests {
     fn the_first_refused_line_has_the_reason() {
         let mut lock = after(&[Some(100)]);
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(100), None));
-        lock.setting(1, || Some(100));
+        lock.look(1, || Some(100));
         assert_eq!(lock.name_at_line(), None, "another setting has changed, the reason is the same");
-        lock.setting(2, || Some(112));
+        lock.look(2, || Some(112));
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));
         lock.host_greeted();
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));

@@ -1,72 +1,40 @@
-//! Stops, alarms and resets: what ends a motion from outside, and how the controller begins anew.
+//! What follows a stop: the machine is locked, reset, or continues from where it stopped.
 
-use super::cycles::Probing;
-use super::door::DoorState;
-use super::execute::Task;
-use super::{Controller, StopReason, StopState};
+use super::Controller;
+use super::task::Task;
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
-use crate::gcode::Dialect;
-use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, GangedMotors, SpindleDirection, StepEvent};
-use crate::protocol::report::{self, RareFields};
+use crate::machine::stops::{Finished, StopReason};
+use crate::messages::StepEvent;
+use crate::protocol::report;
 use crate::settings::Key;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
-    /// A stop has been asked for by somebody who has also stopped the step task.
-    pub(super) fn begin_stop(&mut self, reason: StopReason) {
-        self.stop.expected = self.stop.expected.wrapping_add(1);
-        self.await_stop(reason);
-    }
-
-    /// A stop that is counted already is awaited for this reason.
-    pub(super) fn await_stop(&mut self, reason: StopReason) {
-        // A reset wins over everything, an alarm over a homing switch: what they end, the others cannot go on with.
-        let weight = |reason| match reason {
-            None => 0,
-            Some(StopReason::Nothing) => 1,
-            Some(StopReason::Switch | StopReason::Contact) => 2,
-            Some(StopReason::Alarm(Alarm::EmergencyStop)) => 5,
-            Some(StopReason::Alarm(Alarm::DriverFault)) => 4,
-            Some(StopReason::Alarm(_)) => 3,
-            Some(StopReason::Reset) => 6,
-        };
-        if weight(Some(reason)) > weight(self.stop.awaited) {
-            self.stop.awaited = Some(reason);
+    /// Stops for an input, unless it has already been done.
+    pub(super) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
+        if stopped.already {
+            stopped.answered = true;
+            self.stops.wait_for(reason);
+            self.finish_stop();
+        } else {
+            self.stops.order(reason);
         }
-        self.finish_stop();
-    }
-
-    /// Asks the step task to stop. Two reasons before it has been told are one stop.
-    pub(super) fn order_stop(&mut self, reason: StopReason) {
-        if self.stop.order {
-            self.stop.expected = self.stop.expected.wrapping_sub(1);
-        }
-        self.stop.order = true;
-        self.begin_stop(reason);
     }
 
     pub(super) fn step_event(&mut self, event: &StepEvent<N>) {
         match *event {
             StepEvent::Stopped { stops, moving, position } => {
-                self.stop.seen = stops;
-                self.stop.moving |= moving;
-                self.stop.line = self.motion.line_number();
+                self.stops.happened(stops, moving, self.motion.line_number());
                 self.stopped_at(&position);
             }
             StepEvent::Probed { position } => {
-                self.probe_contact(&position);
+                self.probe.contact(|| self.motion.position_of_counter(&position));
                 return;
             }
             StepEvent::Underrun { stops, position } => {
-                self.stop.seen = stops;
-                self.stop.expected = self.stop.expected.wrapping_add(1);
-                self.stop.moving = true;
+                self.stops.underrun(stops);
                 self.stopped_at(&position);
-                if self.stop.awaited.is_none() {
-                    self.stop.awaited = Some(StopReason::Alarm(Alarm::Underrun));
-                }
             }
         }
         self.finish_stop();
@@ -74,87 +42,82 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
         self.motion.stopped(position);
-        self.detour.stopped(position);
-        if self.door.is_parking() {
-            // The way to the parking place was the detour's, and it knows on which side the slack is.
-            self.motion.stand_where(&self.detour);
+        self.door.stopped(position, &mut self.motion);
+    }
+
+    /// What follows a stop, once every stop that was asked for has happened.
+    pub(super) fn finish_stop(&mut self) {
+        let Some(stop) = self.stops.finish() else { return };
+        self.feed.end();
+        self.probe.stopped();
+        match stop.reason {
+            StopReason::Nothing => self.motion.discard(),
+            StopReason::Contact => {
+                // The probe continues from here, or what has begun meanwhile: a hold, a door.
+                self.probe.rests_after_contact();
+                self.motion.discard();
+            }
+            StopReason::Switch => {
+                // Homing continues from here.
+                self.end_pauses();
+                self.motion.discard();
+            }
+            StopReason::Alarm(alarm) => {
+                self.end_pauses();
+                self.switch_off();
+                self.finish_alarm(alarm, &stop);
+            }
+            StopReason::Reset => {
+                self.end_pauses();
+                self.switch_off();
+                self.finish_reset(stop.moving);
+            }
         }
     }
 
-    /// Goes on after a stop, once every stop that was asked for has happened.
-    pub(super) fn finish_stop(&mut self) {
-        let Some(reason) = self.stop.awaited else { return };
-        // An order that is not out yet cannot have been obeyed, whatever else has stopped meanwhile.
-        if self.stop.order || (self.stop.seen.wrapping_sub(self.stop.expected) as i16) < 0 {
-            return;
+    /// What a door, a hold or a probe had interrupted is over.
+    fn end_pauses(&mut self) {
+        self.door.reset();
+        self.accessories.end_spin_up();
+        self.probe.forget_move();
+    }
+
+    fn finish_alarm(&mut self, alarm: Alarm, stop: &Finished) {
+        if matches!(alarm, Alarm::EmergencyStop | Alarm::DriverFault) {
+            return self.finish_emergency(alarm, stop);
         }
-        let (moving, line) = (self.stop.moving, self.stop.line);
-        // A stop that has happened and has not been told of is waited for by `step_message`.
-        let StopState { expected, seen, .. } = self.stop;
-        self.stop = StopState { expected, seen, resume: true, ..StopState::default() };
-        self.running = false;
-        self.probe_watch = None;
-        if reason == StopReason::Nothing {
-            self.motion.discard();
-            return;
+        if matches!(self.mode, Mode::Home(_)) {
+            return self.fail_homing(alarm);
         }
-        if reason == StopReason::Contact {
-            // The probe goes on from here, or what has begun meanwhile: a hold, a door.
-            self.probing = Some(Probing::Touched);
-            self.motion.discard();
-            return;
+        if stop.moving {
+            self.reference.lose();
         }
-        self.door = DoorState::CLOSED;
-        self.spinning_up = None;
-        self.jog_interrupted = false;
-        self.probing = None;
-        if reason == StopReason::Switch {
-            // Homing goes on from here.
-            self.motion.discard();
-            return;
+        self.motion.discard();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.tell_alarm(alarm);
+        if alarm == Alarm::HardLimit {
+            self.tell_trip(stop.line);
         }
-        self.spindle = SpindleDirection::Off;
-        self.coolant = Coolant::default();
-        self.interpreter.set_accessories(self.spindle, self.coolant);
-        match reason {
-            StopReason::Nothing | StopReason::Switch | StopReason::Contact => {}
-            StopReason::Alarm(alarm @ (Alarm::EmergencyStop | Alarm::DriverFault)) => {
-                self.finish_emergency(alarm, moving, line);
+        if alarm == Alarm::Underrun {
+            if matches!(self.task, Task::JogWaits) {
+                self.lines.clear();
             }
-            StopReason::Reset => self.finish_reset(moving),
-            StopReason::Alarm(alarm) if self.mode == Mode::Home => self.fail_homing(alarm),
-            StopReason::Alarm(alarm) => {
-                if moving {
-                    self.reference.lose();
-                }
-                self.motion.discard();
-                self.interpreter.set_position(self.motion.machine_position());
-                self.raise(alarm);
-                if alarm == Alarm::HardLimit {
-                    self.tell_trip(line);
-                }
-                if alarm == Alarm::Underrun {
-                    if matches!(self.task, Task::JogWaits) {
-                        self.lines.clear();
-                    }
-                    if self.task.abandon() {
-                        self.say(|out| report::error(out, Error::Locked.code()));
-                    }
-                    self.mode = Mode::Alarm;
-                } else {
-                    self.say(|out| report::message(out, "Reset to continue"));
-                    self.mode = Mode::Critical;
-                }
+            if self.task.abandon() {
+                self.say(|out| report::error(out, Error::Locked.code()));
             }
+            self.mode = Mode::Alarm(Some(alarm));
+        } else {
+            self.say(|out| report::message(out, "Reset to continue"));
+            self.mode = Mode::Critical(alarm);
         }
     }
 
     /// Latched: only a reset ends it, and one that comes while the input is still active says so again.
-    fn finish_emergency(&mut self, alarm: Alarm, moving: bool, line: u32) {
-        let homing = self.mode == Mode::Home;
+    fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
+        let homing = matches!(self.mode, Mode::Home(_));
         let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
-        if moving || homing || drivers_off || alarm == Alarm::DriverFault {
+        if stop.moving || homing || drivers_off || alarm == Alarm::DriverFault {
             self.reference.lose();
         }
         if drivers_off {
@@ -162,41 +125,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         } else {
             self.drivers.stay();
         }
-        self.spindle_stopped = false;
+        self.accessories.restore();
         self.motion.discard();
         self.interpreter.set_position(self.motion.machine_position());
-        self.raise(alarm);
-        if homing && self.task.abandon() {
+        self.tell_alarm(alarm);
+        if homing {
             self.say(report::ok);
         }
-        self.tell_trip(line);
+        self.tell_trip(stop.line);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.mode = Mode::Critical;
-    }
-
-    /// Which inputs caused the alarm, where, and at which line.
-    fn tell_trip(&mut self, line: u32) {
-        if self.dialect() != Dialect::Grbl {
-            let (tripped, place) = (self.tripped, self.motion.machine_position());
-            let inches = self.settings.is_on(Key::ReportInches);
-            self.say(|out| report::trip(out, &tripped, &place, line, inches));
-        }
+        self.mode = Mode::Critical(alarm);
     }
 
     pub(super) fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
         self.lines.clear();
-        if moving || self.mode == Mode::Home {
-            let homing = self.mode == Mode::Home;
+        let homing = matches!(self.mode, Mode::Home(_));
+        if moving || homing {
             self.reference.lose();
-            self.raise(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
-            self.mode = Mode::Alarm;
+            self.lock(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
         }
-        if self.mode == Mode::Sleep || self.mode == Mode::Critical {
-            self.mode = Mode::Alarm;
+        if let Mode::Sleep(_) | Mode::Critical(_) = self.mode {
+            self.mode = Mode::Alarm(self.mode.alarm());
         }
         // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
-        if self.task.answers_host() {
+        if homing || self.task.answers_host() {
             self.say(report::ok);
         }
         self.task = Task::None;
@@ -206,68 +159,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.initialise();
     }
+}
 
-    pub(super) fn raise(&mut self, alarm: Alarm) {
-        self.alarm = Some(alarm);
-        self.say(|out| report::alarm(out, alarm.code()));
-        if alarm == Alarm::Underrun {
-            self.say(|out| report::message(out, "Motion data ran out"));
-        }
-    }
-
-    /// What every power-up and reset ends with.
-    pub(super) fn initialise(&mut self) {
-        self.ganged_motors = GangedMotors::Both;
-        self.spindle = SpindleDirection::Off;
-        self.spindle_speed = 0.0;
-        self.spindle_stopped = false;
-        self.spinning_up = None;
-        self.coolant = Coolant::default();
-        self.overrides = Overrides::default();
-        self.motion.set_overrides(1.0, 1.0);
-        self.reconfigure();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.probed = PerAxis::default();
-        self.probe_succeeded = false;
-        self.rare_fields = RareFields::default();
-        self.status_due = false;
-        self.greet();
-        if self.settings.is_on(Key::HardLimits) && self.signals.limits != 0 {
-            self.mode = Mode::Alarm;
-            self.say(|out| report::message(out, "Check Limits"));
-        }
-        if let Some((alarm, _)) = self.emergency_now() {
-            self.mode = Mode::Alarm;
-            self.raise(alarm);
-            let still = match alarm {
-                Alarm::EmergencyStop => "Emergency stop is active",
-                _ => "Driver fault is active",
-            };
-            self.say(|out| report::message(out, still));
-        }
-        if self.mode == Mode::Alarm {
-            self.tell_lock();
-        } else {
-            self.alarm = None;
-            if self.signals.door {
-                self.open_door();
-            }
-            self.task = Task::Startup(0, None);
-        }
-    }
-
-    pub(super) fn tell_damage(&mut self) {
-        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
-        self.say(|out| report::message(out, text));
-    }
-
-    /// What a host has to do before the machine goes on.
-    pub(super) fn tell_lock(&mut self) {
-        match self.mode {
-            Mode::Alarm if self.is_store_damaged() => self.tell_damage(),
-            Mode::Alarm => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
-            Mode::Critical => self.say(|out| report::message(out, "Reset to continue")),
-            _ => {}
-        }
-    }
+/// Whether an input has stopped the step task itself, and whether the reason for it has been found.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stopped {
+    pub(super) already: bool,
+    pub(super) answered: bool,
 }

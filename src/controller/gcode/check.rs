@@ -3,12 +3,14 @@
 
 use super::Dialect;
 use super::arc::{self, Vector};
+use super::cycle::Cycle;
 use super::interpreter::Interpreter;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PlaneAxes, ProbeMode, Units};
-use super::offsets::{StoredOffset, TOOL_AXIS};
+use super::offsets::StoredOffset;
 use super::parse::Parsed;
-use super::word::{Claim, Letters, MWord, NonModal, ToolLength};
-use crate::axes::{Axis, AxisMask, PerAxis};
+use super::state_words::Keeping;
+use super::word::{Claim, Groups, Letters, MWord, NonModal};
+use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration, per_second};
@@ -17,6 +19,9 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration, per_second};
 const LINE_NUMBER_MAX: i32 = 10_000_000;
 /// Most turns that P may give an arc.
 const TURNS_MAX: i32 = 1_000_000;
+
+/// Letters of an arc's centre.
+const CENTRE: Letters = Letters::of(b"IJK");
 
 /// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
 /// `Interpreter::commit` takes over.
@@ -32,6 +37,8 @@ pub struct Checked<const N: usize> {
     pub speed: f32,
     /// The coolant's new state, if it changes before the motion.
     pub coolant: Option<Coolant>,
+    /// M6 asks for another tool than the spindle holds.
+    pub tool_change: bool,
     /// How long to wait before the motion.
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
@@ -49,9 +56,22 @@ pub struct Checked<const N: usize> {
     pub flow: Flow,
     pub(super) modal: Modal,
     pub(super) g92: PerAxis<Coordinate, N>,
-    pub(super) tool_length: Coordinate,
+    pub(super) tool_length: PerAxis<Coordinate, N>,
+    pub(super) after: Afterwards,
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
+}
+
+/// What a line leaves behind that Grbl does not know.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Afterwards {
+    pub(super) spindle_tool: u32,
+    /// The line has M3, M4 or M5.
+    pub(super) spindle_word: bool,
+    /// What G92.3 brings back is the G92 of this line.
+    pub(super) keeps_g92: bool,
+    pub(super) g92_acts: bool,
+    pub(super) keeping: Keeping,
 }
 
 impl<const N: usize> Checked<N> {
@@ -63,6 +83,19 @@ impl<const N: usize> Checked<N> {
     /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
     pub fn changes_outputs(&self) -> bool {
         self.spindle.is_some() || self.coolant.is_some() || self.speed_changed || self.store.is_some()
+    }
+
+    /// The spindle has been stopped for another tool: it turns again only if the line says so.
+    pub fn spindle_stopped_for_tool(&mut self) {
+        if !self.after.spindle_word {
+            self.modal.spindle = SpindleDirection::Off;
+        }
+        self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+    }
+
+    /// The tool that the spindle holds afterwards.
+    pub fn spindle_tool(&self) -> u32 {
+        self.after.spindle_tool
     }
 
     /// The machine position afterwards.
@@ -85,6 +118,7 @@ impl<const N: usize> Checked<N> {
         speed_changed: false,
         speed: 0.0,
         coolant: None,
+        tool_change: false,
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
@@ -94,7 +128,14 @@ impl<const N: usize> Checked<N> {
         flow: Flow::None,
         modal: Modal::INITIAL,
         g92: PerAxis::all(Coordinate::ZERO),
-        tool_length: Coordinate::ZERO,
+        tool_length: PerAxis::all(Coordinate::ZERO),
+        after: Afterwards {
+            spindle_tool: 0,
+            spindle_word: false,
+            keeps_g92: false,
+            g92_acts: false,
+            keeping: Keeping::Leave,
+        },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
     };
@@ -121,6 +162,11 @@ impl<const N: usize> Checked<N> {
         self.modal = state.modal;
         self.g92 = state.offsets.g92;
         self.tool_length = state.offsets.tool_length;
+        self.tool_change = false;
+        self.after.keeps_g92 = false;
+        self.after.g92_acts = state.offsets.g92_acts;
+        self.after.keeping = Keeping::Leave;
+        self.after.spindle_tool = state.spindle_tool;
         self.stored = None;
     }
 }
@@ -152,6 +198,8 @@ pub enum Motion<const N: usize> {
         /// No change is an alarm.
         alarm: bool,
     },
+    /// A canned cycle.
+    Cycle(Cycle<N>),
 }
 
 /// An arc from `start` to `target` round a centre. The axes outside its plane move evenly meanwhile. Start and target
@@ -217,11 +265,15 @@ pub(super) fn check<const N: usize>(
     checked: &mut Checked<N>,
 ) -> Result<(), Error> {
     let mut check = Check::begin(state, line, dialect, purpose, checked);
+    check.keep_state()?;
     check.line_number()?;
     check.feed()?;
-    check.speed_and_tool();
+    check.speed();
+    check.tool();
     check.spindle_and_coolant();
     check.parking_override();
+    check.overrides()?;
+    check.path_control();
     check.dwell()?;
     check.tool_length()?;
     check.non_modal()?;
@@ -232,17 +284,17 @@ pub(super) fn check<const N: usize>(
 }
 
 /// A line half checked.
-struct Check<'a, const N: usize> {
-    state: &'a Interpreter<N>,
-    line: &'a Parsed<N>,
-    dialect: Dialect,
+pub(super) struct Check<'a, const N: usize> {
+    pub(super) state: &'a Interpreter<N>,
+    pub(super) line: &'a Parsed<N>,
+    pub(super) dialect: Dialect,
     purpose: Purpose,
     /// Who uses the axis words, the implied motion included.
     claim: Claim,
     /// Value words that no step has asked for yet.
-    unused: Letters,
+    pub(super) unused: Letters,
     /// The result so far; its modal state is the one that the line's own words have set.
-    checked: &'a mut Checked<N>,
+    pub(super) checked: &'a mut Checked<N>,
 }
 
 impl<'a, const N: usize> Check<'a, N> {
@@ -277,9 +329,14 @@ impl<'a, const N: usize> Check<'a, N> {
         modal.arc_distance = line.arc_distance.unwrap_or(modal.arc_distance);
         modal.feed_mode = line.feed_mode.unwrap_or(modal.feed_mode);
         modal.units = line.units.unwrap_or(modal.units);
+        modal.retract_to_r = line.retract_to_r.unwrap_or(modal.retract_to_r);
         modal.coordinate_system = line.coordinate_system.unwrap_or(modal.coordinate_system);
+        // A full circle needs no axis word.
+        let is_circle = dialect != Dialect::Grbl
+            && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
+            && line.values.has_any(CENTRE);
         let claim = match line.claim {
-            Claim::Nobody if !line.axes.is_empty() => Claim::Motion,
+            Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
             claim => claim,
         };
         Self { state, line, dialect, purpose, claim, unused: line.values, checked }
@@ -296,6 +353,10 @@ impl<'a, const N: usize> Check<'a, N> {
 
     /// F holds on in G94 only: with G93 each motion needs its own, and a change of the mode leaves none.
     fn feed(&mut self) -> Result<(), Error> {
+        if self.line.extended.keep.is_some() {
+            // M72 restores F beside its mode.
+            return Ok(());
+        }
         let given = self.line.values.has(b'F');
         let modal = self.checked.modal;
         self.checked.modal.feed = match (modal.feed_mode, given) {
@@ -315,15 +376,10 @@ impl<'a, const N: usize> Check<'a, N> {
         Ok(())
     }
 
-    fn speed_and_tool(&mut self) {
+    fn speed(&mut self) {
         let (line, modal) = (self.line, &mut self.checked.modal);
         if line.values.has(b'S') {
             modal.speed = line.s.to_f32();
-        }
-        if line.values.has(b'T') {
-            modal.tool = u8::try_from(line.t.truncate()).unwrap_or(u8::MAX);
-        } else if self.dialect == Dialect::Grbl {
-            modal.tool = 0;
         }
         self.checked.speed = self.checked.modal.speed;
         self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
@@ -351,9 +407,17 @@ impl<'a, const N: usize> Check<'a, N> {
         }
     }
 
+    /// P and Q of G64 are how far a corner may be cut: an exact path cuts none.
+    fn path_control(&mut self) {
+        if let Some(path) = self.line.extended.path {
+            self.checked.modal.path = path;
+            if self.line.extended.is_path_tolerance {
+                self.unused.remove(Letters::of(b"PQ"));
+            }
+        }
+    }
+
     fn dwell(&mut self) -> Result<(), Error> {
-        /// Units of a [`Decimal`] of seconds in a microsecond.
-        const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;
         if self.line.non_modal != Some(NonModal::Dwell) {
             return Ok(());
         }
@@ -361,22 +425,7 @@ impl<'a, const N: usize> Check<'a, N> {
             return Err(Error::ValueWordMissing);
         }
         self.unused.remove(Letters::of(b"P"));
-        let seconds = self.line.p.0.unsigned_abs();
-        self.checked.dwell = Some(Duration::micros((seconds + MICROSECOND / 2) / MICROSECOND));
-        Ok(())
-    }
-
-    fn tool_length(&mut self) -> Result<(), Error> {
-        match self.line.tool_length {
-            Some(ToolLength::Dynamic) => {
-                if self.line.axes != AxisMask::NONE.with(TOOL_AXIS) {
-                    return Err(Error::ToolLengthAxis);
-                }
-                self.checked.tool_length = self.axis_length(TOOL_AXIS);
-            }
-            Some(ToolLength::Cancel) => self.checked.tool_length = Coordinate::ZERO,
-            None => {}
-        }
+        self.checked.dwell = Some(seconds(self.line.p));
         Ok(())
     }
 
@@ -390,8 +439,22 @@ impl<'a, const N: usize> Check<'a, N> {
                 self.checked.stored = Some(self.state.position);
                 Ok(())
             }
-            Some(NonModal::ClearOffset) => {
+            Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
                 self.checked.g92 = PerAxis::all(Coordinate::ZERO);
+                self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
+                self.checked.after.g92_acts = false;
+                Ok(())
+            }
+            Some(NonModal::RestoreOffset) => {
+                self.checked.g92 = self.state.offsets.g92_kept;
+                self.checked.after.g92_acts = true;
+                Ok(())
+            }
+            Some(NonModal::LocalOffset) if self.line.axes.is_empty() => Err(Error::NoAxisWords),
+            Some(NonModal::LocalOffset) => {
+                self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
+                self.checked.after.keeps_g92 = true;
+                self.checked.after.g92_acts = true;
                 Ok(())
             }
             Some(NonModal::MachineCoordinates) => match self.checked.modal.motion {
@@ -411,6 +474,19 @@ impl<'a, const N: usize> Check<'a, N> {
         }
         if !line.values.has(b'P') && !line.values.has(b'L') {
             return Err(Error::ValueWordMissing);
+        }
+        // Grbl looks at P first, and so finds a system that does not exist before an L that it does not know.
+        if self.dialect != Dialect::Grbl {
+            // Its P belongs to another word of the line.
+            if line.values.has(b'P') && !self.unused.has(b'P') {
+                return Err(Error::ValueWordMissing);
+            }
+            match line.l.truncate() {
+                2 if line.values.has(b'R') => return Err(Error::NotSupported),
+                2 | 20 => {}
+                l @ (1 | 10 | 11) => return self.set_tool(l),
+                _ => return Err(Error::UnsupportedCommand),
+            }
         }
         let system = self.system_of(line.p.truncate())?;
         let from_position = match line.l.truncate() {
@@ -456,6 +532,8 @@ impl<'a, const N: usize> Check<'a, N> {
         self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
             self.position(axis) - along(&origin, axis) - self.tool_offset(axis) - value
         });
+        self.checked.after.keeps_g92 = true;
+        self.checked.after.g92_acts = true;
         Ok(())
     }
 
@@ -496,6 +574,7 @@ impl<'a, const N: usize> Check<'a, N> {
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
             MotionMode::Probe(probe) => self.probe(probe),
+            MotionMode::Cycle(kind) => self.cycle(kind),
             MotionMode::Cancelled => Ok(()),
         }
     }
@@ -529,10 +608,11 @@ impl<'a, const N: usize> Check<'a, N> {
 
     fn arc(&mut self, clockwise: bool) -> Result<(), Error> {
         let axes = self.checked.modal.plane.axes();
-        if self.line.axes.is_empty() {
+        let is_circle = self.dialect != Dialect::Grbl && self.line.values.has_any(CENTRE);
+        if self.line.axes.is_empty() && !is_circle {
             return Err(Error::NoAxisWords);
         }
-        if !self.line.axes.has(axes.first) && !self.line.axes.has(axes.second) {
+        if !self.line.axes.has(axes.first) && !self.line.axes.has(axes.second) && !is_circle {
             return Err(Error::NoPlaneAxisForArc);
         }
         let start = self.state.position;
@@ -579,7 +659,7 @@ impl<'a, const N: usize> Check<'a, N> {
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }
-        self.unused.remove(Letters::of(b"IJK"));
+        self.unused.remove(CENTRE);
         let centre_along = |axis: Axis| {
             let value = self.length(match axis {
                 Axis::X => self.line.i,
@@ -612,6 +692,11 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
+        let line = self.line;
+        if self.unused == Letters::of(b"O") && line.axes.is_empty() && line.groups == Groups::default() {
+            // The number of a program.
+            return Ok(());
+        }
         if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
     }
 
@@ -623,7 +708,9 @@ impl<'a, const N: usize> Check<'a, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        checked.digit = last_digit(checked.modal.units, self.line.places);
+        // A cycle goes through its points exactly.
+        let exact = matches!(checked.motion, Motion::Cycle(_));
+        checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
         checked.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
@@ -645,7 +732,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// Where the line's axis words lead to, in machine coordinates.
-    fn target(&self) -> PerAxis<Coordinate, N> {
+    pub(super) fn target(&self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
         let incremental = self.checked.modal.distance == Distance::Incremental;
         self.with_axis_words(self.state.position, |axis, value| {
@@ -660,7 +747,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// `others`, with the axes that have a word replaced by what `place` makes of it.
-    fn with_axis_words(
+    pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,
         place: impl Fn(Axis, Coordinate) -> Coordinate,
@@ -675,7 +762,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// A length in the line's unit.
-    fn length(&self, value: Decimal) -> Coordinate {
+    pub(super) fn length(&self, value: Decimal) -> Coordinate {
         match self.checked.modal.units {
             Units::Mm => Coordinate::from_mm(value),
             Units::Inch => Coordinate::from_inches(value),
@@ -683,7 +770,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// The value of an axis word. Degrees stay degrees whatever the unit of lengths.
-    fn axis_length(&self, axis: Axis) -> Coordinate {
+    pub(super) fn axis_length(&self, axis: Axis) -> Coordinate {
         let value = self.line.axis.get(axis).unwrap_or(Decimal::ZERO);
         match axis {
             Axis::X | Axis::Y | Axis::Z => self.length(value),
@@ -691,13 +778,13 @@ impl<'a, const N: usize> Check<'a, N> {
         }
     }
 
-    fn position(&self, axis: Axis) -> Coordinate {
+    pub(super) fn position(&self, axis: Axis) -> Coordinate {
         along(&self.state.position, axis)
     }
 
     /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,
     /// and the G92 from before it.
-    fn work_offset(&self, axis: Axis) -> Coordinate {
+    pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
         along(&offsets.system(self.checked.modal.coordinate_system), axis)
             + along(&offsets.g92, axis)
@@ -705,7 +792,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     fn tool_offset(&self, axis: Axis) -> Coordinate {
-        if axis == TOOL_AXIS { self.checked.tool_length } else { Coordinate::ZERO }
+        along(&self.checked.tool_length, axis)
     }
 
     fn feed_of_motion(&self) -> Feed {
@@ -715,6 +802,13 @@ impl<'a, const N: usize> Check<'a, N> {
             FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
         }
     }
+}
+
+/// A time that a program gives in seconds.
+pub(super) fn seconds(value: Decimal) -> Duration {
+    /// Units of a [`Decimal`] of seconds in a microsecond.
+    const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;
+    Duration::micros((value.0.unsigned_abs() + MICROSECOND / 2) / MICROSECOND)
 }
 
 /// The last of so many digits behind the point, mm.
@@ -745,11 +839,11 @@ fn centre_letter(axis: Axis) -> u8 {
     }
 }
 
-fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) -> Coordinate {
+pub(super) fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) -> Coordinate {
     place.get(axis).unwrap_or(Coordinate::ZERO)
 }
 
 /// An error unless the controller may compute with the place.
-fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+pub(super) fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
     if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }
 }

@@ -1,9 +1,13 @@
 //! The interpreter: what a program has set so far, against which each line is checked.
 
-use super::check::{self, Checked, Purpose};
+use super::check::{self, Checked, Flow, Motion, Purpose};
+use super::computed::Computed;
+use super::cycle::CycleWords;
 use super::modal::Modal;
-use super::offsets::Offsets;
+use super::offsets::{Offsets, StoredOffset};
 use super::parse::Parsed;
+use super::state_words::{Keeping, Saved};
+use super::tools::{Tool, ToolTable};
 use super::{Dialect, jog};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -16,6 +20,16 @@ pub struct Interpreter<const N: usize> {
     pub(super) modal: Modal,
     pub(super) offsets: Offsets<N>,
     pub(super) position: PerAxis<Coordinate, N>,
+    /// Of the latest canned cycle.
+    pub(super) cycle: CycleWords,
+    pub(super) tools: ToolTable<N>,
+    /// What M6 has put there; 0 for none.
+    pub(super) spindle_tool: u32,
+    /// While a program is only checked: the tool that the spindle holds meanwhile.
+    tool_before_check: Option<u32>,
+    pub(super) computed: Computed<N>,
+    /// M70.
+    pub(super) saved: Option<Saved<N>>,
 }
 
 impl<const N: usize> Default for Interpreter<N> {
@@ -27,27 +41,53 @@ impl<const N: usize> Default for Interpreter<N> {
 impl<const N: usize> Interpreter<N> {
     /// The state after power-up of a new machine.
     pub const fn new() -> Self {
-        Self { modal: Modal::INITIAL, offsets: Offsets::new(), position: PerAxis::all(Coordinate::ZERO) }
+        Self {
+            modal: Modal::INITIAL,
+            offsets: Offsets::new(),
+            position: PerAxis::all(Coordinate::ZERO),
+            cycle: CycleWords::NONE,
+            tools: ToolTable::EMPTY,
+            spindle_tool: 0,
+            tool_before_check: None,
+            computed: Computed::new(),
+            saved: None,
+        }
     }
 
-    /// What a reset forgets: modal state, G92 and tool length offset. Stored offsets and the position stay.
+    /// What a reset forgets: modal state, G92, tool length offset and parameters. Stored offsets, the tool in the spindle and the
+    /// position stay.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
-        self.offsets.tool_length = Coordinate::ZERO;
+        self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
+        self.offsets.g92_acts = false;
+        self.saved = None;
+        if let Some(tool) = self.tool_before_check.take() {
+            self.spindle_tool = tool;
+        }
+        self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
+        self.computed.reset();
     }
 
-    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments.
+    /// From here to the next reset programs are only checked: a tool that M6 calls for does not come into the spindle.
+    pub fn begin_check_mode(&mut self) {
+        self.tool_before_check = Some(self.spindle_tool);
+    }
+
+    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
+    /// sets are read, and not kept for a commit.
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
         let mut checked = Checked::NOTHING;
-        self.check_into(line, dialect, &mut checked)?;
+        self.clone().check_into(line, dialect, &mut checked)?;
         Ok(checked)
     }
 
-    /// The same, with the result in its place; it is worth nothing after an error.
-    pub fn check_into(&self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
+    /// The same, with the result in its place; it is worth nothing after an error. Parameters that the line sets wait for
+    /// its commit, or for the next check, which forgets them.
+    pub fn check_into(&mut self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
-        parsed.read(line, dialect)?;
+        self.computed.begin();
+        parsed.read(line, dialect, self)?;
         check::check(self, &parsed, dialect, Purpose::Program, checked)
     }
 
@@ -55,25 +95,76 @@ impl<const N: usize> Interpreter<N> {
     /// only.
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
         let mut checked = Checked::NOTHING;
-        self.check_jog_into(line, dialect, &mut checked)?;
+        self.clone().check_jog_into(line, dialect, &mut checked)?;
         Ok(checked)
     }
 
     /// The same, with the result in its place; it is worth nothing after an error.
-    pub fn check_jog_into(&self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
+    pub fn check_jog_into(&mut self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
         jog::check(self, line, dialect, checked)
     }
 
     /// Takes over what a line has changed. The position becomes the end of the line's motion; a probing move that ends
     /// elsewhere is followed by [`Interpreter::set_position`].
     pub fn commit(&mut self, checked: &Checked<N>) {
+        // The operator may have switched the coolant since the line was checked.
+        let coolant = self.modal.coolant;
         self.modal = checked.modal;
+        if checked.coolant.is_none() && checked.flow != Flow::End {
+            self.modal.coolant = coolant;
+        }
         self.offsets.g92 = checked.g92;
+        self.offsets.g92_acts = checked.after.g92_acts;
+        if checked.after.keeps_g92 {
+            self.offsets.g92_kept = checked.g92;
+        }
+        match checked.after.keeping {
+            Keeping::Leave => {}
+            Keeping::Save => self.saved = Some(Saved::of(checked.modal, checked.tool_length, checked.after.g92_acts)),
+            Keeping::Forget => self.saved = None,
+        }
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
-            self.offsets.set_stored(which, value);
+            self.set_stored(which, value);
         }
+        self.spindle_tool = checked.after.spindle_tool;
         self.position = checked.position;
+        self.computed.commit();
+        if checked.flow == Flow::End {
+            self.saved = None;
+            self.computed.end_program();
+        }
+        if let Motion::Cycle(cycle) = &checked.motion {
+            self.cycle = cycle.words;
+        }
+    }
+
+    /// A stored place or tool gets a value.
+    pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
+        match which {
+            StoredOffset::Tool(number) => {
+                if let Some(slot) = self.tools.slot(number) {
+                    self.tools.put(slot, Tool { number, offset: value });
+                }
+            }
+            which => self.offsets.set_stored(which, value),
+        }
+    }
+
+    /// Sets every stored place to zero, and forgets the tools.
+    pub fn clear_stored(&mut self) {
+        self.offsets.clear_stored();
+        self.tools = ToolTable::EMPTY;
+    }
+
+    /// The table of tools.
+    pub fn tools(&self) -> &ToolTable<N> {
+        &self.tools
+    }
+
+    /// The table of tools, to restore it.
+    pub fn tools_mut(&mut self) -> &mut ToolTable<N> {
+        &mut self.tools
     }
 
     /// The machine position the program believes in.

@@ -10,15 +10,16 @@ use crate::error::Error;
 /// Checks a jog. A jog is a G1 with G94 whatever the program has set. Words that a jog may not have are found after all
 /// that is wrong with them as words of a program.
 pub(super) fn check<const N: usize>(
-    state: &Interpreter<N>,
+    state: &mut Interpreter<N>,
     line: &[u8],
     dialect: Dialect,
     checked: &mut Checked<N>,
 ) -> Result<(), Error> {
     let mut parsed = Parsed::empty();
-    parsed.read(line, dialect)?;
+    state.computed.begin();
+    parsed.read(line, dialect, state)?;
     check::check(state, &parsed, dialect, Purpose::Jog, checked)?;
-    if !parsed.groups.within(Groups::OF_JOGS) {
+    if state.computed.assigns() || !parsed.groups.within(Groups::OF_JOGS) {
         return Err(Error::InvalidJog);
     }
     match parsed.non_modal {

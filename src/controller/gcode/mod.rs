@@ -13,19 +13,33 @@
 mod arc;
 mod check;
 mod code;
+#[cfg(feature = "expressions")]
+mod computed;
+#[cfg(not(feature = "expressions"))]
+mod computed_left_out;
+mod cycle;
 mod interpreter;
 mod jog;
 mod modal;
 mod offsets;
 mod parse;
+mod state_words;
+mod tools;
 mod word;
 
+#[cfg(not(feature = "expressions"))]
+use computed_left_out as computed;
+
 pub use check::{ArcMove, Checked, Feed, Flow, Motion};
+pub use computed::{Direction, Held, HeldLine};
+pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use interpreter::Interpreter;
 pub use modal::{
-    ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, Plane, PlaneAxes, ProbeMode, Units,
+    ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
+    PathControl, Plane, PlaneAxes, ProbeMode, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
+pub use tools::{TOOLS, Tool, ToolTable};
 
 /// Whose meaning a program's words have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -4,6 +4,9 @@ use crate::axes::Axis;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Decimal;
 
+/// Whether there are canned cycles, the tool table and words of state: the code of what is left out is not in the image.
+pub const EXTENDED: bool = cfg!(feature = "extended-gcode");
+
 /// Motion mode, modal group 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionMode {
@@ -20,6 +23,8 @@ pub enum MotionMode {
     Probe(ProbeMode),
     /// G80.
     Cancelled,
+    /// G73 to G89.
+    Cycle(CycleKind),
 }
 
 impl MotionMode {
@@ -35,6 +40,44 @@ impl MotionMode {
             MotionMode::Probe(ProbeMode { away: true, alarm: true }) => "G38.4",
             MotionMode::Probe(ProbeMode { away: true, alarm: false }) => "G38.5",
             MotionMode::Cancelled => "G80",
+            MotionMode::Cycle(kind) => kind.word(),
+        }
+    }
+}
+
+/// Canned cycles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CycleKind {
+    /// G73: pecks, the tool backs off a little after each.
+    ChipBreak,
+    /// G81: one feed move.
+    Drill,
+    /// G82: with a dwell at the bottom.
+    DrillDwell,
+    /// G83: pecks, the tool leaves the hole after each.
+    Peck,
+    /// G85: out at the feed rate.
+    Bore,
+    /// G86: out with the spindle stopped.
+    BoreStop,
+    /// G88: the program pauses with the spindle stopped.
+    BoreManual,
+    /// G89: as G85, with a dwell at the bottom.
+    BoreDwell,
+}
+
+impl CycleKind {
+    /// The word that selects the cycle.
+    pub const fn word(self) -> &'static str {
+        match self {
+            CycleKind::ChipBreak => "G73",
+            CycleKind::Drill => "G81",
+            CycleKind::DrillDwell => "G82",
+            CycleKind::Peck => "G83",
+            CycleKind::Bore => "G85",
+            CycleKind::BoreStop => "G86",
+            CycleKind::BoreManual => "G88",
+            CycleKind::BoreDwell => "G89",
         }
     }
 }
@@ -161,6 +204,25 @@ impl Units {
     }
 }
 
+/// Path control, modal group 13.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PathControl {
+    /// G61: through all points. So is G64, whose tolerance may be used up or not.
+    #[default]
+    ExactPath,
+    /// G61.1: and to rest at each.
+    ExactStop,
+}
+
+/// Overrides of the operator that the program holds off, modal group 9.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OverridesHeld {
+    /// M49, M50 P0.
+    pub feed: bool,
+    /// M49, M51 P0.
+    pub spindle: bool,
+}
+
 /// Work coordinate system, modal group 12.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
@@ -224,6 +286,8 @@ pub struct Modal {
     pub plane: Plane,
     /// Unit of lengths.
     pub units: Units,
+    /// G99: canned cycles end at R. G98: where their series began, if that is above R.
+    pub retract_to_r: bool,
     /// Distance mode.
     pub distance: Distance,
     /// Distance mode of arc centres.
@@ -236,8 +300,12 @@ pub struct Modal {
     pub coolant: Coolant,
     /// M56 P0: the tool does not park.
     pub no_parking: bool,
+    /// Path control.
+    pub path: PathControl,
+    /// M48 to M51.
+    pub overrides_held: OverridesHeld,
     /// T.
-    pub tool: u8,
+    pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
     /// S, in revolutions per minute.
@@ -252,12 +320,15 @@ impl Modal {
         coordinate_system: CoordinateSystem::G54,
         plane: Plane::Xy,
         units: Units::Mm,
+        retract_to_r: false,
         distance: Distance::Absolute,
         arc_distance: ArcDistance::Incremental,
         feed_mode: FeedMode::PerMinute,
         spindle: SpindleDirection::Off,
         coolant: Coolant { flood: false, mist: false },
         no_parking: false,
+        path: PathControl::ExactPath,
+        overrides_held: OverridesHeld { feed: false, spindle: false },
         tool: 0,
         feed: Decimal::ZERO,
         speed: 0.0,
@@ -278,6 +349,7 @@ impl Modal {
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();
+        self.overrides_held = OverridesHeld::default();
         self.spindle = SpindleDirection::default();
         self.coolant = Coolant::default();
     }

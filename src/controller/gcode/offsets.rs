@@ -4,7 +4,7 @@ use super::modal::CoordinateSystem;
 use crate::axes::{Axis, PerAxis};
 use crate::units::Coordinate;
 
-/// The axis that the tool length offset acts along.
+/// The axis that the tool length offset acts along in Grbl.
 pub(super) const TOOL_AXIS: Axis = Axis::Z;
 
 /// A place that is kept over power-off.
@@ -16,10 +16,12 @@ pub enum StoredOffset {
     G28,
     /// Where G30 goes (G30.1).
     G30,
+    /// Offset of a tool of the table (G10 L1).
+    Tool(u32),
 }
 
 impl StoredOffset {
-    /// All stored places: the coordinate systems, then G28 and G30.
+    /// All stored places but those of tools: the coordinate systems, then G28 and G30.
     pub fn all() -> impl Iterator<Item = StoredOffset> {
         CoordinateSystem::ALL.into_iter().map(StoredOffset::System).chain([StoredOffset::G28, StoredOffset::G30])
     }
@@ -33,8 +35,12 @@ pub struct Offsets<const N: usize> {
     g30: PerAxis<Coordinate, N>,
     /// G92, forgotten at reset.
     pub g92: PerAxis<Coordinate, N>,
-    /// Tool length offset along Z, forgotten at reset.
-    pub tool_length: Coordinate,
+    /// What G92.3 brings back after a G92.2.
+    pub(super) g92_kept: PerAxis<Coordinate, N>,
+    /// G92 or G52, of whatever value, neither cleared nor suspended.
+    pub(super) g92_acts: bool,
+    /// Tool length offset, forgotten at reset.
+    pub tool_length: PerAxis<Coordinate, N>,
 }
 
 impl<const N: usize> Default for Offsets<N> {
@@ -52,20 +58,23 @@ impl<const N: usize> Offsets<N> {
             g28: zero,
             g30: zero,
             g92: zero,
-            tool_length: Coordinate::ZERO,
+            g92_kept: zero,
+            g92_acts: false,
+            tool_length: zero,
         }
     }
 
-    /// The value of a stored place.
+    /// The value of a stored place that is no tool's.
     pub fn stored(&self, which: StoredOffset) -> PerAxis<Coordinate, N> {
         match which {
             StoredOffset::System(system) => self.system(system),
             StoredOffset::G28 => self.g28,
             StoredOffset::G30 => self.g30,
+            StoredOffset::Tool(_) => PerAxis::all(Coordinate::ZERO),
         }
     }
 
-    /// Replaces a stored place.
+    /// Replaces a stored place that is no tool's.
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::System(system) => {
@@ -75,6 +84,7 @@ impl<const N: usize> Offsets<N> {
             }
             StoredOffset::G28 => self.g28 = value,
             StoredOffset::G30 => self.g30 = value,
+            StoredOffset::Tool(_) => {}
         }
     }
 
@@ -85,16 +95,18 @@ impl<const N: usize> Offsets<N> {
 
     /// Sets every stored place to zero.
     pub fn clear_stored(&mut self) {
-        *self = Offsets { g92: self.g92, tool_length: self.tool_length, ..Offsets::default() };
+        *self = Offsets {
+            g92: self.g92,
+            g92_kept: self.g92_kept,
+            g92_acts: self.g92_acts,
+            tool_length: self.tool_length,
+            ..Offsets::default()
+        };
     }
 
     /// G92 and tool length offset together.
     pub fn volatile(&self) -> PerAxis<Coordinate, N> {
-        let mut sum = self.g92;
-        if let Some(along_tool) = sum.get(TOOL_AXIS) {
-            sum.set(TOOL_AXIS, along_tool + self.tool_length);
-        }
-        sum
+        self.g92.zip(&self.tool_length, |g92, tool| g92 + tool)
     }
 
     /// What lies between machine and work position while `system` is active.

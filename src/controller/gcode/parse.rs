@@ -2,20 +2,36 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, Units};
-use super::word::{Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
+use super::interpreter::Interpreter;
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, Units};
+use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
-use crate::number::Digits;
 use crate::units::Decimal;
 
-/// Greatest tool number.
-const TOOL_MAX: Decimal = Decimal::from_int(255);
-/// Letters of values other than axes.
-const VALUES: Letters = Letters::of(b"FIJKLNPRST");
+/// Greatest tool number, in Grbl and in the other dialects.
+const TOOL_MAX_OF_GRBL: i32 = 255;
+const TOOL_MAX: i32 = 99_999;
+/// Letters of values other than axes, as Grbl has them and as the other dialects do.
+const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
+const VALUES: Letters = Letters::of(b"FHIJKLNOPQRST");
 /// Words whose value must not be negative.
-const NOT_NEGATIVE: Letters = Letters::of(b"FNPTS");
+const NOT_NEGATIVE: Letters = Letters::of(b"FHNPTS");
+
+/// Words that Grbl does not have.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Extended {
+    pub path: Option<PathControl>,
+    /// G64.
+    pub is_path_tolerance: bool,
+    /// M6.
+    pub tool_change: bool,
+    /// M48 to M53, by number.
+    pub overrides: Option<u8>,
+    /// M70 to M72, by number.
+    pub keep: Option<u8>,
+}
 
 /// The words of a line.
 #[derive(Clone, Debug)]
@@ -31,6 +47,8 @@ pub(super) struct Parsed<const N: usize> {
     pub arc_distance: Option<ArcDistance>,
     pub feed_mode: Option<FeedMode>,
     pub units: Option<Units>,
+    /// G98, G99.
+    pub retract_to_r: Option<bool>,
     pub tool_length: Option<ToolLength>,
     pub coordinate_system: Option<CoordinateSystem>,
     /// M0 to M2.
@@ -40,6 +58,7 @@ pub(super) struct Parsed<const N: usize> {
     pub coolant: Option<MWord>,
     /// M56.
     pub parking_override: bool,
+    pub extended: Extended,
     /// Letters that carry a value.
     pub values: Letters,
     /// Axes that carry one.
@@ -51,9 +70,11 @@ pub(super) struct Parsed<const N: usize> {
     pub j: Decimal,
     pub k: Decimal,
     pub f: Decimal,
+    pub h: Decimal,
     pub l: Decimal,
     pub n: Decimal,
     pub p: Decimal,
+    pub q: Decimal,
     pub r: Decimal,
     pub s: Decimal,
     pub t: Decimal,
@@ -73,12 +94,14 @@ impl<const N: usize> Parsed<N> {
             arc_distance: None,
             feed_mode: None,
             units: None,
+            retract_to_r: None,
             tool_length: None,
             coordinate_system: None,
             flow: None,
             spindle: None,
             coolant: None,
             parking_override: false,
+            extended: Extended::default(),
             values: Letters::default(),
             axes: AxisMask::NONE,
             axis: PerAxis::all(zero),
@@ -87,24 +110,25 @@ impl<const N: usize> Parsed<N> {
             j: zero,
             k: zero,
             f: zero,
+            h: zero,
             l: zero,
             n: zero,
             p: zero,
+            q: zero,
             r: zero,
             s: zero,
             t: zero,
         }
     }
 
-    /// Adds the words of a line.
-    pub fn read(&mut self, line: &[u8], dialect: Dialect) -> Result<(), Error> {
-        let digits = if dialect == Dialect::Grbl { Digits::Eight } else { Digits::Exact };
-        for word in Words::of(line, digits) {
+    /// Adds the words of a line. What it sets waits in the state for the commit.
+    pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        for word in Words::of(line, dialect, state) {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value, places)?,
+                _ => self.take_value(letter, value, places, dialect)?,
             }
         }
         Ok(())
@@ -119,10 +143,12 @@ impl<const N: usize> Parsed<N> {
             self.claim = claim;
         }
         let word = GWord::of(code, dialect)?;
-        if dialect == Dialect::Seed && self.cancels_only(word) {
+        if dialect != Dialect::Grbl && self.cancels_only(word) {
             return Ok(());
         }
-        self.groups.join(word.group())?;
+        if let Some(group) = word.group() {
+            self.groups.join(group)?;
+        }
         match word {
             GWord::NonModal(command) => self.non_modal = Some(command),
             GWord::Motion(motion) => self.motion = Some(motion),
@@ -131,9 +157,14 @@ impl<const N: usize> Parsed<N> {
             GWord::ArcDistance(distance) => self.arc_distance = Some(distance),
             GWord::FeedMode(mode) => self.feed_mode = Some(mode),
             GWord::Units(units) => self.units = Some(units),
+            GWord::Retract(to_r) => self.retract_to_r = Some(to_r),
             GWord::ToolLength(offset) => self.tool_length = Some(offset),
             GWord::CoordinateSystem(system) => self.coordinate_system = Some(system),
-            GWord::NoCutterCompensation | GWord::ExactPath => {}
+            GWord::Path(path) => {
+                self.extended.path = Some(path);
+                self.extended.is_path_tolerance = code.whole == 64;
+            }
+            GWord::NoCutterCompensation | GWord::AsItIs => {}
         }
         Ok(())
     }
@@ -158,16 +189,23 @@ impl<const N: usize> Parsed<N> {
             MWord::Spindle(direction) => self.spindle = Some(direction),
             MWord::Mist | MWord::Flood | MWord::NoCoolant => self.coolant = Some(word),
             MWord::ParkingOverride => self.parking_override = true,
+            MWord::ToolChange => self.extended.tool_change = true,
+            MWord::Overrides(number) => self.extended.overrides = Some(number),
+            MWord::Keep(number) => self.extended.keep = Some(number),
         }
         Ok(())
     }
 
-    fn take_value(&mut self, letter: u8, value: Decimal, places: u8) -> Result<(), Error> {
+    fn take_value(&mut self, letter: u8, value: Decimal, places: u8, dialect: Dialect) -> Result<(), Error> {
+        let (values, tool_max) = match dialect {
+            Dialect::Grbl => (VALUES_OF_GRBL, TOOL_MAX_OF_GRBL),
+            _ => (VALUES, TOOL_MAX),
+        };
         let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
-        if axis.is_none() && !VALUES.has(letter) {
-            return Err(Error::UnsupportedCommand);
+        if axis.is_none() && !values.has(letter) {
+            return if letter == ASSIGNMENT { Ok(()) } else { Err(Error::UnsupportedCommand) };
         }
-        if letter == b'T' && value > TOOL_MAX {
+        if letter == b'T' && value > Decimal::from_int(tool_max) {
             return Err(Error::ToolNumberTooHigh);
         }
         if self.values.has(letter) {
@@ -184,12 +222,14 @@ impl<const N: usize> Parsed<N> {
         }
         match letter {
             b'F' => self.f = value,
+            b'H' => self.h = value,
             b'I' => self.i = value,
             b'J' => self.j = value,
             b'K' => self.k = value,
             b'L' => self.l = value,
             b'N' => self.n = value,
             b'P' => self.p = value,
+            b'Q' => self.q = value,
             b'R' => self.r = value,
             b'S' => self.s = value,
             b'T' => self.t = value,

@@ -2,7 +2,11 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, Plane, ProbeMode, Units};
+use super::interpreter::Interpreter;
+use super::modal::{
+    ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
+    Units,
+};
 use super::offsets::StoredOffset;
 use crate::error::Error;
 use crate::messages::SpindleDirection;
@@ -14,31 +18,53 @@ use crate::units::Decimal;
 pub(super) struct Word {
     pub letter: u8,
     pub value: Decimal,
-    /// Digits behind the point.
+    /// Digits behind the point; of a computed value those that it has, for it has none that were left out.
     pub places: u8,
 }
 
+/// The letter of a parameter that is set, which is a word without meaning to the line.
+pub(super) const ASSIGNMENT: u8 = b'#';
+
 /// The words of a line, up to the first fault.
-pub(super) struct Words<'a> {
+pub(super) struct Words<'a, const N: usize> {
     rest: &'a [u8],
     digits: Digits,
+    /// Where computed values come from and parameters go; Grbl's dialect has neither.
+    state: Option<&'a mut Interpreter<N>>,
 }
 
-impl<'a> Words<'a> {
-    pub fn of(line: &'a [u8], digits: Digits) -> Words<'a> {
-        Words { rest: line, digits }
-    }
-
-    fn read(&self, letter: u8, number: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
-        if !letter.is_ascii_uppercase() {
-            return Err(Error::ExpectedLetter);
+impl<'a, const N: usize> Words<'a, N> {
+    pub fn of(line: &'a [u8], dialect: Dialect, state: &'a mut Interpreter<N>) -> Self {
+        match dialect {
+            Dialect::Grbl => Self { rest: line, digits: Digits::Eight, state: None },
+            _ => Self { rest: line, digits: Digits::Exact, state: Some(state) },
         }
-        let Number { value, used, places } = number::read(number, self.digits).ok_or(Error::BadNumber)?;
-        Ok((Word { letter, value, places }, number.get(used..).unwrap_or(&[])))
+    }
+
+    fn read(&mut self, letter: u8, number: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
+        if !letter.is_ascii_uppercase() {
+            return self.assign(letter, number);
+        }
+        match number::read(number, self.digits) {
+            Some(Number { value, used, places }) => {
+                Ok((Word { letter, value, places }, number.get(used..).unwrap_or(&[])))
+            }
+            None => self.state.as_ref().ok_or(Error::BadNumber)?.compute(letter, number),
+        }
+    }
+
+    fn assign(&mut self, letter: u8, text: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
+        match &mut self.state {
+            Some(state) if letter == ASSIGNMENT => {
+                let rest = state.assign(text)?;
+                Ok((Word { letter, value: Decimal::ZERO, places: 0 }, rest))
+            }
+            _ => Err(Error::ExpectedLetter),
+        }
     }
 }
 
-impl Iterator for Words<'_> {
+impl<const N: usize> Iterator for Words<'_, N> {
     type Item = Result<Word, Error>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -74,6 +100,11 @@ impl Letters {
         self.0 & Self::bit(letter) != 0
     }
 
+    /// Whether any of the letters is in the set.
+    pub const fn has_any(self, others: Letters) -> bool {
+        self.0 & others.0 != 0
+    }
+
     /// Adds a letter.
     pub fn add(&mut self, letter: u8) {
         self.0 |= Self::bit(letter);
@@ -101,6 +132,7 @@ pub(super) enum Group {
     ArcDistance,
     FeedMode,
     Units,
+    Retract,
     CutterCompensation,
     ToolLength,
     CoordinateSystem,
@@ -109,29 +141,35 @@ pub(super) enum Group {
     Spindle,
     Coolant,
     Override,
+    ToolChange,
+    OverridesHeld,
+    Keep,
 }
 
 /// A set of modal groups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Groups(u16);
+pub(super) struct Groups(u32);
 
 impl Groups {
     /// The groups whose words a jog may have.
     pub const OF_JOGS: Groups =
-        Groups(1 << Group::NonModal as u16 | 1 << Group::Distance as u16 | 1 << Group::Units as u16);
+        Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
+
+    /// The group of M70 to M72.
+    pub const KEEP: Groups = Groups(1 << Group::Keep as u32);
 
     /// Adds a group; an error if it is there already.
     pub fn join(&mut self, group: Group) -> Result<(), Error> {
         if self.has(group) {
             return Err(Error::ModalGroupViolation);
         }
-        self.0 |= 1 << group as u16;
+        self.0 |= 1 << group as u32;
         Ok(())
     }
 
     /// Whether a word of the group has been seen.
     pub const fn has(self, group: Group) -> bool {
-        self.0 & (1 << group as u16) != 0
+        self.0 & (1 << group as u32) != 0
     }
 
     /// Whether every group of this set is in the other.
@@ -171,6 +209,12 @@ pub(super) enum NonModal {
     SetOffset,
     /// G92.1.
     ClearOffset,
+    /// G92.2.
+    SuspendOffset,
+    /// G92.3.
+    RestoreOffset,
+    /// G52.
+    LocalOffset,
 }
 
 /// Tool length offset.
@@ -180,6 +224,10 @@ pub(super) enum ToolLength {
     Cancel,
     /// G43.1.
     Dynamic,
+    /// G43.
+    FromTable,
+    /// G43.2.
+    Add,
 }
 
 /// A G word.
@@ -192,31 +240,63 @@ pub(super) enum GWord {
     ArcDistance(ArcDistance),
     FeedMode(FeedMode),
     Units(Units),
+    /// G98, G99: whether cycles retract to R.
+    Retract(bool),
     /// G40, the only cutter compensation there is.
     NoCutterCompensation,
     ToolLength(ToolLength),
     CoordinateSystem(CoordinateSystem),
-    /// G61, the only path control there is.
-    ExactPath,
+    /// G61, G61.1, G64.
+    Path(PathControl),
+    /// Says what is so in any case: G50 (no scaling), G69 (no rotation), G97 (S in revolutions per minute).
+    AsItIs,
 }
 
 impl GWord {
     /// The claim that a code lays on axis words. It is looked at before the code is known to be valid.
     pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
-            // G49 needs no axis word, so a line may cancel the offset and move: `G0 G49 ...` opens many programs.
-            (49, _) if dialect == Dialect::Seed => Claim::Nobody,
+            // G43, G43.2 and G49 need no axis word, so a line may change the offset and move: `G0 G49 ...` opens many
+            // programs.
+            (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
+            (52, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
+            (73 | 81..=83 | 85 | 86 | 88 | 89, 0) if dialect != Dialect::Grbl => Claim::Motion,
             _ => Claim::Nobody,
         }
+    }
+
+    /// Canned cycles, the tool table and offsets that Grbl does not have.
+    fn extended(code: Code) -> Option<GWord> {
+        Some(match (code.whole, code.hundredths) {
+            (43, 0) => GWord::ToolLength(ToolLength::FromTable),
+            (43, 20) => GWord::ToolLength(ToolLength::Add),
+            (52, 0) => GWord::NonModal(NonModal::LocalOffset),
+            (73, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::ChipBreak)),
+            (81, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::Drill)),
+            (82, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::DrillDwell)),
+            (83, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::Peck)),
+            (85, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::Bore)),
+            (86, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::BoreStop)),
+            (88, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::BoreManual)),
+            (89, 0) => GWord::Motion(MotionMode::Cycle(CycleKind::BoreDwell)),
+            (98, 0) => GWord::Retract(false),
+            (99, 0) => GWord::Retract(true),
+            (92, 20) => GWord::NonModal(NonModal::SuspendOffset),
+            (92, 30) => GWord::NonModal(NonModal::RestoreOffset),
+            _ => return None,
+        })
     }
 
     /// The word of a code. A fraction that a command does not have is "not a whole number" where the command has none
     /// at all, and "unsupported" where it has others.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
+        if more && let Some(word) = Self::extended(code) {
+            return if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) };
+        }
         Ok(match (code.whole, code.hundredths) {
             (0, 0) => GWord::Motion(MotionMode::Rapid),
             (1, 0) => GWord::Motion(MotionMode::Linear),
@@ -250,7 +330,10 @@ impl GWord {
             (59, 10) if more => GWord::CoordinateSystem(CoordinateSystem::G59_1),
             (59, 20) if more => GWord::CoordinateSystem(CoordinateSystem::G59_2),
             (59, 30) if more => GWord::CoordinateSystem(CoordinateSystem::G59_3),
-            (61, 0) => GWord::ExactPath,
+            (61, 0) => GWord::Path(PathControl::ExactPath),
+            (61, 10) if more => GWord::Path(PathControl::ExactStop),
+            (64, 0) if more => GWord::Path(PathControl::ExactPath),
+            (50 | 69 | 97, 0) if more => GWord::AsItIs,
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),
@@ -260,14 +343,18 @@ impl GWord {
             (92, 10) => GWord::NonModal(NonModal::ClearOffset),
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
+            (41 | 42, 0 | 10) if more => return Err(Error::CutterCompensation),
+            (5 | 7 | 8 | 15 | 16 | 33 | 51 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+                return Err(Error::NotSupported);
+            }
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),
         })
     }
 
-    /// The modal group of the word.
-    pub fn group(self) -> Group {
-        match self {
+    /// The modal group of the word, if it is in one.
+    pub fn group(self) -> Option<Group> {
+        Some(match self {
             GWord::NonModal(_) => Group::NonModal,
             GWord::Motion(_) => Group::Motion,
             GWord::Plane(_) => Group::Plane,
@@ -275,11 +362,13 @@ impl GWord {
             GWord::ArcDistance(_) => Group::ArcDistance,
             GWord::FeedMode(_) => Group::FeedMode,
             GWord::Units(_) => Group::Units,
+            GWord::Retract(_) => Group::Retract,
             GWord::NoCutterCompensation => Group::CutterCompensation,
             GWord::ToolLength(_) => Group::ToolLength,
             GWord::CoordinateSystem(_) => Group::CoordinateSystem,
-            GWord::ExactPath => Group::PathControl,
-        }
+            GWord::Path(_) => Group::PathControl,
+            GWord::AsItIs => return None,
+        })
     }
 }
 
@@ -292,6 +381,8 @@ pub(super) enum MWord {
     OptionalPause,
     /// M2, M30.
     End,
+    /// M6.
+    ToolChange,
     /// M3, M4, M5.
     Spindle(SpindleDirection),
     /// M7.
@@ -302,6 +393,10 @@ pub(super) enum MWord {
     NoCoolant,
     /// M56.
     ParkingOverride,
+    /// M48 to M53, by number.
+    Overrides(u8),
+    /// M70 to M72, by number.
+    Keep(u8),
 }
 
 impl MWord {
@@ -311,6 +406,9 @@ impl MWord {
         if code.hundredths != 0 {
             return Err(Error::IntegerRequired);
         }
+        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 70..=72) {
+            return Err(Error::ExtendedLeftOut);
+        }
         Ok(match code.whole {
             0 => MWord::Pause,
             1 => MWord::OptionalPause,
@@ -318,10 +416,15 @@ impl MWord {
             3 => MWord::Spindle(SpindleDirection::Clockwise),
             4 => MWord::Spindle(SpindleDirection::CounterClockwise),
             5 => MWord::Spindle(SpindleDirection::Off),
+            6 if more => MWord::ToolChange,
             7 if more => MWord::Mist,
             8 => MWord::Flood,
             9 => MWord::NoCoolant,
+            48..=53 if more => MWord::Overrides(code.whole),
             56 if more => MWord::ParkingOverride,
+            60 if more => MWord::Pause,
+            70..=72 if more => MWord::Keep(code.whole),
+            19 | 61..=68 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),
         })
     }
@@ -330,9 +433,12 @@ impl MWord {
     pub fn group(self) -> Group {
         match self {
             MWord::Pause | MWord::OptionalPause | MWord::End => Group::Flow,
+            MWord::ToolChange => Group::ToolChange,
             MWord::Spindle(_) => Group::Spindle,
             MWord::Mist | MWord::Flood | MWord::NoCoolant => Group::Coolant,
             MWord::ParkingOverride => Group::Override,
+            MWord::Overrides(_) => Group::OverridesHeld,
+            MWord::Keep(_) => Group::Keep,
         }
     }
 }

@@ -15,7 +15,7 @@
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;
 use crate::messages::{GangedMotors, SECOND_SWITCH};
-use crate::units::{Coordinate, Duration};
+use crate::units::{Coordinate, Duration, Instant};
 
 /// How far a seek goes, in travels of the longest axis of the cycle: beyond all of it, with a margin.
 const SEEK_TRAVELS: f32 = 1.5;
@@ -247,6 +247,64 @@ impl<const N: usize> Homing<N> {
                 -pull_off
             }
         })
+    }
+}
+
+/// What a homing cycle is waiting for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HomingWait {
+    /// The end of a move, or one of these switches.
+    Motion(AxisMask),
+    /// The stop that a switch has asked for.
+    Stop,
+    /// A moment.
+    Until(Instant),
+}
+
+/// A homing cycle, and what it is waiting for.
+#[derive(Clone, Debug)]
+pub struct HomingRun<const N: usize> {
+    homing: Homing<N>,
+    wait: HomingWait,
+}
+
+impl<const N: usize> HomingRun<N> {
+    /// A cycle whose first order is being carried out.
+    pub fn new(homing: Homing<N>) -> Self {
+        Self { homing, wait: HomingWait::Stop }
+    }
+
+    /// The order given last is being carried out: it ends with this.
+    pub fn wait_for(&mut self, wait: HomingWait) {
+        self.wait = wait;
+    }
+
+    /// When it has to be asked again.
+    pub fn wakeup(&self) -> Option<Instant> {
+        match self.wait {
+            HomingWait::Until(moment) => Some(moment),
+            _ => None,
+        }
+    }
+
+    /// The next order, if what it waits for is over. Asked while no stop is awaited. `idle`: nothing moves, and nothing is
+    /// queued.
+    pub fn next(&mut self, idle: bool, now: Instant, switches: AxisMask) -> Option<Order<N>> {
+        let over = match self.wait {
+            HomingWait::Motion(_) => idle,
+            HomingWait::Stop => true,
+            HomingWait::Until(moment) => now >= moment,
+        };
+        over.then(|| self.homing.next(switches))
+    }
+
+    /// Whether one of these switches ends the move under way. It then waits for the stop.
+    pub fn is_reached(&mut self, switches: AxisMask) -> bool {
+        let reached = matches!(self.wait, HomingWait::Motion(watch) if watch.0 & switches.0 != 0);
+        if reached {
+            self.wait = HomingWait::Stop;
+        }
+        reached
     }
 }
 

@@ -1,10 +1,15 @@
 //! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers.
 
+pub mod accessories;
+pub mod door;
 pub mod drivers;
 pub mod filter;
 pub mod homing;
+pub mod inputs;
+pub mod probe;
 pub mod realtime_override;
 pub mod reference;
 pub mod signals;
 pub mod spindle;
 pub mod state;
+pub mod stops;

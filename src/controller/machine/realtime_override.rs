@@ -30,6 +30,18 @@ impl Overrides {
     /// Everything as programmed.
     pub const NONE: Overrides = Overrides { feed: 100, rapid: 100, spindle: 100 };
 
+    /// Those that act while the program holds some of them off (M49, M50, M51).
+    #[must_use]
+    pub fn acting(mut self, feed_held: bool, spindle_held: bool) -> Overrides {
+        if feed_held {
+            self.feed = 100;
+        }
+        if spindle_held {
+            self.spindle = 100;
+        }
+        self
+    }
+
     /// The overrides after one command; every press counts. Other commands change nothing.
     #[must_use]
     pub fn after(mut self, command: Realtime) -> Overrides {

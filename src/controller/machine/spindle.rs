@@ -1,5 +1,7 @@
 //! From a spindle speed to the power of its output.
 
+use crate::settings::{Key, Settings};
+
 /// Power just above off: 1 of Grbl's 255 PWM steps, so that a speed at the minimum does not switch off.
 const LEAST_POWER: f32 = 257.0;
 const FULL_POWER: f32 = 65_535.0;
@@ -14,6 +16,11 @@ pub struct SpindleRange {
 }
 
 impl SpindleRange {
+    /// As the settings have them.
+    pub fn of<const N: usize>(settings: &Settings<N>) -> SpindleRange {
+        SpindleRange { maximum: settings.value(Key::SpindleMaximum), minimum: settings.value(Key::SpindleMinimum) }
+    }
+
     /// Power (0 to 65535) and real speed (rpm) for a programmed speed under an override in percent. Speeds outside the
     /// range run at its ends; 0 is off.
     pub fn output(&self, programmed: f32, percent: u8) -> (u16, f32) {
@@ -28,6 +35,11 @@ impl SpindleRange {
             let share = (speed - self.minimum) / (self.maximum - self.minimum);
             ((LEAST_POWER + share * (FULL_POWER - LEAST_POWER)) as u16, speed)
         }
+    }
+
+    /// A power under another override, in percent.
+    pub fn overridden(&self, power: u16, percent: u8) -> u16 {
+        self.output(self.speed_of(power), percent).0
     }
 
     /// The speed (rpm) that a power stands for: the way back of [`SpindleRange::output`].

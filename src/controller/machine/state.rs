@@ -12,11 +12,16 @@
 //! ```
 //! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
 
+use super::homing::HomingRun;
+use crate::error::Alarm;
 use crate::units::Instant;
 
 /// What the machine is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
+#[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
+#[derive(Clone, Debug)]
+// The tag is asked for before each output: a byte of its own, not folded into the data of a mode.
+#[repr(u8)]
+pub enum Mode<const N: usize> {
     /// Program lines are executed.
     Normal,
     /// A jog is moving. `cancelling`: it is braking and will be forgotten.
@@ -27,7 +32,7 @@ pub enum Mode {
     /// Feed hold: braking or at rest; only `~` goes on.
     Hold,
     /// The homing cycle runs.
-    Home,
+    Home(HomingRun<N>),
     /// Braking; then everything queued is forgotten. `locked`: an alarm state follows, because a line was refused.
     Stopping {
         /// Whether the machine locks itself afterwards.
@@ -35,14 +40,14 @@ pub enum Mode {
     },
     /// Safety door: see [`Door`].
     Door(Door),
-    /// Locked until `$X`, `$H` or a reset.
-    Alarm,
-    /// Locked by a hard or soft limit: only a reset helps.
-    Critical,
+    /// Locked until `$X`, `$H` or a reset; by an alarm, or because the machine has not been homed or looked at.
+    Alarm(Option<Alarm>),
+    /// Locked by a hard or soft limit or an emergency: only a reset helps.
+    Critical(Alarm),
     /// Lines are checked and not executed.
     Check,
-    /// Everything is off until a reset.
-    Sleep,
+    /// Everything is off until a reset; with the alarm that it was locked by.
+    Sleep(Option<Alarm>),
 }
 
 /// Phases of the safety door.
@@ -70,35 +75,50 @@ pub enum Door {
     Plunging,
 }
 
-impl Mode {
+impl<const N: usize> Mode<N> {
     /// Whether received lines wait unread.
-    pub fn is_suspended(self) -> bool {
-        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep | Mode::Critical)
+    pub fn is_suspended(&self) -> bool {
+        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
+    }
+
+    /// Whether a received line may be read.
+    #[inline]
+    pub fn takes_lines(&self) -> bool {
+        matches!(self, Mode::Normal | Mode::Jog { .. } | Mode::Alarm(_) | Mode::Check)
     }
 
     /// Whether the machine is locked.
-    pub fn is_alarm(self) -> bool {
-        matches!(self, Mode::Alarm | Mode::Critical)
+    pub fn is_alarm(&self) -> bool {
+        matches!(self, Mode::Alarm(_) | Mode::Critical(_))
+    }
+
+    /// The alarm that holds, if any.
+    pub fn alarm(&self) -> Option<Alarm> {
+        match self {
+            Mode::Alarm(alarm) | Mode::Sleep(alarm) => *alarm,
+            Mode::Critical(alarm) => Some(*alarm),
+            _ => None,
+        }
     }
 
     /// The state as `?` names it. `at_rest`: nothing moves; `running`: a program's motion is under way; `door_open`: the
     /// door input is active.
-    pub fn name(self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
+    pub fn name(&self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
         match self {
             Mode::Normal if running => "Run",
             Mode::Normal => "Idle",
             Mode::Jog { .. } => "Jog",
             Mode::Hold if at_rest => "Hold:0",
             Mode::Hold => "Hold:1",
-            Mode::Home => "Home",
+            Mode::Home(_) => "Home",
             Mode::Stopping { .. } => "Hold:1",
             Mode::Door(Door::Braking | Door::PullingOut | Door::Parking | Door::Reopened) => "Door:2",
             Mode::Door(Door::Parked) if door_open => "Door:1",
             Mode::Door(Door::Parked) => "Door:0",
             Mode::Door(_) => "Door:3",
-            Mode::Alarm | Mode::Critical => "Alarm",
+            Mode::Alarm(_) | Mode::Critical(_) => "Alarm",
             Mode::Check => "Check",
-            Mode::Sleep => "Sleep",
+            Mode::Sleep(_) => "Sleep",
         }
     }
 }

@@ -23,33 +23,33 @@ pub(super) struct Overrides {
 
 /// A straight move. Lengths in mm, speeds in mm/s; `2` at the end of a name means squared.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Block<const N: usize> {
-    pub legs: [Leg; N],
-    pub line_number: u32,
+pub struct Block<const N: usize> {
+    pub(super) legs: [Leg; N],
+    pub(super) line_number: u32,
     /// Path length, lengths of moves too short for a step included.
-    pub length: f32,
+    pub(super) length: f32,
     /// Greatest acceleration along the path that no axis minds.
-    pub acceleration: f32,
+    pub(super) acceleration: f32,
     /// Speed as programmed, before overrides.
-    pub programmed: f32,
+    pub(super) programmed: f32,
     /// Greatest speed along the path that no axis minds.
-    pub limit: f32,
+    pub(super) limit: f32,
     /// What the corner with the block before allows, whatever the nominal speeds are.
-    pub corner2: f32,
+    pub(super) corner2: f32,
     /// Greatest entry speed: the corner and both nominal speeds.
-    pub max_entry2: f32,
+    pub(super) max_entry2: f32,
     /// Planned entry speed: from it the rest of the queue can be braked to a stop. With a jerk limit, that of the anchor
     /// that `ramp` leads to.
-    pub entry2: f32,
+    pub(super) entry2: f32,
     /// Greatest jerk along the path that no axis minds; means nothing without a jerk limit.
-    pub jerk: f32,
+    pub(super) jerk: f32,
     /// How the entry is planned with a jerk limit.
-    pub ramp: Ramp,
+    pub(super) ramp: Ramp,
     /// What a bend leaves of the acceleration.
-    pub curve: CurveLoad,
-    pub power: u16,
-    pub directions: u8,
-    pub flags: u8,
+    pub(super) curve: CurveLoad,
+    pub(super) power: u16,
+    pub(super) directions: u8,
+    pub(super) flags: u8,
 }
 
 /// The upper half of an `f32`: rounded down by 0.8 % at most.
@@ -120,8 +120,13 @@ impl CurveLoad {
     /// What is left of an acceleration `along` the path at a speed². Along the path and across it, the sum of both on each
     /// axis is within its limit, either as parts of a circle, a·√(1 - r²), or as shares, 1 - r of what the path's own
     /// direction allows.
+    #[inline]
+    pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
+        if self.is_none() { along } else { self.left_in_bend(along, speed2) }
+    }
+
     #[inline(never)]
-    fn left(self, along: f32, speed2: f32) -> f32 {
+    fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
@@ -191,7 +196,7 @@ impl<const N: usize> Block<N> {
     /// Greatest acceleration along the path at a speed².
     #[inline]
     pub(super) fn acceleration_at(&self, speed2: f32) -> f32 {
-        if self.curve.is_none() { self.acceleration } else { self.curve.left(self.acceleration, speed2) }
+        self.curve.left(self.acceleration, speed2)
     }
 
     /// What bounds changes of speed in the block.

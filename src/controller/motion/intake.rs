@@ -8,8 +8,8 @@ use super::measure::Measure;
 use super::planner::{SQUARE_CORNER, UNLIMITED2};
 use super::profile::{greater, lesser, square_root};
 use super::{
-    GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Motion, Motors,
-    Move, Speed, bounded, signed_steps, unsigned_steps,
+    AnyMotion, GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE,
+    Motors, Move, Speed, bounded, signed_steps, unsigned_steps,
 };
 use crate::axes::{Axis, PerAxis};
 use crate::messages::Leg;
@@ -34,13 +34,13 @@ fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32
     legs
 }
 
-impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+impl<const N: usize> AnyMotion<N> {
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub fn line(&mut self, m: &Move<N>) -> bool {
         self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of an arc: [`Motion::line`], not faster than the arc's own curve allows, and stepped along its true
+    /// Queues a chord of an arc: [`AnyMotion::line`], not faster than the arc's own curve allows, and stepped along its true
     /// ends instead of the steps next to them.
     pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
@@ -75,7 +75,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
-        for (new, old) in steps.iter().zip(self.planned_steps.iter()) {
+        for (new, old) in steps.iter().zip(self.end.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
         }
         if most < MAX_STEPS {
@@ -88,9 +88,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         // One piece more than the quotient: a piece's own rounding may add a step.
         let pieces = most / (MAX_STEPS / 2) + 1;
-        self.long = Some(LongMove { start: self.planned, whole, bend2, pieces, next: 1 });
+        self.long = Some(LongMove { start: self.end.planned, whole, bend2, pieces, next: 1 });
         self.continue_long_move();
         true
+    }
+
+    /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
+    #[inline]
+    fn looks_ahead(&self) -> bool {
+        self.planner.capacity() > 2
     }
 
     #[inline]
@@ -124,7 +130,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// mm from the end of the queue.
     pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
-        for (to, from) in target.iter().zip(self.planned.iter()) {
+        for (to, from) in target.iter().zip(self.end.planned.iter()) {
             let way = (*to - *from).to_mm();
             square += way * way;
         }
@@ -133,17 +139,18 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32, chord: bool) {
-        let promised2 = if Self::LOOKS_AHEAD { self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord) } else { 0.0 };
+        let promised2 =
+            if self.looks_ahead() { self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
-        let way: PerAxis<f32, N> = m.target.zip(&self.block_end, |to, from| (to - from).to_mm());
+        let way: PerAxis<f32, N> = m.target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
         for part in way.iter() {
             square += part * part;
         }
         let straight = square_root(square);
-        let own = if self.planned == self.block_end { straight } else { self.distance(&m.target) };
-        let path = own + self.carried;
-        self.planned = m.target;
+        let own = if self.end.planned == self.end.block_end { straight } else { self.distance(&m.target) };
+        let path = own + self.end.carried;
+        self.end.planned = m.target;
 
         let mut block = Block::<N>::EMPTY;
         let mut steps = [0; N];
@@ -152,7 +159,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let mut least = 0.0_f32;
         let mut coarsest = 0.0;
         let mut dominant = 0;
-        let places = target_steps.iter().zip(self.planned_steps.iter());
+        let places = target_steps.iter().zip(self.end.planned_steps.iter());
         for (bit, ((to, from), (steps, mm))) in places.zip(steps.iter_mut().zip(self.kinematics.least_mm)).enumerate() {
             *steps = to.abs_diff(*from);
             if to < from {
@@ -165,17 +172,17 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             dominant = dominant.max(*steps);
         }
         if dominant == 0 {
-            self.carried = path;
+            self.end.carried = path;
             return;
         }
         // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
         // taken as longer, and the next one as shorter by as much.
         let length = greater(path, least);
-        self.carried = greater(path - length, -least);
-        let start = core::mem::replace(&mut self.block_end, m.target);
-        self.planned_steps = *target_steps;
+        self.end.carried = greater(path - length, -least);
+        let start = core::mem::replace(&mut self.end.block_end, m.target);
+        self.end.planned_steps = *target_steps;
 
-        let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.direction };
+        let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.end.direction };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
         let moved = if path < least { self.way_of_steps(&steps, directions, length, &way) } else { way };
         let (mut acceleration, mut limit) = self.limits(&moved, length);
@@ -205,7 +212,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
         let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
         let digit = self.chain.last_digit(m.digit);
-        if self.tool_stands {
+        if self.end.tool_stands {
             self.chain.restart(&start);
         }
         let piece = Piece {
@@ -221,25 +228,25 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         // Moves without a step that led nowhere, some steps' worth of them, are waited for in this block: so it has corners
         // before and behind it.
         let waits = path > 1.1 * straight && path - straight > 2.0 * coarsest;
-        if waits || self.waited {
+        if waits || self.end.waited {
             let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
             block.corner2 = lesser(block.corner2, square * self.turns.deviation * SQUARE_CORNER);
             self.join.close();
         }
-        self.waited = waits;
-        if core::mem::take(&mut self.tool_stands) {
+        self.end.waited = waits;
+        if core::mem::take(&mut self.end.tool_stands) {
             block.corner2 = 0.0;
         }
         block.corner2 = greater(block.corner2, promised2);
         block.power = m.power;
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
-        self.direction = unit;
+        self.end.direction = unit;
         if bend2 < NOTICEABLE * piece.fast2 {
             block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
         }
         self.planner.push(block, self.overrides);
-        if Self::LOOKS_AHEAD && !self.join.keeps(&piece) {
+        if self.looks_ahead() && !self.join.keeps(&piece) {
             let planner = &mut self.planner;
             self.chain.extend(&piece, &self.turns, &mut |bend| planner.limit(&bend));
         }
@@ -269,7 +276,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if !chord {
             return None;
         }
-        let start = start.unwrap_or_else(|| self.kinematics.sevenths_beyond(&self.planned, &self.planned_steps));
+        let start =
+            start.unwrap_or_else(|| self.kinematics.sevenths_beyond(&self.end.planned, &self.end.planned_steps));
         let end = self.kinematics.sevenths_beyond(target, target_steps);
         self.beyond = Some(end);
         Some([start, end])
@@ -321,14 +329,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     #[inline(never)]
     fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
-        let moved = steps.zip(&self.planned_steps, i32::wrapping_sub);
+        let moved = steps.zip(&self.end.planned_steps, i32::wrapping_sub);
         let mut after = self.backlash;
         after.turn(&moved.0);
         if !after.is_outstanding() || moved.iter().all(|steps| *steps == 0) {
             return;
         }
         let distance = self.distance(&m.target);
-        let way = m.target.zip(&self.planned, |to, from| (to - from).to_mm());
+        let way = m.target.zip(&self.end.planned, |to, from| (to - from).to_mm());
         let (acceleration, limit) = self.limits(&way, distance);
         let feed = match m.speed {
             Speed::Rapid => limit,
@@ -343,9 +351,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if needed * 1.5 < distance {
             let part = (needed / distance * 65_536.0) as i64 + 1;
             let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
-            let target = self.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
+            let target = self.end.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
             let steps = self.kinematics.steps(&target);
-            let most = steps.iter().zip(self.planned_steps.iter()).map(|(to, from)| to.abs_diff(*from)).max();
+            let most = steps.iter().zip(self.end.planned_steps.iter()).map(|(to, from)| to.abs_diff(*from)).max();
             if most.is_some_and(|most| most < MAX_STEPS) {
                 self.append(&Move { target, speed, ..*m }, &steps, bend2, chord);
             }
@@ -387,19 +395,19 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// own, from rest to rest, in which the tool stands still or comes to its place.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>) {
-        let taken = self.backlash.finish(&self.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
-        self.turn_motors(&taken, self.running.line_number);
+        let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
+        self.turn_motors(&taken, self.feed.running.line_number);
     }
 
     /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
         // After a way in X and Y the corner is slow anyway; a profile in Z must not be interrupted.
-        let across2 = self.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
-        if BLOCKS < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
+        let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
+        if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;
         }
-        let moved = self.kinematics.steps(&m.target).zip(&self.planned_steps, i32::wrapping_sub);
+        let moved = self.kinematics.steps(&m.target).zip(&self.end.planned_steps, i32::wrapping_sub);
         let aside = moved.iter().take(2).any(|steps| *steps != 0);
         if !aside && moved.iter().any(|steps| *steps != 0) {
             let mut most = [0; N];
@@ -428,7 +436,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         block.flags = NO_OVERRIDE;
         // The tool stands: a beam would burn a hole.
         block.power = 0;
-        self.tool_stands = true;
+        self.end.tool_stands = true;
         self.end_join();
         self.planner.push(block, self.overrides);
         self.planner.plan();

@@ -18,7 +18,7 @@
 use super::curvature::Piece;
 use super::kinematics::Kinematics;
 use super::profile::{greater, lesser, square_root};
-use super::{Motion, Move, Speed};
+use super::{AnyMotion, End, Move, Speed};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
@@ -31,18 +31,6 @@ const MOST_JOINED: f32 = 0.5;
 const LEAST_DIGIT: f32 = 1.0e-4;
 /// Path by straight line beyond which points wind for a purpose: rounding to digits makes it the square root of 3 at most.
 const MOST_WINDING: f32 = 1.75;
-
-/// The end of the queue before the last block: all that [`Motion::append`] changes but planner and chain.
-#[derive(Clone, Copy, Debug)]
-struct End<const N: usize> {
-    planned: PerAxis<Coordinate, N>,
-    block_end: PerAxis<Coordinate, N>,
-    planned_steps: PerAxis<i32, N>,
-    carried: f32,
-    direction: [f32; N],
-    waited: bool,
-    tool_stands: bool,
-}
 
 /// What is known of the last block of the queue.
 #[derive(Clone, Debug)]
@@ -74,6 +62,7 @@ pub(super) struct Join<const N: usize> {
     power: u16,
     scale_power: bool,
     line_number: u32,
+    /// The end of the queue before the last block: all that [`AnyMotion::line`] changes but planner and chain.
     before: End<N>,
 }
 
@@ -96,15 +85,7 @@ impl<const N: usize> Join<N> {
         power: 0,
         scale_power: false,
         line_number: 0,
-        before: End {
-            planned: PerAxis::all(Coordinate::ZERO),
-            block_end: PerAxis::all(Coordinate::ZERO),
-            planned_steps: PerAxis::all(0),
-            carried: 0.0,
-            direction: [0.0; N],
-            waited: false,
-            tool_stands: false,
-        },
+        before: End::ZERO,
     };
 
     /// Takes over the resolution of the motors.
@@ -183,18 +164,18 @@ impl<const N: usize> Join<N> {
     }
 }
 
-impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+impl<const N: usize> AnyMotion<N> {
     /// Before a move is made a block: takes back the last block if this move continues it, so that the new block begins where
     /// that one did. Gives the speed² at which the blocks before may already count on entering it.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
-        let ends = m.target.iter().zip(self.block_end.iter());
+        let ends = m.target.iter().zip(self.end.block_end.iter());
         let ways: i64 = ends.map(|(to, from)| (to.0 - from.0).abs()).sum();
         if is_line && !m.no_feed_override && ways <= MOST_PIECE {
             return self.join_short(m, target_steps);
         }
         self.join.open = false;
-        if self.join.kept && *target_steps != self.planned_steps {
+        if self.join.kept && *target_steps != self.end.planned_steps {
             self.end_join();
         }
         0.0
@@ -207,7 +188,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         self.join.open &= self.join.is_like(m);
         self.join.digit = lesser(self.join.digit, m.digit);
-        if *target_steps == self.planned_steps {
+        if *target_steps == self.end.planned_steps {
             // It makes no block, but is a point of the line.
             self.join.open = self.join.open && self.pass_by(m);
             return 0.0;
@@ -232,8 +213,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if core::mem::take(&mut join.kept) {
             let piece = Piece {
                 start: &join.before.block_end,
-                end: &self.block_end,
-                direction: &self.direction,
+                end: &self.end.block_end,
+                direction: &self.end.direction,
                 length: join.length,
                 path: join.block_path,
                 fast2: join.fast2,
@@ -261,14 +242,14 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         if !self.join.fresh {
             return true;
         }
-        let end = self.way_to(&self.block_end);
+        let end = self.way_to(&self.end.block_end);
         self.join.pass(&end)
     }
 
     /// Whether a move continues the last block within its bounds, and if so, what speed² has been promised for its entry.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
         // The only block may be on its way out, or the next one with a speed already given.
-        if self.planner.len() < 2 && (self.running.active || self.pace.speed2 > 0.0) {
+        if self.planner.len() < 2 && (self.feed.running.active || self.feed.pace.speed2 > 0.0) {
             return None;
         }
         let motors = self.way_to(&m.target);
@@ -293,7 +274,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         }
         if self.backlash.is_on() {
             let mut after = self.backlash;
-            after.turn(&target_steps.zip(&self.planned_steps, i32::wrapping_sub).0);
+            after.turn(&target_steps.zip(&self.end.planned_steps, i32::wrapping_sub).0);
             if after.is_outstanding() {
                 return None;
             }
@@ -317,14 +298,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// The end of the queue as it was before the last block.
     fn take_back(&mut self) {
-        let before = &self.join.before;
-        self.planned = before.planned;
-        self.block_end = before.block_end;
-        self.planned_steps = before.planned_steps;
-        self.carried = before.carried;
-        self.direction = before.direction;
-        self.waited = before.waited;
-        self.tool_stands = before.tool_stands;
+        self.end = self.join.before;
         self.planner.take_back();
     }
 
@@ -339,20 +313,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         join.power = m.power;
         join.scale_power = m.scale_power;
         join.line_number = m.line_number;
-        join.before = End {
-            planned: self.planned,
-            block_end: self.block_end,
-            planned_steps: self.planned_steps,
-            carried: self.carried,
-            direction: self.direction,
-            waited: self.waited,
-            tool_stands: self.tool_stands,
-        };
+        join.before = self.end;
     }
 
     /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the
     /// queue has room: reason enough to start.
     pub fn has_joined_enough(&self) -> bool {
-        self.join.moves > 0 && self.planner.len() + self.join.moves >= BLOCKS
+        self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
     }
 }

@@ -34,10 +34,12 @@ use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{Leg, Observed, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use backlash::{Backlash, Lead};
-use block::{NO_OVERRIDE, Overrides};
+use block::{Block, NO_OVERRIDE, Overrides};
+use core::ops::{Deref, DerefMut};
 use curvature::{Chain, TurnRule};
 use flight::Flight;
 pub use handover::QUEUED_TIME_MS;
+use jerk::State;
 use join::Join;
 use kinematics::Kinematics;
 use measure::{signed_add, steps_taken};
@@ -149,6 +151,8 @@ struct Motors<const N: usize> {
 }
 
 impl<const N: usize> Motors<N> {
+    const ZERO: Self = Self { steps: PerAxis::all(0), lead: [0; N] };
+
     /// The step at which the tool is.
     fn tool(&self) -> PerAxis<i32, N> {
         self.steps.zip(&PerAxis(self.lead), i32::wrapping_sub)
@@ -184,6 +188,28 @@ struct Running<const N: usize> {
     programmed: f32,
 }
 
+impl<const N: usize> Running<N> {
+    const NONE: Self = Self {
+        active: false,
+        announce: Announce::Nothing,
+        fresh: false,
+        legs: [Leg::on_steps(0); N],
+        directions: 0,
+        flags: 0,
+        power: 0,
+        line_number: 0,
+        threshold: 0,
+        rates: [0; N],
+        credits: [0; N],
+        total: 0,
+        done: 0,
+        scale: 1.0,
+        acceleration: 1.0,
+        nominal2: 1.0,
+        programmed: 1.0,
+    };
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Announce {
     Rest,
@@ -200,26 +226,13 @@ struct Far {
     time: u64,
 }
 
-/// The facade of this room.
-// In this order, small things first: one instruction reaches 4 KiB from the base.
-#[derive(Clone, Debug)]
-#[repr(C)]
-pub struct Motion<const N: usize, const BLOCKS: usize> {
-    kinematics: Kinematics<N>,
-    backlash: Backlash<N>,
-    max_rate: [f32; N],
-    turns: TurnRule<N>,
-    jerk: [f32; N],
-    step_clock_hz: u32,
-    pacer: Pacer,
-    overrides: Overrides,
-
-    /// End of the queue: as programmed, where the last block ended, and in steps.
+/// The end of the queue, before which the last block ends.
+#[derive(Clone, Copy, Debug)]
+struct End<const N: usize> {
+    /// As programmed, where the last block ended, and in steps.
     planned: PerAxis<Coordinate, N>,
     block_end: PerAxis<Coordinate, N>,
     planned_steps: PerAxis<i32, N>,
-    /// How far `planned` is beyond `planned_steps`, in sevenths of a step; known after a chord of an arc only.
-    beyond: Option<[i32; N]>,
     /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
     carried: f32,
     /// Unit vector of the last block.
@@ -228,8 +241,23 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     waited: bool,
     /// The last block moves motors and no tool: what follows begins at rest.
     tool_stands: bool,
-    long: Option<LongMove<N>>,
+}
 
+impl<const N: usize> End<N> {
+    const ZERO: Self = Self {
+        planned: PerAxis::all(Coordinate::ZERO),
+        block_end: PerAxis::all(Coordinate::ZERO),
+        planned_steps: PerAxis::all(0),
+        carried: 0.0,
+        direction: [0.0; N],
+        waited: false,
+        tool_stands: false,
+    };
+}
+
+/// The running block, and the end of what has been handed over to the segment buffer.
+#[derive(Clone, Copy, Debug)]
+struct Feed<const N: usize> {
     running: Running<N>,
     /// The motors at the start of the running block, and where they last stood still.
     start: Motors<N>,
@@ -245,6 +273,49 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     rest: bool,
     started: bool,
     hold: Hold,
+}
+
+impl<const N: usize> Feed<N> {
+    const REST: Self = Self {
+        running: Running::NONE,
+        start: Motors::ZERO,
+        stood: Motors::ZERO,
+        pace: Pace::REST,
+        pull: 0.0,
+        ahead: 0.0,
+        far: None,
+        rest: true,
+        started: false,
+        hold: Hold::None,
+    };
+}
+
+/// The facade of this room, with a look-ahead ring of so many blocks.
+pub type Motion<const N: usize, const BLOCKS: usize> = MotionWith<N, [Block<N>; BLOCKS]>;
+
+/// The same whatever the length of its ring: all that it does is in the program once, for the unsized ring.
+pub type AnyMotion<const N: usize> = MotionWith<N, [Block<N>]>;
+
+/// See [`Motion`].
+// In this order, small things first: one instruction reaches 4 KiB from the base.
+#[derive(Debug)]
+#[repr(C)]
+pub struct MotionWith<const N: usize, R: ?Sized> {
+    kinematics: Kinematics<N>,
+    backlash: Backlash<N>,
+    max_rate: [f32; N],
+    turns: TurnRule<N>,
+    jerk: [f32; N],
+    step_clock_hz: u32,
+    pacer: Pacer,
+    overrides: Overrides,
+
+    end: End<N>,
+    /// How far the end is beyond its steps, in sevenths of a step; known after a chord of an arc only.
+    beyond: Option<[i32; N]>,
+    long: Option<LongMove<N>>,
+
+    feed: Feed<N>,
     step_idle: bool,
     /// Machine steps when the step counters are 0.
     origin: PerAxis<i32, N>,
@@ -255,7 +326,50 @@ pub struct Motion<const N: usize, const BLOCKS: usize> {
     join: Join<N>,
 
     flight: Flight<N>,
-    planner: Planner<N, BLOCKS>,
+    planner: Planner<N, R>,
+}
+
+impl<const N: usize, const BLOCKS: usize> Deref for Motion<N, BLOCKS> {
+    type Target = AnyMotion<N>;
+
+    #[inline(always)]
+    fn deref(&self) -> &AnyMotion<N> {
+        self
+    }
+}
+
+impl<const N: usize, const BLOCKS: usize> DerefMut for Motion<N, BLOCKS> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut AnyMotion<N> {
+        self
+    }
+}
+
+// Not derived: what may be unsized cannot be cloned.
+impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
+    fn clone(&self) -> Self {
+        Self {
+            kinematics: self.kinematics,
+            backlash: self.backlash,
+            max_rate: self.max_rate,
+            turns: self.turns,
+            jerk: self.jerk,
+            step_clock_hz: self.step_clock_hz,
+            pacer: self.pacer,
+            overrides: self.overrides,
+            end: self.end,
+            beyond: self.beyond,
+            long: self.long,
+            feed: self.feed,
+            step_idle: self.step_idle,
+            origin: self.origin,
+            settings: self.settings,
+            chain: self.chain.clone(),
+            join: self.join.clone(),
+            flight: self.flight.clone(),
+            planner: self.planner.clone(),
+        }
+    }
 }
 
 /// `value` within bounds, the least one for a NaN.
@@ -281,9 +395,6 @@ fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
-    /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
-    const LOOKS_AHEAD: bool = BLOCKS > 2;
-
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz);
@@ -294,7 +405,6 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// The same before [`Motion::configure`], which must come before the first move. Can be computed by the compiler, so
     /// that a static one needs no stack to be built on.
     pub const fn unconfigured(step_clock_hz: u32) -> Self {
-        let zero = PerAxis::all(0);
         Self {
             settings: MotionSettings {
                 arrangement: Arrangement::Cartesian,
@@ -317,51 +427,20 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             pacer: Pacer::new(step_clock_hz),
             planner: Planner::new(),
             overrides: Overrides { feed: 1.0, rapid: 1.0 },
-            planned: PerAxis::all(Coordinate::ZERO),
-            block_end: PerAxis::all(Coordinate::ZERO),
-            planned_steps: zero,
+            end: End::ZERO,
             beyond: None,
-            carried: 0.0,
-            direction: [0.0; N],
-            waited: false,
-            tool_stands: false,
+            long: None,
+            feed: Feed::REST,
             chain: Chain::new(),
             join: Join::NONE,
-            long: None,
-            running: Running {
-                active: false,
-                announce: Announce::Nothing,
-                fresh: false,
-                legs: [Leg::on_steps(0); N],
-                directions: 0,
-                flags: 0,
-                power: 0,
-                line_number: 0,
-                threshold: 0,
-                rates: [0; N],
-                credits: [0; N],
-                total: 0,
-                done: 0,
-                scale: 1.0,
-                acceleration: 1.0,
-                nominal2: 1.0,
-                programmed: 1.0,
-            },
-            start: Motors { steps: zero, lead: [0; N] },
-            stood: Motors { steps: zero, lead: [0; N] },
-            pace: Pace::REST,
-            pull: 0.0,
-            ahead: 0.0,
-            far: None,
-            rest: true,
-            started: false,
-            hold: Hold::None,
-            flight: Flight::new(zero),
+            flight: Flight::new(PerAxis::all(0)),
             step_idle: true,
-            origin: zero,
+            origin: PerAxis::all(0),
         }
     }
+}
 
+impl<const N: usize> AnyMotion<N> {
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         self.settings = settings;
@@ -400,26 +479,26 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.planner.clear();
         self.join.forget();
         self.long = None;
-        self.running.active = false;
-        self.far = None;
-        self.pace = Pace::REST;
-        self.pull = 0.0;
-        self.carried = 0.0;
-        self.rest = true;
-        self.start = motors;
-        self.stood = motors;
-        self.planned_steps = steps;
-        self.planned = self.kinematics.place(&steps);
+        self.feed.running.active = false;
+        self.feed.far = None;
+        self.feed.pace = Pace::REST;
+        self.feed.pull = 0.0;
+        self.end.carried = 0.0;
+        self.feed.rest = true;
+        self.feed.start = motors;
+        self.feed.stood = motors;
+        self.end.planned_steps = steps;
+        self.end.planned = self.kinematics.place(&steps);
         self.beyond = None;
-        self.block_end = self.planned;
-        self.tool_stands = false;
-        self.waited = false;
-        self.chain.restart(&self.planned);
+        self.end.block_end = self.end.planned;
+        self.end.tool_stands = false;
+        self.end.waited = false;
+        self.chain.restart(&self.end.planned);
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
     pub fn free_blocks(&self) -> usize {
-        let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(BLOCKS) - 1 } else { 0 };
+        let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(self.planner.capacity()) - 1 } else { 0 };
         if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare) }
     }
 
@@ -448,7 +527,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     }
 
     /// The machine is where another motion has brought it; at rest only. Forgets what is queued.
-    pub fn stand_where<const M: usize>(&mut self, other: &Motion<N, M>) {
+    pub fn stand_where(&mut self, other: &Self) {
         let motors = other.prepared();
         self.origin = other.origin;
         self.flight.forget(motors.tool(), motors.lead);
@@ -458,7 +537,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
     pub fn start(&mut self) {
         if self.planner.len() > 0 {
-            self.started = true;
+            self.feed.started = true;
         }
     }
 
@@ -473,23 +552,23 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Brakes to a stop, beginning with the next segment handed over.
     pub fn hold(&mut self) {
-        if self.hold == Hold::None {
-            self.hold = if self.rest { Hold::Held } else { Hold::Ramp };
+        if self.feed.hold == Hold::None {
+            self.feed.hold = if self.feed.rest { Hold::Held } else { Hold::Ramp };
         }
     }
 
     /// Goes on after a hold, also before it has come to a stop.
     pub fn resume(&mut self) {
-        self.hold = Hold::None;
+        self.feed.hold = Hold::None;
         self.start();
     }
 
     /// The step task has done something else meanwhile, and the machine is back at the very place: the running block is
     /// announced anew. At rest only.
     pub fn reenter(&mut self) {
-        if self.running.active {
-            self.running.announce = if N > 3 { Announce::Rest } else { Announce::Block };
-            self.running.fresh = true;
+        if self.feed.running.active {
+            self.feed.running.announce = if N > 3 { Announce::Rest } else { Announce::Block };
+            self.feed.running.fresh = true;
         }
     }
 
@@ -500,7 +579,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Whether a hold is in force and what was handed over ends at rest.
     pub fn is_held(&self) -> bool {
-        self.hold == Hold::Held
+        self.feed.hold == Hold::Held
     }
 
     /// Factors on feeds and rapids, 1 = as programmed; they act with the next segment handed over.
@@ -513,25 +592,31 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             return;
         }
         self.overrides = overrides;
-        self.planner.replan(overrides);
-        if !self.running.active {
+        let millimetre = if self.feed.running.active { 1.0 / self.feed.running.scale } else { 1.0 };
+        let left = match self.planner.first() {
+            Some(first) if !self.feed.running.active => first.length,
+            _ => (self.feed.running.total - self.feed.running.done) as f32 * millimetre,
+        };
+        let state = State { speed: self.feed.pace.speed * millimetre, acceleration: self.feed.pull };
+        self.planner.replan(overrides, state, left);
+        if !self.feed.running.active {
             return;
         }
         let Some(block) = self.planner.first() else { return };
-        let nominal = block.nominal(overrides) * self.running.scale;
+        let nominal = block.nominal(overrides) * self.feed.running.scale;
         let nominal2 = nominal * nominal;
-        if nominal2 == self.running.nominal2 {
+        if nominal2 == self.feed.running.nominal2 {
             return;
         }
-        self.running.nominal2 = nominal2;
+        self.feed.running.nominal2 = nominal2;
         // A tick on a ramp with bounded jerk is not hurried.
-        if let Some(far) = &mut self.far
+        if let Some(far) = &mut self.feed.far
             && far.cut.acceleration == 0.0
         {
             // The tick that is waited for comes sooner or later in proportion, as if the speed had changed at once: it is
             // a sixteenth of a step.
             let speed = far.cut.units as f32 / far.cut.seconds;
-            let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
+            let changed = square_root(nominal2.min(speed * speed + 2.0 * self.feed.running.acceleration));
             far.time = (far.time as f32 * (speed / changed)) as u64;
             far.cut.seconds = far.cut.units as f32 / changed;
             if far.cut.end.speed2 > nominal2 {
@@ -542,12 +627,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Forgets all queued moves. At rest, or once a hold has been handed over to its end; ignored in motion.
     pub fn discard(&mut self) {
-        if !self.rest {
+        if !self.feed.rest {
             return;
         }
         self.plan_from(self.prepared());
-        self.started = false;
-        self.hold = Hold::None;
+        self.feed.started = false;
+        self.feed.hold = Hold::None;
     }
 
     /// After a stop or underrun of the step task, with its step counters: everything queued is forgotten and the position
@@ -558,8 +643,8 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         let motors = self.followed(&Motors { steps: before.motors(), lead: before.lead }, steps);
         self.flight.forget(motors.tool(), motors.lead);
         self.plan_from(motors);
-        self.started = false;
-        self.hold = Hold::None;
+        self.feed.started = false;
+        self.feed.hold = Hold::None;
     }
 
     /// Takes over how far the step task is.
@@ -570,12 +655,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// Whether nothing is in the step task and nothing will come before `start` or `resume`.
     pub fn is_at_rest(&self) -> bool {
-        self.flight.is_empty() && self.step_idle && self.rest && (!self.started || self.hold == Hold::Held)
+        self.flight.is_empty()
+            && self.step_idle
+            && self.feed.rest
+            && (!self.feed.started || self.feed.hold == Hold::Held)
     }
 
     /// Whether what has been handed over ends at rest, so that nothing need follow in time.
     pub fn ends_at_rest(&self) -> bool {
-        self.rest
+        self.feed.rest
     }
 
     /// Whether the machine is at rest and nothing is queued.
@@ -607,15 +695,15 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         self.flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
         // The programmed place, not the nearest step: what follows is measured from it.
-        self.planned = *position;
-        self.block_end = *position;
+        self.end.planned = *position;
+        self.end.block_end = *position;
         self.chain.restart(position);
     }
 
     /// The machine position at a reading of the step counters in the present straight move from rest.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let steps = counter.zip(&self.origin, i32::wrapping_add);
-        self.kinematics.place(&self.followed(&self.stood, steps).tool())
+        self.kinematics.place(&self.followed(&self.feed.stood, steps).tool())
     }
 
     /// The motors after they have turned to other steps, each in one direction.
@@ -626,7 +714,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// End of the queue, as programmed.
     pub fn planned_position(&self) -> PerAxis<Coordinate, N> {
-        self.long.map_or(self.planned, |long| long.whole.target)
+        self.long.map_or(self.end.planned, |long| long.whole.target)
     }
 
     /// Speed of the segment being executed, mm/s; 0 at rest.
@@ -653,11 +741,11 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// The motors at the end of what has been handed over.
     fn prepared(&self) -> Motors<N> {
-        let run = &self.running;
+        let run = &self.feed.running;
         if !run.active {
-            return self.start;
+            return self.feed.start;
         }
-        let mut position = self.start.steps;
+        let mut position = self.feed.start.steps;
         let axes = run.legs.iter().zip(run.rates.iter().zip(run.credits));
         for (bit, (value, (leg, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
             let taken =
@@ -665,9 +753,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             *value = signed_add(*value, taken, run.directions >> bit & 1 != 0);
         }
         if self.backlash.is_on() {
-            return self.followed(&self.start, position);
+            return self.followed(&self.feed.start, position);
         }
-        Motors { steps: position, lead: self.start.lead }
+        Motors { steps: position, lead: self.feed.start.lead }
     }
 }
 

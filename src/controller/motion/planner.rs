@@ -29,10 +29,10 @@
 //! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
 //! ramp begins in the middle of a block or from another state.
 
-use super::block::{Block, Overrides, Ramp};
+use super::block::{Block, CurveLoad, Overrides, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, State, ramp_distance, ramp_speed};
-use super::profile::{lesser, square_root};
+use super::profile::{greater, lesser, square_root};
 
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
@@ -76,6 +76,38 @@ impl Way {
     }
 }
 
+/// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the
+/// entries that it comes to meanwhile are not asked for less, or it would brake for them with all of it.
+#[derive(Clone, Copy, Debug)]
+struct Fall {
+    speed2: f32,
+    /// mm until it brakes; the speed² from where it does.
+    delay: f32,
+    top2: f32,
+}
+
+impl Fall {
+    const NONE: Self = Self { speed2: 0.0, delay: 0.0, top2: 0.0 };
+
+    /// With bounded jerk an acceleration is eased off first, and the braking is built up.
+    fn from<const N: usize>(state: State, block: &Block<N>) -> Self {
+        let (top, ahead) = state.summit(block.jerk);
+        let top = greater(top, state.speed);
+        let delay = greater(ahead, 0.0) + top * block.acceleration_at(top * top) / block.jerk;
+        Self { speed2: top * top, delay, top2: top * top }
+    }
+
+    /// Brakes for a way in a block. With bounded jerk the acceleration may grow slower than the bend leaves more of it.
+    fn over<const N: usize>(&mut self, block: &Block<N>, way: f32, jerk_limited: bool) {
+        let braked = greater(way - self.delay, 0.0);
+        self.delay = greater(self.delay - way, 0.0);
+        if self.speed2 > 0.0 {
+            let acceleration = block.acceleration_at(if jerk_limited { self.top2 } else { self.speed2 });
+            self.speed2 = greater(self.speed2 - 2.0 * acceleration * braked, 0.0);
+        }
+    }
+}
+
 /// Groups of neighbouring places of the ring of which the planner keeps in mind what an ease-off across them must know: it
 /// may span hundreds of blocks and is looked at anew with each segment. With 512 blocks two groups of 16 are walked through
 /// at most, the first and the last, and 31 taken as a whole.
@@ -88,10 +120,19 @@ struct Stretch {
     /// Speed² of the slowest anchor among the entries.
     slowest2: f32,
     bounds: Bounds,
+    /// The least acceleration without bends, and the tightest bend.
+    straight: f32,
+    curve: CurveLoad,
 }
 
 impl Stretch {
-    const NONE: Self = Self { length: 0.0, slowest2: f32::INFINITY, bounds: Bounds::NONE };
+    const NONE: Self = Self {
+        length: 0.0,
+        slowest2: f32::INFINITY,
+        bounds: Bounds::NONE,
+        straight: f32::INFINITY,
+        curve: CurveLoad::NONE,
+    };
 
     #[inline]
     fn and<const N: usize>(self, block: &Block<N>) -> Self {
@@ -100,14 +141,16 @@ impl Stretch {
             length: self.length + block.length,
             slowest2: lesser(self.slowest2, anchor2),
             bounds: self.bounds.and(block.bounds()),
+            straight: lesser(self.straight, block.acceleration),
+            curve: self.curve.tighter(block.curve),
         }
     }
 }
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
-#[derive(Clone, Debug)]
-pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
-    blocks: [Block<N>; BLOCKS],
+#[derive(Debug)]
+#[repr(C)]
+pub(super) struct Planner<const N: usize, R: ?Sized> {
     first: usize,
     len: usize,
     /// Limits have changed from this place on.
@@ -116,16 +159,43 @@ pub(super) struct Planner<const N: usize, const BLOCKS: usize> {
     groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
+    blocks: R,
 }
 
-impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
-    /// Places of a group; the last one may have fewer.
-    const GROUP: usize = BLOCKS.div_ceil(GROUPS);
-
+impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
     #[inline(always)]
     pub(super) const fn new() -> Self {
         let groups = [Stretch::NONE; GROUPS];
-        Self { blocks: [Block::EMPTY; BLOCKS], first: 0, len: 0, changed: 0, groups, jerk_limited: false }
+        Self { first: 0, len: 0, changed: 0, groups, jerk_limited: false, blocks: [Block::EMPTY; BLOCKS] }
+    }
+}
+
+// Not derived: what may be unsized cannot be cloned.
+impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
+    fn clone(&self) -> Self {
+        let Self { first, len, changed, groups, jerk_limited, blocks } = self;
+        Self {
+            first: *first,
+            len: *len,
+            changed: *changed,
+            groups: *groups,
+            jerk_limited: *jerk_limited,
+            blocks: *blocks,
+        }
+    }
+}
+
+impl<const N: usize> Planner<N, [Block<N>]> {
+    /// Blocks that the ring has room for.
+    #[inline]
+    pub(super) fn capacity(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// Places of a group; the last one may have fewer.
+    #[inline]
+    fn group(&self) -> usize {
+        self.blocks.len().div_ceil(GROUPS)
     }
 
     #[inline]
@@ -135,13 +205,13 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     #[inline]
     pub(super) fn free(&self) -> usize {
-        BLOCKS - self.len
+        self.blocks.len() - self.len
     }
 
     #[inline]
     fn slot(&self, place: usize) -> usize {
         let index = self.first + place;
-        if index >= BLOCKS { index - BLOCKS } else { index }
+        if index >= self.blocks.len() { index - self.blocks.len() } else { index }
     }
 
     pub(super) fn first(&self) -> Option<&Block<N>> {
@@ -183,7 +253,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
     pub(super) fn push(&mut self, mut block: Block<N>, overrides: Overrides) -> bool {
-        if self.len >= BLOCKS {
+        if self.len >= self.blocks.len() {
             return false;
         }
         let previous = match self.len {
@@ -239,16 +309,24 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         self.changed = usize::MAX;
     }
 
-    /// Applies new overrides to all blocks.
-    pub(super) fn replan(&mut self, overrides: Overrides) {
+    /// Applies new overrides to all blocks, the first of which is left in this state after `left` mm.
+    pub(super) fn replan(&mut self, overrides: Overrides, state: State, left: f32) {
+        let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;
         for place in 0..self.len {
             let slot = self.slot(place);
-            if let Some(block) = self.blocks.get_mut(slot) {
-                let nominal = block.nominal(overrides);
-                let least = nominal.min(previous);
-                block.max_entry2 = block.corner2.min(least * least);
-                previous = nominal;
+            let Some(block) = self.blocks.get_mut(slot) else { return };
+            let nominal = block.nominal(overrides);
+            let least = lesser(nominal, previous);
+            let fallen2 = lesser(fall.speed2, block.max_entry2);
+            block.max_entry2 = lesser(block.corner2, greater(least * least, fallen2));
+            previous = nominal;
+            if place > 0 {
+                fall.speed2 = lesser(fall.speed2, block.max_entry2);
+            }
+            fall.over(block, if place > 0 { block.length } else { left }, self.jerk_limited);
+            if fall.speed2 <= nominal * nominal {
+                fall.speed2 = 0.0;
             }
         }
         self.changed = 0;
@@ -257,19 +335,25 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
     fn reverse_pass(&mut self) {
-        let mut exit2 = 0.0;
-        let mut place = self.len;
-        while place > 1 {
+        let (mut exit2, mut place, changed) = (0.0, self.len, self.changed);
+        let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
+        let upper = self.len - wrapped;
+        let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
+        // Whether the entry before may change too.
+        let mut walk = |block: &mut Block<N>| {
             place -= 1;
-            let slot = self.slot(place);
-            let Some(block) = self.blocks.get_mut(slot) else { return };
             let reachable2 = exit2 + 2.0 * block.acceleration_at(exit2) * block.length;
             let entry2 = lesser(block.max_entry2, reachable2);
-            if entry2 == block.entry2 && place < self.changed {
-                return;
+            if entry2 == block.entry2 && place < changed {
+                return false;
             }
             block.entry2 = entry2;
             exit2 = entry2;
+            true
+        };
+        // Without the first block, which may be running.
+        if low.iter_mut().take(wrapped).rev().all(&mut walk) {
+            high.iter_mut().take(upper).skip(1).rev().all(&mut walk);
         }
     }
 
@@ -331,7 +415,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
 
     /// Brings the groups into line with the blocks from a place on.
     fn sum_up(&mut self, from: usize) {
-        let within = self.slot(from) % Self::GROUP;
+        let group_len = self.group();
+        let within = self.slot(from) % group_len;
         let mut place = from;
         if let Some(start) = from.checked_sub(within) {
             place = start;
@@ -343,7 +428,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
             let slot = self.slot(place);
             let size = self.group_size(slot);
             let (Some(blocks), Some(group)) =
-                (self.blocks.get(slot..slot + size), self.groups.get_mut(slot / Self::GROUP))
+                (self.blocks.get(slot..slot + size), self.groups.get_mut(slot / group_len))
             else {
                 return;
             };
@@ -358,7 +443,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     /// Places of the group that begins at a slot.
     #[inline]
     fn group_size(&self, slot: usize) -> usize {
-        Self::GROUP.min(BLOCKS - slot)
+        self.group().min(self.blocks.len() - slot)
     }
 
     /// What begins at a place, and how many blocks that are: a whole group if the distance leads out of it, else one.
@@ -366,10 +451,10 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
         let size = self.group_size(slot);
-        if slot.is_multiple_of(Self::GROUP)
+        if slot.is_multiple_of(self.group())
             && size > 1
             && place + size <= self.len
-            && let Some(group) = self.groups.get(slot / Self::GROUP)
+            && let Some(group) = self.groups.get(slot / self.group())
             && group.length < distance
         {
             return Some((*group, size));
@@ -432,17 +517,21 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
         }
     }
 
-    /// The tightest bounds within a distance, `left` mm of which are in the first block.
-    pub(super) fn bounds_within(&self, distance: f32, left: f32) -> Bounds {
-        let mut bounds = self.first().map_or(Bounds::NONE, Block::bounds);
+    /// The tightest bounds within a distance, `left` mm of which are in the first block, for a machine that is at a speed²
+    /// and gets no faster.
+    pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
+        let Some(first) = self.first() else { return Bounds::NONE };
+        let (mut straight, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);
         let (mut place, mut end) = (0, left);
         while distance > end {
             let Some((stretch, blocks)) = self.stretch(place + 1, distance - end) else { break };
             place += blocks;
-            bounds = bounds.and(stretch.bounds);
+            straight = lesser(straight, stretch.straight);
+            curve = curve.tighter(stretch.curve);
+            jerk = lesser(jerk, stretch.bounds.jerk);
             end += stretch.length;
         }
-        bounds
+        Bounds { acceleration: curve.left(straight, speed2), jerk }
     }
 }
 
@@ -481,17 +570,19 @@ impl Target {
 }
 
 #[cfg(test)]
-impl<const N: usize, const BLOCKS: usize> Planner<N, BLOCKS> {
+impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
     /// Asserts that what has been planned step by step is what is planned at once, and what the groups say of it.
     pub(super) fn assert_consistent(&self) {
-        let mut fresh = self.clone();
+        let own: &Planner<N, [Block<N>]> = self;
+        let mut copy = self.clone();
+        let fresh: &mut Planner<N, [Block<N>]> = &mut copy;
         fresh.changed = 0;
         fresh.plan();
-        for place in 1..self.len {
-            let (own, other) = (self.block(place).unwrap(), fresh.block(place).unwrap());
-            assert_eq!((own.entry2, own.ramp), (other.entry2, other.ramp), "entry {place} of {}", self.len);
-            let (stretch, blocks) = self.stretch(place, f32::INFINITY).unwrap();
-            let single = (place..place + blocks).map(|at| self.block(at).unwrap());
+        for place in 1..own.len {
+            let (block, other) = (own.block(place).unwrap(), fresh.block(place).unwrap());
+            assert_eq!((block.entry2, block.ramp), (other.entry2, other.ramp), "entry {place} of {}", own.len);
+            let (stretch, blocks) = own.stretch(place, f32::INFINITY).unwrap();
+            let single = (place..place + blocks).map(|at| own.block(at).unwrap());
             assert_eq!(stretch, single.fold(Stretch::NONE, Stretch::and), "{blocks} blocks at {place}");
         }
     }

@@ -26,6 +26,8 @@ pub(super) fn greater(a: f32, b: f32) -> f32 {
 
 /// Speeds² closer than this (relative) are the same: some 30 roundings of an `f32`.
 const SAME: f32 = 4.0e-6;
+/// A speed² above the falling edge by this factor is not there by rounding: it has been made lower since.
+pub(super) const OFF_CURVE: f32 = 1.001;
 /// A piece meets at most: brake to nominal, cruise, brake; or accelerate, cruise, brake. The rest is for roundings.
 const MOST_PHASES: u32 = 8;
 
@@ -72,7 +74,7 @@ impl Curve {
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
             // On the falling edge; or above it, when it is left at the end of the block with what speed remains.
-            let end2 = if speed2 > brake2 * 1.001 { speed2 - slope * left } else { self.exit2 };
+            let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
             return Phase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
         let missing2 = self.nominal2 - speed2;

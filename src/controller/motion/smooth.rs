@@ -5,11 +5,12 @@
 //! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
 //! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
 
+use super::block::Block;
 use super::jerk::{Bounds, State, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
 use super::profile::{Pace, greater, lesser, square_root};
 use super::segment::{self, Cut, Piece};
-use super::{Hold, Motion};
+use super::{AnyMotion, Hold};
 use crate::messages::UNITS_PER_STEP;
 
 /// Share by which a speed may be off the nominal one and count as it: some hundred roundings.
@@ -24,25 +25,25 @@ struct Gone {
     end: State,
 }
 
-impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+impl<const N: usize> AnyMotion<N> {
     /// The next piece of the running block; `None` for a stop at this very place.
     #[inline(never)]
     pub(super) fn smooth_cut(&mut self) -> Option<Cut> {
-        let run = &self.running;
+        let run = &self.feed.running;
         let bounds = self.planner.first()?.bounds();
-        let holds = self.hold == Hold::Ramp;
+        let holds = self.feed.hold == Hold::Ramp;
         let millimetre = 1.0 / run.scale;
-        let state = State { speed: self.pace.speed * millimetre, acceleration: self.pull };
+        let state = State { speed: self.feed.pace.speed * millimetre, acceleration: self.feed.pull };
         let nominal = if holds { 0.0 } else { square_root(run.nominal2) * millimetre };
         // Changes of speed within a step: the motor sees nothing of how they go.
         let fastest = greater(nominal, state.speed);
         if ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
             let (curve, left) = self.curve()?;
-            return Some(segment::cut(&curve, self.running.done, left, self.pace));
+            return Some(segment::cut(&curve, self.feed.running.done, left, self.feed.pace));
         }
         let units = run.total - run.done;
         let left = units as f32 * millimetre;
-        let piece = Piece::next(self.pace, state.acceleration * run.scale, run.done, units);
+        let piece = Piece::next(self.feed.pace, state.acceleration * run.scale, run.done, units);
         let way = (piece.grain * piece.ticks) as f32 * millimetre;
         let last = piece.grain * piece.ticks == units;
 
@@ -53,9 +54,9 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
         } else {
             self.go_on(state, way, if last { way } else { left }, nominal, bounds)
         };
-        let speed = gone.end.speed * self.running.scale;
+        let speed = gone.end.speed * self.feed.running.scale;
         let end = Pace { speed, speed2: speed * speed };
-        let mut cut = piece.cut(self.pace.speed, end, gone.seconds);
+        let mut cut = piece.cut(self.feed.pace.speed, end, gone.seconds);
         cut.acceleration = gone.end.acceleration;
         Some(cut)
     }
@@ -64,7 +65,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     fn leave_rest(&mut self, free: Gone, way: f32, left: f32, nominal: f32, bounds: Bounds) -> Gone {
         let rest = left - way;
         if let Some(ahead) = self.planner.allows(free.end, rest, nominal) {
-            self.ahead = ahead;
+            self.feed.ahead = ahead;
             return free;
         }
         let target = self.planner.target(0, rest, bounds);
@@ -94,21 +95,21 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             Gone { seconds: 2.0 * way / (speed + last), end: State { speed: last, acceleration: end } }
         };
 
-        let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, self.ahead), ..bounds };
+        let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, self.feed.ahead), ..bounds };
         let too_fast = speed > nominal * (1.0 + SNAP);
         if too_fast {
             // As far as the braking takes to be eased off, no block may mind it.
             let (_, ease) = state.valley(bounds.jerk);
-            allowed = self.planner.bounds_within(ease, left);
+            allowed = self.planner.bounds_within(ease, left, speed * speed);
         }
         let best = within(state.towards(nominal, guess, allowed));
         // A hold has no speed to come down to in time, but the corners on its way are those of the queue.
-        let most = if self.hold == Hold::Ramp { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
+        let most = if self.feed.hold == Hold::Ramp { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
         let gone = to(best);
         if let Some(ahead) = self.planner.allows(gone.end, rest, most)
             && (gone.end.acceleration <= ahead || best < acceleration)
         {
-            self.ahead = ahead;
+            self.feed.ahead = ahead;
             let off = (gone.end.speed - nominal).abs();
             let slight = acceleration.abs() <= change && gone.end.acceleration.abs() <= 0.5 * change;
             if slight && off <= SNAP * nominal {
@@ -124,12 +125,12 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
             if let Some(ahead) = self.planner.allows(gone.end, rest, most)
                 && gone.end.acceleration <= ahead
             {
-                self.ahead = ahead;
+                self.feed.ahead = ahead;
                 return gone;
             }
         }
         let target = self.planner.target(0, left, bounds);
-        self.ahead = bounds.acceleration;
+        self.feed.ahead = bounds.acceleration;
         let (aim, distance) = target.beyond(speed, way);
         if aim <= 0.0 && distance <= way {
             return Gone { seconds: 3.0 * time, end: State { speed: 0.0, acceleration: 0.0 } };
@@ -157,7 +158,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
 
     /// The end of a way on which the braking comes to rest: the block goes on to its end, which it leaves no faster than planned.
     #[inline(never)]
-    fn come_to_rest(planner: &Planner<N, BLOCKS>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Gone {
+    fn come_to_rest(planner: &Planner<N, [Block<N>]>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Gone {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
         // To rest with an even jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };

@@ -5,6 +5,9 @@ pub const GRBL_LENGTH: usize = 79;
 /// Longest line in Oxmill's dialect, after filtering.
 pub const LENGTH: usize = 256;
 
+/// Longest message of a program, in bytes.
+pub const MESSAGE_LENGTH: usize = 80;
+
 /// What a byte completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
@@ -25,6 +28,10 @@ pub struct Rules {
     pub merge_crlf: bool,
     /// Whether a remark may hold parentheses in pairs (to Grbl the first `)` ends it).
     pub nested_remarks: bool,
+    /// Whether a slash behind a bracket or `#` is kept: it divides, or is an error. Dropped, it would join two numbers.
+    pub expressions: bool,
+    /// Whether a line that begins with a slash is skipped (Grbl drops the slash and executes the rest).
+    pub block_delete: bool,
 }
 
 /// A line being received.
@@ -32,6 +39,8 @@ pub struct Rules {
 pub struct Line {
     text: heapless::Vec<u8, LENGTH>,
     comment: Comment,
+    /// The latest remark in parentheses, as far as there is room.
+    remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     after_cr: bool,
 }
@@ -54,12 +63,27 @@ impl Default for Line {
 impl Line {
     /// An empty line.
     pub const fn new() -> Self {
-        Self { text: heapless::Vec::new(), comment: Comment::None, overflow: false, after_cr: false }
+        Self {
+            text: heapless::Vec::new(),
+            comment: Comment::None,
+            remark: heapless::Vec::new(),
+            overflow: false,
+            after_cr: false,
+        }
     }
 
     /// The text up to now.
     pub fn text(&self) -> &[u8] {
         &self.text
+    }
+
+    /// What a remark of the line has to say to the operator: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`.
+    pub fn message(&self) -> Option<&[u8]> {
+        let comma = self.remark.iter().position(|byte| *byte == b',')?;
+        let (word, text) = self.remark.split_at_checked(comma)?;
+        let says =
+            [b"MSG".as_slice(), b"PRINT", b"DEBUG"].iter().any(|says| word.trim_ascii().eq_ignore_ascii_case(says));
+        says.then_some(text.get(1..)?.trim_ascii())
     }
 
     /// Whether nothing of a line has come yet.
@@ -70,6 +94,7 @@ impl Line {
     /// Forgets the text: the next byte begins a line.
     pub fn clear(&mut self) {
         self.text.clear();
+        self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
     }
@@ -100,10 +125,15 @@ impl Line {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
             _ if self.comment != Comment::None => self.remark(byte, rules()),
-            b'(' => self.comment = Comment::Parentheses(0),
+            b'(' => {
+                self.comment = Comment::Parentheses(0);
+                self.remark.clear();
+            }
             b';' => self.comment = Comment::Semicolon,
+            0..=b' ' => {}
+            b'/' if self.text.is_empty() && rules().block_delete => self.comment = Comment::Semicolon,
             // Grbl's block delete: the slash goes, the rest of the line is executed.
-            0..=b' ' | b'/' => {}
+            b'/' if !(self.text.iter().any(|byte| matches!(byte, b'[' | b'#')) && rules().expressions) => {}
             _ => {
                 let full = self.text.len() >= GRBL_LENGTH && self.text.len() >= rules().length;
                 if full || self.text.push(byte.to_ascii_uppercase()).is_err() {
@@ -116,6 +146,10 @@ impl Line {
 
     /// A byte within a remark. One with more than 255 parentheses open ends too soon.
     fn remark(&mut self, byte: u8, rules: Rules) {
+        if byte != b')' && self.comment != Comment::Semicolon {
+            // What has no room is left out.
+            let _ = self.remark.push(byte);
+        }
         self.comment = match (self.comment, byte) {
             (Comment::Parentheses(depth), b'(') if rules.nested_remarks => {
                 Comment::Parentheses(depth.saturating_add(1))
@@ -131,8 +165,15 @@ impl Line {
 mod tests {
     use super::*;
 
-    const OXMILL: Rules = Rules { length: LENGTH, merge_crlf: true, nested_remarks: false };
-    const GRBL: Rules = Rules { length: GRBL_LENGTH, merge_crlf: false, nested_remarks: false };
+    const OXMILL: Rules =
+        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false };
+    const GRBL: Rules = Rules {
+        length: GRBL_LENGTH,
+        merge_crlf: false,
+        nested_remarks: false,
+        expressions: false,
+        block_delete: false,
+    };
     const SEED: Rules = Rules { nested_remarks: true, ..OXMILL };
 
     fn lines(bytes: &[u8], rules: Rules) -> Vec<String> {
@@ -155,6 +196,43 @@ mod tests {
         assert_eq!(lines(b"G0X0(;)Y0\nG0X0;(Y1\n/G0\nG0 (open X5\n", OXMILL), ["G0X0Y0", "G0X0", "G0", "G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n", OXMILL), ["C)G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n((G1\nG2 ;(\nX(()))Y\n", SEED), ["G0", "", "G2", "X)Y"]);
+    }
+
+    #[test]
+    fn a_slash_behind_a_bracket_divides() {
+        assert_eq!(lines(b"/x[1/2]\n/G0 /X1\n#1=4/2\n", OXMILL), ["X[1/2]", "G0X1", "#1=4/2"]);
+        assert_eq!(lines(b"x[1/2]\n", GRBL), ["X[12]"]);
+    }
+
+    #[test]
+    fn block_delete() {
+        let delete = Rules { block_delete: true, ..OXMILL };
+        assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0X1", ""]);
+        assert_eq!(lines(b"/G0 X1\n", OXMILL), ["G0X1"]);
+    }
+
+    #[test]
+    fn messages() {
+        let message = |text: &[u8]| {
+            let mut line = Line::new();
+            for byte in text {
+                line.push(*byte, || OXMILL);
+            }
+            line.message().map(|text| String::from_utf8(text.to_vec()).unwrap())
+        };
+        assert_eq!(message(b"G0 (MSG, Insert the 3 mm tool) X1"), Some("Insert the 3 mm tool".into()));
+        assert_eq!(message(b"(print,a,b)").as_deref(), Some("a,b"));
+        assert_eq!(message(b"( Debug , c )").as_deref(), Some("c"));
+        assert_eq!(message(b"(MSG, a) (a remark)"), None);
+        assert_eq!(message(b"(a, MSG b)"), None);
+        assert_eq!(message(b"G1 ;MSG,a"), None);
+        assert_eq!(message(&[b"(MSG,".as_slice(), &[b'x'; 200]].concat()).unwrap().len(), MESSAGE_LENGTH - 4);
+        let mut line = Line::new();
+        for byte in b"(MSG,a)" {
+            line.push(*byte, || OXMILL);
+        }
+        line.clear();
+        assert_eq!(line.message(), None);
     }
 
     #[test]

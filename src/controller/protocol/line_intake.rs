@@ -146,6 +146,11 @@ impl LineIntake {
         self.line.text()
     }
 
+    /// What a remark of the line has to say.
+    pub fn message(&self) -> Option<&[u8]> {
+        self.line.message()
+    }
+
     /// The current line has been read, or is void.
     pub fn clear(&mut self) {
         self.line.clear();
@@ -227,7 +232,7 @@ mod tests {
     use crate::protocol::line::LENGTH;
 
     fn rules() -> Rules {
-        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false }
+        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
     }
 
     fn byte(byte: u8, epoch: u16) -> LineByte {

@@ -316,11 +316,19 @@ impl Owed {
         }
     }
 
-    /// All of them in their order. Of a hold and a door it does not matter which comes first.
-    pub fn commands(self) -> impl Iterator<Item = Realtime> {
-        let once = |mark: u32, command| (self.0 & mark != 0).then_some(command);
-        let resets = core::iter::repeat_n(Realtime::Reset, (self.0 & Self::RESETS) as usize);
-        resets.chain(once(Self::DOOR, Realtime::SafetyDoor)).chain(once(Self::HOLD, Realtime::FeedHold))
+    /// Takes the next of them, in their order. Of a hold and a door it does not matter which comes first.
+    pub fn pop(&mut self) -> Option<Realtime> {
+        if self.0 & Self::RESETS != 0 {
+            self.0 -= 1;
+            return Some(Realtime::Reset);
+        }
+        for (mark, command) in [(Self::DOOR, Realtime::SafetyDoor), (Self::HOLD, Realtime::FeedHold)] {
+            if self.0 & mark != 0 {
+                self.0 &= !mark;
+                return Some(command);
+            }
+        }
+        None
     }
 }
 
@@ -731,7 +739,8 @@ mod tests {
         use Realtime::{CycleStart, FeedHold, JogCancel, Reset, SafetyDoor, Stop};
         let owed = |commands: &[Realtime]| {
             let add = |owed: Owed, command: &Realtime| owed.with(*command).unwrap_or(owed);
-            commands.iter().fold(Owed::default(), add).commands().collect::<Vec<_>>()
+            let mut all = commands.iter().fold(Owed::default(), add);
+            core::iter::from_fn(|| all.pop()).collect::<Vec<_>>()
         };
         assert_eq!(owed(&[FeedHold, SafetyDoor]), [SafetyDoor, FeedHold]);
         assert_eq!(owed(&[FeedHold, Reset]), [Reset], "void by it");

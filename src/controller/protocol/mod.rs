@@ -2,12 +2,13 @@
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`line_intake`]
 //! knows which of their bytes still count, [`system`] reads `$`
-//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get.
+//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`replies`] keeps them until they are sent.
 
 pub mod line;
 pub mod line_intake;
 pub mod link;
 pub mod realtime;
+pub mod replies;
 pub mod report;
 pub mod system;
 pub mod text;

@@ -72,6 +72,15 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
+/// `[MSG:...]` of a program, without what is no text.
+pub fn program_message(out: &mut Text, text: &[u8]) {
+    put(out, b"[MSG:");
+    for byte in text.iter().filter(|byte| matches!(byte, b' '..=b'~') && !matches!(byte, b'[' | b']')) {
+        put(out, &[*byte]);
+    }
+    put(out, b"]\r\n");
+}
+
 /// `[MSG:...]` that says which inputs tripped (limit switches by their axes), where, and at which N word (0 = none).
 pub fn trip<const N: usize>(
     out: &mut Text,
@@ -293,10 +302,26 @@ pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coo
     put(out, b"]\r\n");
 }
 
-/// `[TLO:z]`
-pub fn tool_length(out: &mut Text, value: Coordinate, inches: bool) {
+/// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes too.
+pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, inches: bool) {
     put(out, b"[TLO:");
-    length(out, value, inches);
+    let along_z = offset.get(Axis::Z).unwrap_or(Coordinate::ZERO);
+    let mut only_z = PerAxis::all(Coordinate::ZERO);
+    only_z.set(Axis::Z, along_z);
+    if *offset == only_z {
+        length(out, along_z, inches);
+    } else {
+        position(out, offset, inches);
+    }
+    put(out, b"]\r\n");
+}
+
+/// `[T:number|x,y,z]`
+pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordinate, N>, inches: bool) {
+    put(out, b"[T:");
+    whole(out, u64::from(number));
+    put(out, b"|");
+    position(out, offset, inches);
     put(out, b"]\r\n");
 }
 

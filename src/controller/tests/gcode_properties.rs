@@ -3,7 +3,7 @@
 mod program;
 
 use oxmill_controller::axes::PerAxis;
-use oxmill_controller::gcode::{Checked, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Feed, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
 use program::{DIALECTS, Program};
 use proptest::prelude::*;
@@ -20,11 +20,11 @@ fn line() -> impl Strategy<Value = Vec<u8>> {
         1 => "[-+]?[0-9]{0,25}[.]?[0-9]{0,12}",
     ];
     let g = "(0|1|2|3|4|10|17|18|19|20|21|28|28.1|30|30.1|38.2|38.4|40|43.1|49|53|54|55|59|59.1|59.3|61|80|90|90.1|91\
-             |91.1|92|92.1|93|94)";
+             |91.1|92|92.1|93|94|73|81|82|83|85|86|88|89|98|99|43|43.2|50|52|61.1|64|92.2|92.3)";
     let word = prop_oneof![
         3 => g.prop_map(|number| format!("G{number}")),
-        1 => "M(0|1|2|3|4|5|7|8|9|30|56)",
-        8 => ("[FIJKLNPRSTXYZ]", number).prop_map(|(letter, number)| format!("{letter}{number}")),
+        1 => "M(0|1|2|3|4|5|6|7|8|9|30|48|49|50|51|56|60|70|71|72)",
+        8 => ("[FHIJKLNPQRSTXYZ]", number).prop_map(|(letter, number)| format!("{letter}{number}")),
     ];
     prop::collection::vec(word, 0..7).prop_map(|words| words.concat().into_bytes())
 }
@@ -48,6 +48,29 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
         Motion::Probe { target, feed, .. } => {
             prop_assert!(in_reach(&target) && feeds(feed));
             prop_assert_eq!(*checked.position(), target);
+        }
+        Motion::Cycle(mut cycle) => {
+            let corners = cycle.corners();
+            for _ in 0..2000 {
+                let place = match cycle.step(Coordinate(2_540_000)) {
+                    None => {
+                        break;
+                    }
+                    Some(CycleStep::Rapid(place)) => place,
+                    Some(CycleStep::Feed(place, feed)) => {
+                        prop_assert!(feeds(Feed::PerMinute(feed)));
+                        place
+                    }
+                    Some(_) => continue,
+                };
+                prop_assert!(in_reach(&place));
+                for axis in 0..3 {
+                    let reach = corners.map(|corner| corner.0[axis]);
+                    prop_assert!(
+                        reach.iter().min() <= Some(&place.0[axis]) && reach.iter().max() >= Some(&place.0[axis])
+                    );
+                }
+            }
         }
         Motion::Arc(arc) => {
             prop_assert!(in_reach(&arc.target) && feeds(arc.feed));

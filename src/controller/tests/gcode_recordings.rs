@@ -82,7 +82,7 @@ fn check_parameters(interpreter: &Interpreter<3>, reply: &[&str], at: &str) {
             "G30" => offsets.stored(StoredOffset::G30),
             "G92" => offsets.g92,
             "TLO" => {
-                assert!(matches(values, offsets.tool_length), "{at}: {line}");
+                assert!(matches(values, offsets.tool_length.0[2]), "{at}: {line}");
                 continue;
             }
             "PRB" => continue,
@@ -226,7 +226,7 @@ fn a_reset_keeps_stored_offsets_and_position() {
     assert_eq!(interpreter.offsets().system(CoordinateSystem::G59), mm(7, 0, 0));
     assert_eq!(interpreter.offsets().stored(StoredOffset::G28), mm(11, 12, 13));
     assert_eq!(interpreter.offsets().g92, mm(0, 0, 0));
-    assert_eq!(interpreter.offsets().tool_length, Coordinate::ZERO);
+    assert_eq!(interpreter.offsets().tool_length.0, [Coordinate::ZERO; 3]);
     assert_eq!(interpreter.work_offset(), mm(1, 2, 3));
     assert_eq!(modal_text(&interpreter), "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]");
 }

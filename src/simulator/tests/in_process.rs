@@ -105,7 +105,7 @@ fn a_job_is_never_starved() {
 #[test]
 fn more_answers_than_anyone_fetches_are_kept() {
     let mut mill = mill();
-    mill.send("G99\n".repeat(20_000));
+    mill.send("G999\n".repeat(20_000));
     let mut answers = 0;
     loop {
         mill.run_until_idle();

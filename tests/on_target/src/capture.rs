@@ -13,7 +13,7 @@
 //! the data sheets' tables of alternate functions).
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
-use stm32f4xx_hal::pac;
+use oxmill_boards::pac;
 
 /// Edges of a line that are kept; those after them are counted as lost.
 pub const DEPTH: usize = 2048;

@@ -10,39 +10,34 @@
 
 use core::hint::black_box;
 use core::mem::MaybeUninit;
-use mps2_pac as _;
+use oxmill_boards::stm32f4::step::Place;
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
 use oxmill_controller::{Controller, Profile, StepRates};
+use oxmill_firmware as _;
 use oxmill_on_target as _;
 use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
-use second_motor::SecondMotor;
 use step_timer::Step;
 
-#[path = "../../../src/firmware/copy.rs"]
-mod copy;
+// The step task is compiled once more, for the board below: it takes its timer and its pins as types of `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/firmware/crossing.rs"]
 mod crossing;
-#[path = "../../../boards/second_motor.rs"]
-mod second_motor;
 #[path = "../../../src/firmware/step_timer.rs"]
 mod step_timer;
-#[allow(dead_code, reason = "the ports of other tasks")]
-#[path = "../../../boards/stm32f4_step.rs"]
-mod stm32f4_step;
 
 /// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
 mod boards {
-    pub use crate::second_motor::SecondMotor;
-    pub const CORE_HZ: u32 = 96_000_000;
-    use crate::stm32f4_step;
-    pub use crate::stm32f4_step::Due;
+    pub use oxmill_boards::SecondMotor;
+    use oxmill_boards::stm32f4::step;
+    pub use oxmill_boards::stm32f4::step::Due;
     use oxmill_controller::{Profile, StepRates};
+
+    pub const CORE_HZ: u32 = 96_000_000;
 
     pub const AXES: usize = 3;
     pub const PROFILE: Profile = Profile {
@@ -57,8 +52,8 @@ mod boards {
     pub const PWM: usize = 0x2100_0400;
     pub const GPIO: usize = 0x2110_0000;
     pub const FAR_PLANNER: usize = 0x2120_0000;
-    pub type StepPins = stm32f4_step::StepPins<GPIO, PWM, 1, 1, ()>;
-    pub type StepTimer = stm32f4_step::StepTimer<TIMER, ()>;
+    pub type StepPins = step::StepPins<GPIO, PWM, 1, 1, ()>;
+    pub type StepTimer = step::StepTimer<TIMER, ()>;
 }
 
 /// Names the row that the following units belong to.
@@ -190,7 +185,7 @@ fn step_task() {
     let (mut to_step, from_control) = segments.split();
     let (_wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
-    let pin = |pin| stm32f4_step::Place { port: 0, pin };
+    let pin = |pin| Place { port: 0, pin };
     let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), 96_000_000, ());
     let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
@@ -495,8 +490,9 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
 fn whole_line(place: &'static mut MaybeUninit<Whole>) {
-    let profile = Profile { rates: StepRates { safe_hz: 1_000_000, attention_ns: 0 }, ..boards::PROFILE };
-    let controller = place.write(Controller::new(profile));
+    const PROFILE: Profile = Profile { rates: StepRates { safe_hz: 1_000_000, attention_ns: 0 }, ..boards::PROFILE };
+    // Computed by the compiler: the stack has no room for it.
+    let controller = place.write(const { Controller::new(PROFILE) });
     let now = Instant::from_ticks(0);
     controller.start(now);
     controller.event(now, Event::Signals(Sensed::default()));

@@ -10,35 +10,27 @@ use cortex_m as _;
 use defmt_rtt as _;
 #[cfg(feature = "qemu_mps2")]
 use defmt_semihosting as _;
-#[cfg(feature = "qemu_mps2")]
-use mps2_pac as _;
-#[cfg(not(feature = "qemu_mps2"))]
-use stm32f4xx_hal as _;
+#[cfg(feature = "board")]
+use oxmill_boards as _;
 
 #[cfg(feature = "stm32f4")]
 pub mod capture;
 pub mod rig;
 
-/// The board's settings sectors.
-#[cfg(feature = "qemu_mps2")]
-#[path = "../../../boards/qemu_mps2/flash.rs"]
-pub mod flash;
-/// The board's settings sectors.
-#[cfg(all(feature = "board", not(feature = "qemu_mps2")))]
-#[path = "../../../boards/stm32f4_flash.rs"]
-pub mod flash;
+#[cfg(feature = "board")]
+use oxmill_boards::SettingsFlash;
 
 /// The board's settings sectors, for one owner after another.
 #[cfg(feature = "board")]
-pub fn settings_flash() -> flash::SettingsFlash {
+pub fn settings_flash() -> SettingsFlash {
     #[cfg(feature = "qemu_mps2")]
-    return flash::SettingsFlash::new();
+    return SettingsFlash::new();
     #[cfg(not(feature = "qemu_mps2"))]
     {
         // SAFETY: unsafe because the peripherals are taken without asking for their owner; safe because no test uses the
         // flash interface but through what this gives it, one after the other.
-        let device = unsafe { stm32f4xx_hal::pac::Peripherals::steal() };
-        flash::SettingsFlash::new(device.FLASH, |work| work())
+        let device = unsafe { oxmill_boards::pac::Peripherals::steal() };
+        SettingsFlash::new(device.FLASH, |work| work())
     }
 }
 

@@ -1,8 +1,11 @@
 //! A controller and a step generator in a loop, without tasks: as fast as the CPU goes, with time that jumps.
 
+use core::iter::Peekable;
+use core::str::Bytes;
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
+use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
@@ -28,6 +31,7 @@ pub struct Rig {
     /// `ok` and `error` seen.
     pub answers: (u32, u32),
     reply: heapless::Vec<u8, 300>,
+    program: Peekable<Bytes<'static>>,
 }
 
 impl Rig {
@@ -53,34 +57,25 @@ impl Rig {
             net: [0; AXES],
             answers: (0, 0),
             reply: heapless::Vec::new(),
+            program: "".bytes().peekable(),
         }
     }
 
+    /// What comes of a program on a new machine: steps, hash of all of them with their times, `ok` and `error`.
+    #[inline(never)]
+    pub fn outcome(program: &'static str) -> ([i32; AXES], u64, (u32, u32)) {
+        let mut rig = Rig::new();
+        rig.run(program, |_| {});
+        (rig.net, rig.digest.time_hash(), rig.answers)
+    }
+
     /// Runs a program to its end; `each` sees every step event with the position after it.
-    pub fn run(&mut self, program: &str, mut each: impl FnMut([i32; AXES])) {
-        let mut bytes = program.bytes().peekable();
+    pub fn run(&mut self, program: &'static str, mut each: impl FnMut([i32; AXES])) {
+        self.program = program.bytes().peekable();
         loop {
-            let now = Instant::from_ticks(self.busy * 1_000_000 / u64::from(STEP_CLOCK_HZ));
-            let free = if bytes.peek().is_some() { 0 } else { LINES_DEPTH };
-            self.controller.observe(Observed {
-                segments_begun: self.stepper.segments_begun(),
-                step_idle: !self.moving && self.stepper.is_idle(),
-                rx_free: free as u16,
-                received: u16::from(free == 0),
-            });
-            let mut took = false;
-            while self.controller.wants_line()
-                && let Some(byte) = bytes.next()
-            {
-                took = true;
-                self.controller.event(now, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
-            }
-            let again = self.outputs(now);
-            if again || took {
-                continue;
-            }
-            if !self.moving && self.stepper.is_idle() {
-                if bytes.peek().is_none() && self.controller.is_idle() {
+            while round(self) {}
+            if self.is_idle() {
+                if self.program.peek().is_none() && self.controller.is_idle() {
                     return;
                 }
                 continue;
@@ -90,31 +85,22 @@ impl Rig {
         }
     }
 
-    /// Pulls outputs until the stepper has what it wants; whether a message went there.
-    fn outputs(&mut self, now: Instant) -> bool {
-        loop {
-            let room = Room { step: self.stepper.wants(), reply: true };
-            match self.controller.output(now, room) {
-                None => return false,
-                Some(Output::Step(message)) => {
-                    self.stepper.load(message);
-                    return true;
+    fn is_idle(&self) -> bool {
+        !self.moving && self.stepper.is_idle()
+    }
+
+    /// Counts the answers.
+    fn hear(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            if *byte == b'\n' {
+                if self.reply.starts_with(b"ok") {
+                    self.answers.0 += 1;
+                } else if self.reply.starts_with(b"error") {
+                    self.answers.1 += 1;
                 }
-                Some(Output::Reply(chunk)) => {
-                    for byte in chunk.as_bytes() {
-                        if *byte == b'\n' {
-                            if self.reply.starts_with(b"ok") {
-                                self.answers.0 += 1;
-                            } else if self.reply.starts_with(b"error") {
-                                self.answers.1 += 1;
-                            }
-                            self.reply.clear();
-                        } else {
-                            self.reply.push(*byte).expect("no answer is that long");
-                        }
-                    }
-                }
-                Some(_) => {}
+                self.reply.clear();
+            } else {
+                self.reply.push(*byte).expect("no answer is that long");
             }
         }
     }
@@ -139,6 +125,54 @@ impl Rig {
     /// The step generator's own count.
     pub fn position(&self) -> PerAxis<i32, AXES> {
         self.stepper.position()
+    }
+}
+
+impl Pump<AXES, BLOCKS> for Rig {
+    const IS_WOKEN: bool = false;
+
+    fn controller(&mut self) -> &mut Controller<AXES, BLOCKS> {
+        &mut self.controller
+    }
+
+    fn begin(&mut self) -> Instant {
+        Instant::from_ticks(self.busy * 1_000_000 / u64::from(STEP_CLOCK_HZ))
+    }
+
+    fn observed(&mut self) -> Observed {
+        let free = if self.program.peek().is_some() { 0 } else { LINES_DEPTH };
+        Observed {
+            segments_begun: self.stepper.segments_begun(),
+            step_idle: self.is_idle(),
+            rx_free: free as u16,
+            received: u16::from(free == 0),
+        }
+    }
+
+    /// Neither stops nor inputs nor a store.
+    fn next_event(&mut self, _source: Source) -> Option<Event<AXES>> {
+        None
+    }
+
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        self.program.next().map(|byte| LineByte { byte, epoch: 0, damaged: false })
+    }
+
+    fn make_room(&mut self, _took: bool) -> bool {
+        false
+    }
+
+    fn room(&mut self) -> Room {
+        Room { step: self.stepper.wants(), reply: true }
+    }
+
+    fn carry(&mut self, output: Output) {
+        match output {
+            Output::Step(message) => self.stepper.load(message),
+            Output::Reply(chunk) => self.hear(chunk.as_bytes()),
+            Output::Pins(_) | Output::Wiring(_) | Output::Worked => {}
+            Output::Stop | Output::Store(_) | Output::ReadPins { .. } => panic!("nothing here answers that"),
+        }
     }
 }
 

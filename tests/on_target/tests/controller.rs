@@ -69,13 +69,13 @@ mod suite {
     #[test]
     fn a_job_with_arcs_comes_back_and_repeats_bit_for_bit() {
         let job = "G21G91F800\nG1X2\nG2X1Y1I1J0\nG3X-1Y-1I0J-1\nG1X-2Z0.5\nZ-0.5\n";
-        let mut first = Rig::new();
-        first.run(job, |_| {});
-        let mut second = Rig::new();
-        second.run(job, |_| {});
-        defmt::assert_eq!(first.net, [0, 0, 0]);
-        defmt::assert_eq!(first.digest.time_hash(), second.digest.time_hash());
-        defmt::assert_eq!(first.answers, (6, 0));
+        // One after the other: the stack has no room for two controllers.
+        let first = Rig::outcome(job);
+        let second = Rig::outcome(job);
+        let (net, _, answers) = first;
+        defmt::assert_eq!(net, [0, 0, 0]);
+        defmt::assert_eq!(first, second);
+        defmt::assert_eq!(answers, (6, 0));
     }
 
     #[test]
@@ -93,7 +93,7 @@ mod suite {
     #[test]
     fn a_bad_line_is_refused_and_moves_nothing() {
         let mut rig = Rig::new();
-        rig.run("G1X1\nG1X1F1X2\nG99\nX\n", |_| {});
+        rig.run("G1X1\nG1X1F1X2\nG999\nX\n", |_| {});
         defmt::assert_eq!(rig.net, [0, 0, 0]);
         defmt::assert_eq!(rig.answers, (0, 4));
     }

@@ -3,10 +3,8 @@
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
 
+use oxmill_firmware as _;
 use oxmill_on_target as _;
-
-#[path = "../../../src/firmware/copy.rs"]
-mod copy;
 
 unsafe extern "C" {
     fn __aeabi_memcpy(to: *mut u8, from: *const u8, bytes: usize);

@@ -13,32 +13,23 @@ use core::mem::MaybeUninit;
 use core::ops::RangeInclusive;
 use core::sync::atomic::Ordering;
 use cortex_m::singleton;
+use oxmill_boards::{
+    self as boards,
+    pac::{self, interrupt},
+};
 use oxmill_controller::messages::{
     EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, Leg, SEGMENTS_DEPTH, Segment, StepEvent, ToStep,
     Wiring,
 };
+use oxmill_firmware::crossing;
+use oxmill_firmware::step_timer::Step;
 use oxmill_on_target::capture::{Capture, Edges};
 use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::Signal;
-use step_timer::Step;
-use stm32f4xx_hal::pac::{self, interrupt};
 
-#[allow(dead_code, unused_imports, reason = "only the step task runs here")]
-#[path = "../../../boards/mod.rs"]
-mod boards;
-#[path = "../../../src/firmware/copy.rs"]
-mod copy;
-#[allow(dead_code, reason = "only the step task runs here")]
-#[path = "../../../src/firmware/crossing.rs"]
-mod crossing;
-#[path = "../../../src/firmware/step_timer.rs"]
-mod step_timer;
-
-/// What `boards` asks of the program that it is in.
-mod panic {
-    pub fn low_voltage() -> ! {
-        defmt::panic!("the supply is below 2.9 V")
-    }
+/// What a board asks of the program that it is in.
+fn low_voltage() -> ! {
+    defmt::panic!("the supply is below 2.9 V")
 }
 
 /// A wire: what the output does, its name, the input's name.
@@ -392,7 +383,7 @@ mod suite {
     #[init]
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
-        let parts = boards::setup(device);
+        let parts = boards::setup(device, low_voltage);
         // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and DMA1 here,
         // and of port B and the clocks only what the recorder's own pins and timer need is changed.
         let again = unsafe { pac::Peripherals::steal() };

@@ -5,8 +5,8 @@
 #![allow(missing_docs, reason = "code that defmt-test generates")]
 
 use heapless::Vec;
+use oxmill_boards::SettingsFlash;
 use oxmill_controller::messages::{Record, Store};
-use oxmill_on_target::flash::SettingsFlash;
 use oxmill_on_target::settings_flash;
 use oxmill_store::{Flash, Log, Sector};
 

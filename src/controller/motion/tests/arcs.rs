@@ -286,7 +286,8 @@ fn run_with_holds<const N: usize>(rig: &mut Rig<N, 16>, every: usize, end: PerAx
         rig.run_ticks(every);
         rig.motion.hold();
         assert!(rig.run_ticks(1_000_000));
-        rig.motion.observe(&rig.observed());
+        let observed = rig.observed();
+        rig.motion.observe(&observed);
         let lead = PerAxis(rig.motion.lead());
         let motors = rig.motion.machine_steps().zip(&lead, |tool, lead| tool + lead);
         assert_eq!(motors.0.map(i64::from), rig.position);

@@ -268,7 +268,8 @@ fn reports_follow_the_segments() {
     let mut seen = std::collections::BTreeSet::new();
     let mut fastest = 0.0_f32;
     while !rig.run_ticks(1) {
-        rig.motion.observe(&rig.observed());
+        let observed = rig.observed();
+        rig.motion.observe(&observed);
         seen.insert(rig.motion.line_number());
         fastest = fastest.max(rig.motion.speed());
         let steps = rig.motion.machine_steps().0[0];

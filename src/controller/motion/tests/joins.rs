@@ -234,7 +234,8 @@ proptest! {
             while rig.stepper.segments_begun() < at as u32 && !rig.run_ticks(1) {}
             rig.motion.hold();
             prop_assert!(rig.run_ticks(10_000_000));
-            rig.motion.observe(&rig.observed());
+            let observed = rig.observed();
+            rig.motion.observe(&observed);
             rig.motion.resume();
         }
         rig.run();

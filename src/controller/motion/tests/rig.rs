@@ -147,7 +147,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             let Some(message) = self.motion.next(&observed) else { return };
             match message {
                 ToStep::Block { legs, .. } => {
-                    let run = &self.motion.running;
+                    let run = &self.motion.feed.running;
                     self.blocks.push(BlockFacts {
                         units: run.total,
                         length: f64::from(run.total) / f64::from(run.scale),
@@ -291,7 +291,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             self.pump();
             self.motion.start();
             assert!(self.run_ticks(200_000_000), "does not come to rest");
-            self.motion.observe(&self.observed());
+            let observed = self.observed();
+            self.motion.observe(&observed);
             if self.moves.is_empty() && self.motion.is_idle() {
                 return;
             }

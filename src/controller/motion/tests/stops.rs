@@ -39,7 +39,8 @@ fn holds_at_every_segment_resume_to_the_same_step() {
             let called = rig.time;
             let from = rig.trace.len();
             assert!(rig.run_ticks(10_000_000));
-            rig.motion.observe(&rig.observed());
+            let observed = rig.observed();
+            rig.motion.observe(&observed);
             assert!(rig.motion.is_at_rest() && rig.motion.is_held());
             // What was queued, one segment, the ramp.
             let speed = rig.trace[from..].iter().map(|r| r.path / r.interval as f64).fold(0.0, f64::max);
@@ -123,7 +124,8 @@ fn discarding_after_a_hold_keeps_the_position() {
     assert!(rig.run_ticks(1_000_000));
     rig.moves.clear();
     rig.motion.discard();
-    rig.motion.observe(&rig.observed());
+    let observed = rig.observed();
+    rig.motion.observe(&observed);
     assert!(rig.motion.is_idle());
     assert_eq!(rig.motion.machine_steps().0.map(i64::from), rig.position);
     assert_eq!(rig.motion.planned_position(), rig.motion.machine_position());

@@ -27,7 +27,10 @@ impl Program {
 
     /// Carries out a line.
     pub fn run(&mut self, line: &str) -> Checked<3> {
-        let checked = self.check(line).unwrap_or_else(|error| panic!("{line}: {error:?}"));
+        let mut checked = Checked::NOTHING;
+        let text = line.replace(' ', "");
+        let check = self.interpreter.check_into(text.as_bytes(), self.dialect, &mut checked);
+        check.unwrap_or_else(|error| panic!("{line}: {error:?}"));
         self.interpreter.commit(&checked);
         checked
     }
@@ -66,6 +69,7 @@ pub fn in_mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
 pub fn target(checked: &Checked<3>) -> [f64; 3] {
     match checked.motion {
         Motion::None => panic!("no motion"),
+        Motion::Cycle(_) => in_mm(checked.position()),
         Motion::Line { target, .. } | Motion::Probe { target, .. } => in_mm(&target),
         Motion::Arc(arc) => in_mm(&arc.target),
     }

@@ -22,8 +22,8 @@ use stm32f4xx_hal::{
 use usb_device::prelude::*;
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
-use super::super::{Incoming, Port};
 use super::clock_ticks;
+use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
@@ -79,7 +79,7 @@ fn write(offset: usize, word: u32) {
 }
 
 /// How long after its end a host's bytes may still come: much longer than an operating system takes to call them back.
-const CLOSING_TICKS: u32 = 200_000 * super::super::CLOCK_TICKS_PER_US;
+const CLOSING_TICKS: u32 = 200_000 * crate::CLOCK_TICKS_PER_US;
 
 /// The receiving half: what has been fetched of the last packet.
 struct Received {
@@ -132,7 +132,7 @@ impl UsbPort {
         let class = CdcAcmClass::new(bus, PACKET as u16);
         let strings = StringDescriptors::default()
             .manufacturer("Oxmill")
-            .product(super::super::PROFILE.name)
+            .product(crate::PROFILE.name)
             .serial_number(core::str::from_utf8(number).unwrap_or_default());
         let device = UsbDeviceBuilder::new(bus, ID).device_class(USB_CLASS_CDC).strings(&[strings]);
         let device = device.and_then(|device| device.max_packet_size_0(PACKET as u8));

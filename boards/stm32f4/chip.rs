@@ -1,7 +1,7 @@
 //! What the STM32F4 boards share: set-up of step timer, step pins and PWM, the USART, inputs and slow outputs.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
-//! interrupt touches stands in `stm32f4_step.rs`.
+//! interrupt touches is in `step.rs`.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
@@ -14,37 +14,18 @@ use stm32f4xx_hal::{
     watchdog::IndependentWatchdog,
 };
 
-use super::stm32f4_step::{self as step, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
-use super::{Incoming, Port, SlowLevels};
-
-#[path = "stm32f4_flash.rs"]
-mod flash;
-#[path = "stm32f4_shelter.rs"]
-mod shelter;
-#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
-#[path = "stm32f4_usb.rs"]
-pub mod usb;
-
-pub use flash::SettingsFlash;
-use shelter::{Sheltered, Taken, shelter};
+use super::SettingsFlash;
+use super::rx_dma::{Sheltered, Taken, shelter};
+use super::step::{self, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
+use crate::{Incoming, Port, SlowLevels};
 
 /// A whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only timers
-        // and the supply are written so: they reach no memory, and each value is explained where it is written.
+        // are written so: they reach no memory, and each value is explained where it is written.
         unsafe { $register.bits($bits) }
     }};
-}
-
-/// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
-/// the HAL leaves it there. The scale can be changed only while the PLL is off.
-#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f411re"))]
-pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
-    rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
-    // An enabled clock takes two bus cycles to arrive; reading back waits for them.
-    let _ = rcc.apb1enr().read();
-    pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
 }
 
 /// Puts step, spindle and coolant outputs into their safe levels and stops PWM and step timer. The motor drivers stay as
@@ -87,7 +68,7 @@ const MOST_LOOKS: u32 = 32;
 
 /// Calls the step task for what is not urgent: not so shortly before an edge that the call delays it.
 pub fn ask_step() {
-    let near = NEAR_CYCLES * (super::PROFILE.step_clock_hz / 1000) / (super::CORE_HZ / 1000);
+    let near = NEAR_CYCLES * (crate::PROFILE.step_clock_hz / 1000) / (crate::CORE_HZ / 1000);
     for _ in 0..MOST_LOOKS {
         // Between a look that is interrupted and the call the time goes by.
         if StepTimer::is_far(near)
@@ -143,7 +124,7 @@ pub fn step_timer(timer: pac::TIM2, rcc: &mut Rcc) -> StepTimer {
     pac::TIM2::enable(rcc);
     pac::TIM2::reset(rcc);
     // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
-    assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), super::PROFILE.step_clock_hz);
+    assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
     timer.arr().write(|w| raw!(w, u32::MAX));
     timer.cr1().write(|w| w.cen().set_bit());
     StepTimer::at(timer)
@@ -249,7 +230,7 @@ pub struct InputPins {
 impl InputPins {
     /// The pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
     pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
-        use super::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
+        use crate::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
         let nowhere = Place { port: 0, pin: 0 };
         let [_, _, _, probe, ..] = pins.each_ref().map(Place::from);
         let inputs =
@@ -258,7 +239,7 @@ impl InputPins {
         pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
     }
 
-    /// And a pin for one more of [`input_bits`](super::input_bits).
+    /// And a pin for one more of [`input_bits`](crate::input_bits).
     pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
         self.places[self.count] = (Place::from(&pin), bit);
         self._pins[self.count] = Some(pin);
@@ -423,65 +404,4 @@ pub fn reset_cause() -> ResetCause {
     } else {
         ResetCause::Other
     }
-}
-
-/// Vector of the voltage detector: the device crates disagree about its name.
-#[cfg(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")))]
-const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
-#[cfg(any(feature = "nucleo_f401re", feature = "blackpill_f401"))]
-const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
-
-/// EXTI line of the voltage detector.
-const VOLTAGE_LINE: u32 = 1 << 16;
-
-/// Watches the supply: below 2.9 V (its highest threshold, PLS = 7) everything is made safe while there still is power.
-/// Its vector has the highest priority of all; it runs once and does not return.
-pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI) {
-    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
-    unsafe { (*pac::RCC::ptr()).apb1enr().modify(|_, w| w.pwren().set_bit()) };
-    pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
-    // Rising edge of the detector's output: the voltage falls.
-    exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
-    exti.pr().write(|w| raw!(w, VOLTAGE_LINE));
-    exti.imr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
-    // SAFETY: unsafe because priorities and masks may break critical sections; safe because the handler only ends the
-    // program.
-    unsafe {
-        cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
-        pac::NVIC::unmask(VOLTAGE_VECTOR);
-    }
-    // A supply that is low already raises no edge. At power-up it may still be rising, which is no failure.
-    for _ in 0..RISE_MS {
-        if !voltage_is_low() {
-            return;
-        }
-        cortex_m::asm::delay(super::CORE_HZ / 1_000);
-    }
-    if voltage_is_low() {
-        pac::NVIC::pend(VOLTAGE_VECTOR);
-    }
-}
-
-/// How long a supply may take at least from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
-/// supply.
-const RISE_MS: u32 = 200;
-
-fn voltage_is_low() -> bool {
-    // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.
-    unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() }
-}
-
-/// The supply is failing.
-#[cfg_attr(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")), unsafe(export_name = "PVD"))]
-#[cfg_attr(any(feature = "nucleo_f401re", feature = "blackpill_f401"), unsafe(export_name = "EXTI16_PVD"))]
-// unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
-extern "C" fn voltage_low() {
-    crate::panic::low_voltage()
-}
-
-/// The firmware has failed: logs why and begins anew, as soon as the supply is good.
-pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
-    defmt::error!("{}", defmt::Display2Format(&why));
-    while voltage_is_low() {}
-    cortex_m::peripheral::SCB::sys_reset()
 }

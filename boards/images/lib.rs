@@ -1,4 +1,5 @@
-//! Tells the linker about the chosen board. Included by the build scripts of the packages that end in an image.
+//! What a build must know of a board's image: the list of boards, the profile, and what the linker is told. For the build
+//! scripts of the packages that end in an image, and for `xtask`.
 //!
 //! Linker arguments come from here and not from `rustflags`: a `RUSTFLAGS` in someone's environment replaces those
 //! silently, and the image would be empty.
@@ -17,20 +18,20 @@ pub fn profile(board: &str) -> &'static str {
     if SMALL.contains(&board) { "firmware-small" } else { "firmware" }
 }
 
-/// Puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts. `root` is the workspace
-/// root as seen from the package, `kinds` the kinds of target in `cargo:rustc-link-arg-KIND`.
-pub fn link(root: &str, kinds: &[&str], stack_kib: u32) {
+/// For a build script: puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts.
+/// `kinds` are the kinds of target in `cargo:rustc-link-arg-KIND`.
+pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rerun-if-changed={root}/boards/build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
         return;
     }
     let chosen: Vec<&str> =
         BOARDS.into_iter().filter(|b| env::var_os(format!("CARGO_FEATURE_{}", b.to_uppercase())).is_some()).collect();
     let [board] = chosen[..] else { panic!("choose exactly one board feature of {BOARDS:?}, not {chosen:?}") };
-    let chip = format!("{root}/boards/{board}/chip.x");
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    let chip = format!("{folder}/{board}/chip.x");
     println!("cargo:rerun-if-changed={chip}");
-    println!("cargo:rerun-if-changed={root}/memory.x");
+    println!("cargo:rerun-if-changed={folder}/../memory.x");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::copy(&chip, out.join("chip.x")).expect("each board has a chip.x");
     fs::write(out.join("stack.x"), format!("STACK_SIZE = {stack_kib}K;\n")).expect("cargo's OUT_DIR can be written");

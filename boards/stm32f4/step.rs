@@ -2,10 +2,10 @@
 //! Registers written as addresses, because there each instruction counts.
 //!
 //! Every type takes the addresses of its peripherals as constants, so that the benchmark can run this very code on
-//! memory. Setting clocks, pins and timers up is left to `stm32f4.rs`. Addresses and bits: reference manual RM0383,
+//! memory. Setting clocks, pins and timers up is left to `chip.rs`. Addresses and bits: reference manual RM0383,
 //! the same in RM0390 for the F446.
 
-use super::SecondMotor;
+use crate::SecondMotor;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// The bus region with the ports, `TIM2` and `TIM3` of the STM32F4.

@@ -1,0 +1,207 @@
+//! What a board and the program on it owe each other.
+//!
+//! A board knows pins, clocks and registers. It knows nothing of motion, of tasks or of what a user types, and calls
+//! no program above it. What it offers is re-exported at the root of this crate; the compiler compares it with the
+//! signatures at the end of this file.
+//!
+//! # What each board provides
+//!
+//! | name | is |
+//! |---|---|
+//! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
+//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks |
+//! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
+//! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
+//! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
+//! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
+//! | `StepTimer`, `Due` | free-running counter at the step clock with three moments: next tick, end of pulse, some time after it |
+//! | `call_step()` | makes the interrupt of the step task pending, from any task |
+//! | `ask_step()` | the same for what is not urgent: not so shortly before an edge that the call delays it |
+//! | `call_serial()` | makes the interrupt of the serial task pending |
+//! | `StepPins` | step and direction outputs and the spindle's PWM |
+//! | `SerialPort` | the UART to the host, a [`Port`] |
+//! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
+//! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
+//! | `SlowPins` | driver enable, spindle, coolant |
+//! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
+//! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle and coolant off |
+//! | `preloaded_job()` | a job that was put into RAM before the reset; no board but QEMU has one |
+//! | `job_done()` | the end of a preloaded job |
+//! | `idle()` | sleeps until the next interrupt |
+//! | `Watchdog` | resets the processor if it has not been fed for some seconds |
+//! | `reset_cause()` | the cause of the last reset; to be asked once |
+//! | `restart(why)` | the end after a failure: logs it and resets the processor; outputs are already safe |
+//! | [`stack`](crate::stack) | size and greatest depth of the stack that the linker script lays out |
+//!
+//! # What a board may ask of the program
+//!
+//! | when | call |
+//! |---|---|
+//! | the supply falls below the least that the drivers' inputs are sure of | `low_voltage`, the function given to `setup`: highest priority, does not return |
+//! | a vector of `vectors!` fires | the task bound to it |
+//! | the processor stops while flash is written | nothing: see `SettingsFlash` |
+
+/// Levels of the slow outputs as they appear on the pins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlowLevels {
+    /// The enable input of the motor drivers.
+    pub drivers: bool,
+    /// Spindle on.
+    pub spindle: bool,
+    /// Spindle turns counter-clockwise.
+    pub spindle_reversed: bool,
+    /// Flood coolant.
+    pub flood: bool,
+    /// Mist coolant.
+    pub mist: bool,
+}
+
+/// A link to a host.
+pub trait Port {
+    /// Whether a byte that is not fetched waits (true) or is overwritten by the next (false).
+    const WAITS: bool;
+
+    /// Does what the link itself needs, and tells whether a host is there: a UART cannot know, and always says so.
+    fn poll(&mut self) -> bool {
+        true
+    }
+    /// The next byte, if one has come.
+    fn receive(&mut self) -> Incoming;
+    /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
+    /// [`Port::receive`].
+    fn allow(&mut self, room: usize);
+    /// Sends a byte, if there is room for it.
+    fn send(&mut self, byte: u8) -> bool;
+    /// What was sent goes out; and whether to be called when there is room for more.
+    fn call_when_free(&mut self, wanted: bool);
+}
+
+/// A link that a board does not have: nobody ever comes.
+pub struct NoPort;
+
+impl Port for NoPort {
+    const WAITS: bool = true;
+
+    fn poll(&mut self) -> bool {
+        false
+    }
+
+    fn receive(&mut self) -> Incoming {
+        Incoming::Nothing
+    }
+
+    fn allow(&mut self, _room: usize) {}
+
+    fn send(&mut self, _byte: u8) -> bool {
+        true
+    }
+
+    fn call_when_free(&mut self, _wanted: bool) {}
+}
+
+/// What `Port::receive` found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Incoming {
+    /// A byte.
+    Byte(u8),
+    /// One or more bytes came and are lost.
+    Lost,
+    /// Nothing new.
+    Nothing,
+}
+
+/// Bits of the word that `InputPins::read` gives. A bit is set while its pin is low: the inputs have pull-ups, if no setting
+/// says otherwise, and their switches close to ground. No board has a pin for an emergency stop besides that of the reset
+/// button (`$912`).
+pub mod input_bits {
+    /// Limit switch of X; Y and Z follow.
+    pub const LIMITS: u32 = 0;
+    /// Limit switch of the second motor of an axis.
+    pub const SECOND_LIMIT: u32 = 6;
+    /// Touch probe.
+    pub const PROBE: u32 = 8;
+    /// Safety door.
+    pub const DOOR: u32 = 9;
+    /// Feed-hold button.
+    pub const HOLD: u32 = 10;
+    /// Cycle-start (resume) button.
+    pub const START: u32 = 11;
+    /// Reset (abort) button.
+    pub const RESET: u32 = 12;
+    /// Fault output of the motor drivers.
+    pub const DRIVER_FAULT: u32 = 14;
+    /// Output of a spindle's drive: up to speed.
+    pub const AT_SPEED: u32 = 15;
+}
+
+/// How the pins of the fourth motor are driven: as the second motor of an axis, or not at all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SecondMotor {
+    /// Its axis, bit 0 for X; 0 = there is none.
+    pub axis: u8,
+    /// It turns the other way.
+    pub inverted: bool,
+    /// It stands still while its axis moves.
+    pub stands: bool,
+    /// The axis' own motor stands still.
+    pub first_stands: bool,
+}
+
+/// The compiler holds the chosen board to the tables above.
+#[cfg(feature = "board")]
+mod held {
+    use super::{Port, SecondMotor, SlowLevels};
+    use crate as board;
+    use core::fmt::Arguments;
+    use oxmill_controller::{Profile, ResetCause};
+    use oxmill_store::Flash;
+
+    const _: &Profile = &board::PROFILE;
+    const _: [usize; 2] = [board::AXES, board::BLOCKS];
+    const _: [u32; 3] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ];
+    const _: fn(board::pac::Peripherals, fn() -> !) -> board::Parts = board::setup;
+    const _: fn() -> u32 = board::clock_ticks;
+    const _: [fn(); 6] =
+        [board::call_step, board::ask_step, board::call_serial, board::safe_state, board::job_done, board::idle];
+    const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
+    const _: fn() -> ResetCause = board::reset_cause;
+    const _: fn(Arguments<'_>) -> ! = board::restart;
+
+    const fn is_port<P: Port>() {}
+    const fn is_flash<F: Flash>() {}
+    const _: () = (is_port::<board::SerialPort>(), is_port::<board::UsbPort>(), is_flash::<board::SettingsFlash>()).0;
+
+    const _: fn(&board::Parts) = |parts| {
+        let _: (&board::StepTimer, &board::StepPins) = (&parts.step_timer, &parts.step_pins);
+        let _: (&board::SerialPort, &board::UsbPort) = (&parts.serial, &parts.usb);
+        let _: (&board::InputPins, &board::SlowPins) = (&parts.inputs, &parts.slow_pins);
+        let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
+    };
+
+    const _: fn(&board::StepTimer) -> u32 = board::StepTimer::now;
+    const _: fn(&mut board::StepTimer) -> board::Due = board::StepTimer::take;
+    const _: fn(&board::StepTimer, board::Due) -> bool = board::StepTimer::is_due;
+    const _: [fn(&board::StepTimer) -> u32; 2] = [board::StepTimer::next_tick, board::StepTimer::pulse_end];
+    const _: [fn(&mut board::StepTimer, u32); 4] = [
+        board::StepTimer::next_tick_at,
+        board::StepTimer::tick_at,
+        board::StepTimer::pulse_end_at,
+        board::StepTimer::settled_at,
+    ];
+    const _: fn(&mut board::StepTimer) = board::StepTimer::tick_off;
+    const _: fn(&board::StepTimer, u32, u32) -> bool = board::StepTimer::settles_at;
+    const _: [board::Due; 4] = [board::Due::TICK, board::Due::PULSE_END, board::Due::SETTLED, board::Due::CALLED];
+
+    const _: fn(&mut board::StepPins, u8, u8, SecondMotor) = board::StepPins::set_polarity;
+    const _: [fn(&mut board::StepPins, u8); 2] = [board::StepPins::raise, board::StepPins::direct];
+    const _: fn(&mut board::StepPins) = board::StepPins::lower;
+    const _: fn(&mut board::StepPins, u32, u16) = board::StepPins::set_pwm;
+    const _: fn(&mut board::StepPins, u16) = board::StepPins::set_power;
+    const _: fn(&board::StepPins) -> bool = board::StepPins::probe_low;
+    const _: fn(&mut board::StepPins, u32) = board::StepPins::pass;
+
+    const _: [fn(&board::InputPins) -> u16; 2] = [board::InputPins::read, board::InputPins::fitted];
+    const _: fn(&mut board::InputPins, u16, u16) = board::InputPins::set_pulls;
+    const _: fn(&mut board::SlowPins, SlowLevels) = board::SlowPins::write;
+    const _: [fn(&mut board::Watchdog); 2] = [board::Watchdog::start, board::Watchdog::feed];
+}

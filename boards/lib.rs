@@ -1,0 +1,62 @@
+//! The boards: pins, clocks and registers, behind one `contract`. An image is built for one of them, chosen by feature.
+//!
+//! Without a feature, on a host, there are only the numbers of all boards ([`profiles`]), for the simulator.
+#![no_std]
+
+pub mod profiles;
+
+#[cfg(feature = "board")]
+pub mod contract;
+#[cfg(feature = "board")]
+pub mod stack;
+#[cfg(feature = "board")]
+pub mod stm32f4;
+
+#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
+mod blackpill;
+#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
+mod nucleo64;
+
+#[cfg(feature = "blackpill_f401")]
+mod blackpill_f401;
+#[cfg(feature = "blackpill_f411")]
+mod blackpill_f411;
+#[cfg(feature = "nucleo_f401re")]
+mod nucleo_f401re;
+#[cfg(feature = "nucleo_f411re")]
+mod nucleo_f411re;
+#[cfg(feature = "nucleo_f446re")]
+mod nucleo_f446re;
+#[cfg(feature = "qemu_mps2")]
+mod qemu_mps2;
+
+#[cfg(feature = "blackpill_f401")]
+pub use blackpill_f401::*;
+#[cfg(feature = "blackpill_f411")]
+pub use blackpill_f411::*;
+#[cfg(feature = "nucleo_f401re")]
+pub use nucleo_f401re::*;
+#[cfg(feature = "nucleo_f411re")]
+pub use nucleo_f411re::*;
+#[cfg(feature = "nucleo_f446re")]
+pub use nucleo_f446re::*;
+#[cfg(feature = "qemu_mps2")]
+pub use qemu_mps2::*;
+
+#[cfg(feature = "board")]
+pub use contract::{Incoming, NoPort, Port, SecondMotor, SlowLevels, input_bits};
+
+#[cfg(all(target_os = "none", not(feature = "board")))]
+compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
+
+/// What the controller must know of a board.
+#[cfg(feature = "board")]
+const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_controller::Profile {
+    oxmill_controller::Profile {
+        name: board.name,
+        step_clock_hz: board.step_clock_hz,
+        rates: oxmill_controller::StepRates { safe_hz: board.safe_step_hz, attention_ns: board.attention_ns },
+        has_second_motor,
+        has_store: true,
+    }
+}

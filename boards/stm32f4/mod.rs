@@ -1,0 +1,21 @@
+//! What the STM32F4 boards share: what the step interrupt touches ([`step`]), and the rest of the chip.
+
+pub mod step;
+
+#[cfg(feature = "stm32f4")]
+mod chip;
+#[cfg(feature = "stm32f4")]
+mod flash;
+#[cfg(feature = "stm32f4")]
+mod rx_dma;
+#[cfg(feature = "stm32f4")]
+mod supply;
+#[cfg(feature = "usb")]
+pub mod usb;
+
+#[cfg(feature = "stm32f4")]
+pub use chip::*;
+#[cfg(feature = "stm32f4")]
+pub use flash::SettingsFlash;
+#[cfg(feature = "stm32f4")]
+pub use supply::*;

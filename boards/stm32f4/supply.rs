@@ -1,0 +1,97 @@
+//! The supply of an STM32F4: the scale of the core's own, the detector that watches the board's, and a restart that
+//! waits for it.
+
+use super::safe_state;
+use core::cell::Cell;
+use critical_section::Mutex;
+use stm32f4xx_hal::pac;
+
+/// A whole register as a number.
+macro_rules! raw {
+    ($register:expr, $bits:expr) => {{
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only the supply's
+        // and its interrupt line are written so: they reach no memory, and each value is explained where it is written.
+        unsafe { $register.bits($bits) }
+    }};
+}
+
+/// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
+/// the HAL leaves it there. The scale can be changed only while the PLL is off.
+#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f411re"))]
+pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
+    rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
+    // An enabled clock takes two bus cycles to arrive; reading back waits for them.
+    let _ = rcc.apb1enr().read();
+    pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
+}
+
+/// Vector of the voltage detector: the device crates disagree about its name.
+#[cfg(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")))]
+const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
+#[cfg(any(feature = "nucleo_f401re", feature = "blackpill_f401"))]
+const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
+
+/// EXTI line of the voltage detector.
+const VOLTAGE_LINE: u32 = 1 << 16;
+
+/// What the program does when the supply fails.
+static LOW_VOLTAGE: Mutex<Cell<fn() -> !>> = Mutex::new(Cell::new(unwatched));
+
+/// The vector is masked until [`watch_voltage`] has been given a function.
+fn unwatched() -> ! {
+    safe_state();
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Watches the supply: below 2.9 V (its highest threshold, PLS = 7) `low_voltage` is called, which is to make everything
+/// safe while there still is power. Its vector has the highest priority of all; it runs once and does not return.
+pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
+    critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
+    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
+    unsafe { (*pac::RCC::ptr()).apb1enr().modify(|_, w| w.pwren().set_bit()) };
+    pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
+    // Rising edge of the detector's output: the voltage falls.
+    exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
+    exti.pr().write(|w| raw!(w, VOLTAGE_LINE));
+    exti.imr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
+    // SAFETY: unsafe because priorities and masks may break critical sections; safe because the handler only ends the
+    // program.
+    unsafe {
+        cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
+        pac::NVIC::unmask(VOLTAGE_VECTOR);
+    }
+    // A supply that is low already raises no edge. At power-up it may still be rising, which is no failure.
+    for _ in 0..RISE_MS {
+        if !voltage_is_low() {
+            return;
+        }
+        cortex_m::asm::delay(crate::CORE_HZ / 1_000);
+    }
+    if voltage_is_low() {
+        pac::NVIC::pend(VOLTAGE_VECTOR);
+    }
+}
+
+/// How long a supply may take at least from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
+/// supply.
+const RISE_MS: u32 = 200;
+
+fn voltage_is_low() -> bool {
+    // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.
+    unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() }
+}
+
+/// The supply is failing.
+#[cfg_attr(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")), unsafe(export_name = "PVD"))]
+#[cfg_attr(any(feature = "nucleo_f401re", feature = "blackpill_f401"), unsafe(export_name = "EXTI16_PVD"))]
+// unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
+extern "C" fn voltage_low() {
+    critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()
+}
+
+/// The firmware has failed: logs why and begins anew, as soon as the supply is good.
+pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
+    defmt::error!("{}", defmt::Display2Format(&why));
+    while voltage_is_low() {}
+    cortex_m::peripheral::SCB::sys_reset()
+}

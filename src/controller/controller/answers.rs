@@ -1,0 +1,114 @@
+//! What the host is told: answers, messages, reports.
+
+use super::Controller;
+use crate::error::{Alarm, Error};
+use crate::gcode::Dialect;
+use crate::machine::inputs;
+use crate::machine::state::Mode;
+use crate::messages::Signals;
+use crate::protocol::report;
+use crate::protocol::text::Text;
+use crate::settings::Key;
+use crate::units::per_minute;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Makes a piece of answer.
+    pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
+        let mut text = Text::new();
+        make(&mut text);
+        self.replies.push(&text, self.lines.hosts_cut());
+    }
+
+    pub(super) fn refuse(&mut self, error: Error) {
+        self.say(|out| report::error(out, error.code()));
+    }
+
+    pub(super) fn tell_alarm(&mut self, alarm: Alarm) {
+        self.interpreter.abandon_program();
+        self.say(|out| report::alarm(out, alarm.code()));
+        if alarm == Alarm::Underrun {
+            self.say(|out| report::message(out, "Motion data ran out"));
+        }
+    }
+
+    /// Which inputs caused the alarm, where, and at which line.
+    pub(super) fn tell_trip(&mut self, line: u32) {
+        if self.dialect() != Dialect::Grbl {
+            let (tripped, position) = (*self.inputs.tripped(), self.motion.machine_position());
+            let inches = self.settings.is_on(Key::ReportInches);
+            self.say(|out| report::trip(out, &tripped, &position, line, inches));
+        }
+    }
+
+    pub(super) fn tell_damage(&mut self) {
+        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
+        self.say(|out| report::message(out, text));
+    }
+
+    /// What a host has to do to unlock the machine.
+    pub(super) fn tell_lock(&mut self) {
+        match self.mode {
+            Mode::Alarm(_) if self.records.are_damaged() => self.tell_damage(),
+            Mode::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
+            Mode::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
+            _ => {}
+        }
+    }
+
+    /// The welcome line. What a host is told once, it may not have heard before.
+    pub(super) fn greet(&mut self) {
+        self.records.host_greeted();
+        self.say(report::welcome);
+        if let Some(failure) = self.replies.failure().cloned() {
+            self.say(|out| report::failure(out, &failure));
+        }
+        self.settings_lock.host_greeted();
+    }
+
+    /// The report that a `?` has asked for, if there is room for it.
+    pub(super) fn answer_status(&mut self) {
+        if self.replies.take_status() {
+            self.report_status();
+        }
+    }
+
+    #[inline(never)]
+    pub(super) fn report_status(&mut self) {
+        let busy = self.feed.is_running()
+            || matches!(
+                self.mode,
+                Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
+            );
+        let (show_offset, show_overrides) = self.replies.rare_fields(busy);
+        let mask = self.settings.whole(Key::StatusReport);
+        let (spindle, speed) = self.spindle_now();
+        let grbl = self.dialect() == Dialect::Grbl;
+        let line = self.motion.line_number();
+        let overrides = self.accessories.overrides();
+        let status = report::Status {
+            state: self.mode.name(self.motion.is_at_rest(), self.feed.is_running(), self.inputs.signals().door),
+            machine: self.machine_position(),
+            offset: self.interpreter.work_offset(),
+            show_machine: mask & 1 != 0,
+            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.feed.observed().rx_free)),
+            line: (line > 0 && !grbl).then_some(line),
+            feed: per_minute(self.motion.speed().max(self.door.motion().speed())),
+            speed,
+            pins: self.shown_signals(),
+            show_offset,
+            overrides: show_overrides.then_some((
+                [overrides.feed, overrides.rapid, overrides.spindle],
+                spindle,
+                self.accessories.coolant(),
+            )),
+        };
+        let inches = self.settings.is_on(Key::ReportInches);
+        self.say(|out| report::status(out, &status, inches));
+    }
+
+    /// The inputs as a report shows them.
+    pub(super) fn shown_signals(&self) -> Signals {
+        let signals = *self.inputs.signals();
+        Signals { limits: inputs::axes_of_switches(signals.limits, &self.settings), ..signals }
+    }
+}

@@ -1,0 +1,69 @@
+//! A canned cycle is carried out: one of its steps at a time, so that a hold, a reset or a report comes between two moves
+//! of a peck as between two lines.
+
+use super::Controller;
+use super::task::{Job, Stage};
+use crate::gcode::{CycleStep, EXTENDED, Motion};
+use crate::machine::state::Mode;
+use crate::messages::SpindleDirection;
+use crate::motion::Speed;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::units::{Coordinate, Duration};
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Does the next step of the line's cycle. What follows; `None` if something has to be waited for.
+    #[inline(never)]
+    pub(super) fn go_on_cycle(&mut self, job: &Job) -> Option<Stage> {
+        if !EXTENDED {
+            return Some(Stage::Flow);
+        }
+        let clearance = Coordinate::from_mm_f32(self.settings.value(Key::PeckClearance));
+        let Motion::Cycle(cycle) = &mut self.line.checked.motion else { return Some(Stage::Flow) };
+        let ready = if cycle.next_rests() { self.motion.is_idle() } else { self.motion.free_blocks() > 0 };
+        if !ready {
+            self.start_queued();
+            return None;
+        }
+        // There is room for a block, so a move is taken.
+        match cycle.step(clearance) {
+            None => return Some(Stage::Flow),
+            Some(CycleStep::Rapid(target)) => {
+                self.queue(&target, Speed::Rapid, job);
+            }
+            Some(CycleStep::Feed(target, feed)) => {
+                self.queue(&target, Speed::Feed(feed), job);
+            }
+            Some(CycleStep::Dwell(time)) => return Some(self.cycle_waits(time)),
+            Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off)),
+            Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction)),
+            Some(CycleStep::Pause) => {
+                self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
+                self.mode = Mode::Hold;
+                return Some(Stage::CyclePaused);
+            }
+        }
+        Some(Stage::Target)
+    }
+
+    fn cycle_waits(&self, time: Duration) -> Stage {
+        if time.is_zero() { Stage::Target } else { Stage::Dwell(self.now + time) }
+    }
+
+    /// With the delays of M3 to M5.
+    fn cycle_switches_spindle(&mut self, direction: SpindleDirection) -> Stage {
+        self.accessories.set_spindle(direction, &self.settings);
+        self.interpreter.set_accessories(direction, self.accessories.coolant());
+        self.replies.overrides_changed();
+        if self.settings.is_on(Key::Laser) {
+            return Stage::Target;
+        }
+        let off = direction == SpindleDirection::Off;
+        let delay = self.settings.seconds(if off { Key::SpinDown } else { Key::SpinUp });
+        if self.accessories.must_tell_speed(&self.settings) {
+            Stage::SpinningUp(self.now + delay)
+        } else {
+            self.cycle_waits(delay)
+        }
+    }
+}

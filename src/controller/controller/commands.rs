@@ -1,0 +1,211 @@
+//! `$` commands are carried out.
+
+use super::Controller;
+use super::task::{Answer, Listing, Task};
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::machine::state::Mode;
+use crate::protocol::report;
+use crate::protocol::system::{self, Allowed, Restore, System};
+use crate::settings::{AxisKey, Key, Settings};
+use crate::units::Decimal;
+
+/// Numbers of settings that are more than values.
+const DOOR_FITTED: u16 = Key::DoorFitted.number();
+const HOMING: u16 = Key::Homing.number();
+const KINEMATICS: u16 = Key::Kinematics.number();
+const REPORT_INCHES: u16 = Key::ReportInches.number();
+const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// A line that begins with `$`.
+    pub(super) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
+        let resting = matches!(self.mode, Mode::Normal) && !self.feed.is_running();
+        let idle = resting && self.motion.is_idle();
+        match system::allowed(line) {
+            Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
+            Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
+            _ => {}
+        }
+        match system::read(line)? {
+            System::Help => {
+                let grbl = self.dialect() == Dialect::Grbl;
+                self.say(|out| report::help(out, grbl));
+                self.say(report::ok);
+            }
+            System::Settings if matches!(self.mode, Mode::Normal) && !idle => return Err(Error::NotIdle),
+            System::Settings => self.task = Task::Listing(Listing::Settings, 0),
+            System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
+            System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
+            System::ParserState => {
+                self.report_parser_state();
+                self.say(report::ok);
+            }
+            System::BuildInfo => {
+                self.report_build_info();
+                self.say(report::ok);
+            }
+            System::SetBuildInfo(text) => {
+                let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+                self.records.save_build_info(text);
+                self.task = Task::Storing(Answer::Host);
+            }
+            System::SetStartupLine(index, text) => self.set_startup_line(index, text)?,
+            System::CheckMode => self.toggle_check_mode()?,
+            System::Unlock => self.unlock()?,
+            System::Home(axis) => self.home(axis)?,
+            System::Jog(text) => return self.jog(text),
+            System::Restore(what) => self.restore_defaults(what),
+            System::ResetCause => {
+                let restart = self.replies.tell_restart().clone();
+                self.say(|out| report::restart(out, &restart));
+                self.say(report::ok);
+            }
+            // Grbl takes the P for the number of a setting.
+            System::Pins | System::ClearNoise if self.dialect() == Dialect::Grbl => return Err(Error::BadNumber),
+            System::Pins => {
+                self.inputs.ask_view(false);
+                self.task = Task::Listing(Listing::Pins, 0);
+            }
+            System::ClearNoise => {
+                self.inputs.ask_view(true);
+                self.say(report::ok);
+            }
+            System::Sleep => self.sleep(),
+            System::Set(number, value) => self.set(number, value)?,
+        }
+        Ok(())
+    }
+
+    fn sleep(&mut self) {
+        self.say(report::ok);
+        self.say(|out| report::message(out, "Sleeping"));
+        self.fall_asleep();
+    }
+
+    fn set_startup_line(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
+        if !matches!(self.mode, Mode::Normal) {
+            return Err(Error::NotIdle);
+        }
+        let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+        if text.is_empty() {
+            self.records.save_startup_line(index, stored);
+            self.task = Task::Storing(Answer::Host);
+            return Ok(());
+        }
+        self.records.validate(stored);
+        self.gcode(text, Answer::Validation(index))
+    }
+
+    fn home(&mut self, axis: Option<Axis>) -> Result<(), Error> {
+        if !self.settings.is_on(Key::Homing) {
+            return Err(Error::HomingDisabled);
+        }
+        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= N) {
+            return Err(Error::InvalidStatement);
+        }
+        self.begin_homing(axis)
+    }
+
+    fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        if value != Decimal::ZERO {
+            match number {
+                DOOR_FITTED if self.inputs.pins().door => return Err(Error::DoorOpen),
+                // As with the door: it would not be seen to become active.
+                RESET_IS_EMERGENCY_STOP if self.inputs.pins().reset => return Err(Error::EmergencyStop),
+                _ => {}
+            }
+        }
+        let soft_limits = self.settings.is_on(Key::SoftLimits);
+        self.settings.set(number, value)?;
+        self.changed(number, soft_limits);
+        self.task = Task::Storing(Answer::Setting(number));
+        Ok(())
+    }
+
+    /// A setting has a new value: derived numbers follow, and it is stored. `soft_limits`: they were on before.
+    fn changed(&mut self, number: u16, soft_limits: bool) {
+        self.reconfigure();
+        // Another resolution is another position for the same steps; homing that is switched on has not been done.
+        self.interpreter.set_position(self.motion.machine_position());
+        let is_resolution = AxisKey::Resolution.axis(number).is_some();
+        if is_resolution || number == KINEMATICS || (number == HOMING && self.settings.is_on(Key::Homing)) {
+            self.reference.lose();
+        }
+        if number == REPORT_INCHES {
+            self.replies.offset_changed();
+        }
+        if number == HOMING {
+            self.records.save_soft_limits_before_homing(self.settings.is_on(Key::Homing), soft_limits);
+        }
+        self.records.save_setting(number, &self.settings);
+    }
+
+    fn toggle_check_mode(&mut self) -> Result<(), Error> {
+        match self.mode {
+            Mode::Check => {
+                self.say(|out| report::message(out, "Disabled"));
+                self.say(report::ok);
+                self.interpreter.reset();
+                self.mode = Mode::Normal;
+                self.initialise();
+            }
+            Mode::Normal if self.motion.is_idle() => {
+                self.mode = Mode::Check;
+                self.interpreter.begin_check_mode();
+                self.say(|out| report::message(out, "Enabled"));
+                self.say(report::ok);
+            }
+            _ => return Err(Error::NotIdle),
+        }
+        Ok(())
+    }
+
+    fn unlock(&mut self) -> Result<(), Error> {
+        if let Mode::Alarm(_) = self.mode {
+            if self.inputs.signals().door {
+                return Err(Error::DoorOpen);
+            }
+            if let Some((_, error)) = self.inputs.emergency() {
+                return Err(error);
+            }
+            let damaged = self.records.are_damaged();
+            if damaged && !self.records.confirm(self.now) {
+                self.tell_damage();
+                return Err(Error::StoreReadFailed);
+            }
+            self.mode = Mode::Normal;
+            self.say(|out| report::message(out, "Caution: Unlocked"));
+            if !self.reference.is_trusted() && self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+            }
+            if damaged {
+                self.task = Task::Storing(Answer::Host);
+                return Ok(());
+            }
+        }
+        self.say(report::ok);
+        Ok(())
+    }
+
+    fn restore_defaults(&mut self, what: Restore) {
+        if matches!(what, Restore::Settings | Restore::All) {
+            let mut settings = Settings::default();
+            settings.restore(Key::Dialect.number(), self.settings.value(Key::Dialect));
+            let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.settings.arrangement();
+            if !same_steps {
+                self.reference.lose();
+            }
+            self.settings.replace(settings);
+        }
+        if matches!(what, Restore::Coordinates | Restore::All) {
+            self.interpreter.clear_stored();
+        }
+        self.records.forget(what);
+        self.say(|out| report::message(out, "Restoring defaults"));
+        self.interpreter.reset();
+        self.task = Task::Storing(Answer::Restart);
+    }
+}

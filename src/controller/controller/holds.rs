@@ -1,0 +1,151 @@
+//! Feed holds, jogs and soft stops: motion brakes, and resumes or is forgotten.
+
+use super::Controller;
+use super::task::Task;
+use crate::error::Alarm;
+use crate::machine::state::Mode;
+use crate::machine::stops::StopReason;
+use crate::messages::Coolant;
+use crate::protocol::report;
+use crate::settings::Key;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    pub(super) fn start_motion(&mut self) {
+        if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home(_)) {
+            self.feed.start();
+            self.motion.start();
+        }
+    }
+
+    #[inline(never)]
+    pub(super) fn start_idle_delay(&mut self) {
+        self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
+    }
+
+    pub(super) fn feed_hold(&mut self) {
+        match self.mode {
+            Mode::Normal => {
+                self.motion.hold();
+                // A jog that has been read and not queued yet ends here like one that moves.
+                self.task.forget_jog();
+                self.task.suspend(self.now);
+                self.mode = Mode::Hold;
+                self.darken_laser();
+            }
+            Mode::Jog { .. } => {
+                self.cancel_jog();
+                self.forget_received_jogs();
+            }
+            Mode::Hold => self.accessories.end_spin_up(),
+            _ => {}
+        }
+    }
+
+    /// A hold or a door is over: motion, a dwell or the lines that waited continue.
+    #[inline(never)]
+    pub(super) fn leave_hold(&mut self) {
+        self.restore_spindle();
+        self.mode = Mode::Normal;
+        self.task.resume(self.now);
+        // After a contact, or before a soft-limit alarm, there is nothing to resume.
+        if !self.probe.has_touched() && !matches!(self.task, Task::SoftLimit) {
+            self.motion.resume();
+            if !self.motion.is_idle() {
+                self.start_motion();
+            }
+        }
+    }
+
+    /// A spindle that was stopped in a hold turns again.
+    pub(super) fn restore_spindle(&mut self) {
+        if self.accessories.restore() {
+            self.replies.overrides_changed();
+            if matches!(self.mode, Mode::Hold) && self.accessories.is_on() {
+                self.say(|out| report::message(out, "Restoring spindle"));
+            }
+        }
+    }
+
+    /// No beam while the machine waits.
+    pub(super) fn darken_laser(&mut self) {
+        if self.settings.is_on(Key::Laser) && self.accessories.is_on() {
+            self.accessories.suspend();
+            self.replies.overrides_changed();
+        }
+    }
+
+    /// Brakes to a stop and forgets the job; the position stays true.
+    pub(super) fn stop_softly(&mut self, locked: bool) {
+        if matches!(self.mode, Mode::Home(_)) {
+            self.stops.order(StopReason::Alarm(Alarm::HomingReset));
+            return;
+        }
+        if matches!(self.mode, Mode::Door(_)) {
+            // The door comes first; the job is forgotten when it is closed.
+            self.door.forget_job();
+            return;
+        }
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
+        if going && (!self.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
+            self.accessories.end_spin_up();
+            self.motion.hold();
+            self.mode = Mode::Stopping { locked };
+        }
+    }
+
+    /// A refused line ends the job, if that is wanted.
+    pub(super) fn stop_at_error(&mut self) {
+        if self.settings.is_on(Key::StopOnError) && matches!(self.mode, Mode::Normal) {
+            self.stop_softly(true);
+        }
+    }
+
+    #[inline(never)]
+    pub(super) fn end_soft_stop(&mut self, locked: bool) {
+        self.motion.discard();
+        self.feed.end();
+        self.probe.break_off();
+        self.door.take_jog();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.start_idle_delay();
+        // A beam must not rest on one point, and a locked machine does not turn; else the spindle stays as it is.
+        if locked || self.settings.is_on(Key::Laser) || self.accessories.is_suspended() {
+            self.accessories.stop_spindle();
+        }
+        if locked {
+            self.accessories.set_coolant(Coolant::default());
+        }
+        self.accessories.restore();
+        self.interpreter.set_accessories(self.accessories.spindle(), self.accessories.coolant());
+        self.replies.overrides_changed();
+        self.interpreter.abandon_program();
+        if self.task.abandon() {
+            self.say(report::ok);
+        }
+        self.mode = if locked { Mode::Alarm(None) } else { Mode::Normal };
+        if locked {
+            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
+        }
+    }
+
+    pub(super) fn cancel_jog(&mut self) {
+        self.motion.hold();
+        self.task.forget_jog();
+        self.mode = Mode::Jog { cancelling: true };
+    }
+
+    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
+    pub(super) fn forget_received_jogs(&mut self) {
+        self.lines.end_received_jogs(self.feed.observed().received);
+    }
+
+    #[inline(never)]
+    pub(super) fn end_jog(&mut self) {
+        self.motion.discard();
+        self.task.forget_jog();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.mode = Mode::Normal;
+        self.feed.end();
+        self.start_idle_delay();
+    }
+}

@@ -1,0 +1,161 @@
+//! Why a line may not be carried out though it is correct: settings that lock motion, a position that is not known, the
+//! ends of the travel.
+
+use super::Controller;
+use crate::axes::{Arrangement, PerAxis};
+use crate::error::Error;
+use crate::gcode::{self, ArcMove, Dialect};
+use crate::motion::{ArcGeometry, extent};
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key};
+use crate::units::Coordinate;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Why the line may not be carried out though it is correct, if so.
+    pub(super) fn refuse_line(&mut self) -> Option<Error> {
+        if self.line.checked.motion != gcode::Motion::None
+            && let Some(error) = self.motion_locked()
+        {
+            return Some(error);
+        }
+        if self.line.checked.uses_machine_place && self.needs_homing() {
+            self.say(|out| report::message(out, "Home first: the machine position is not known"));
+            return Some(Error::Locked);
+        }
+        self.leaves_range().then_some(Error::InvalidTarget)
+    }
+
+    /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
+    /// belts (CoreXY) X and Y add up to the distance of a motor.
+    #[inline(never)]
+    pub(super) fn leaves_range(&self) -> bool {
+        let belts = self.settings.arrangement() == Arrangement::CoreXy;
+        let outside = |position: &PerAxis<Coordinate, N>| {
+            let sum = match position.0.as_slice() {
+                [x, y, ..] if belts => x.0.saturating_abs().saturating_add(y.0.saturating_abs()),
+                _ => 0,
+            };
+            sum > Coordinate::LIMIT.0 || !position.iter().all(|coordinate| coordinate.in_range())
+        };
+        match &self.line.checked.motion {
+            gcode::Motion::Arc(arc) => {
+                let wide = arc.i.0.unsigned_abs().max(arc.j.0.unsigned_abs()) > Coordinate::LIMIT.0.unsigned_abs() / 8;
+                let near = |position: &PerAxis<Coordinate, N>| {
+                    position
+                        .iter()
+                        .all(|coordinate| coordinate.0.unsigned_abs() < Coordinate::LIMIT.0.unsigned_abs() / 8)
+                };
+                if !wide && near(&arc.start) && near(&arc.target) {
+                    return false;
+                }
+                let (least, greatest) = extent(&geometry(arc));
+                let farthest = least.zip(&greatest, |a, b| Coordinate(a.0.saturating_abs().max(b.0.saturating_abs())));
+                outside(&farthest)
+            }
+            gcode::Motion::Line { via, target, .. } if belts => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Probe { target, .. } if belts => outside(target),
+            gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
+            _ => false,
+        }
+    }
+
+    /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
+    pub(super) fn clip_to_travel(&mut self) {
+        if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
+            && self.limits_travel()
+        {
+            let travel = self.settings.axes(AxisKey::Travel).0.map(|mm| -Coordinate::from_mm_f32(mm));
+            let ends = self.interpreter.position().zip(&PerAxis(travel), |here, end| (here.min(end), here));
+            let within = |position: Coordinate, (least, here): (Coordinate, Coordinate)| {
+                position.clamp(least, here.max(Coordinate::ZERO))
+            };
+            let end = target.zip(&ends, within);
+            self.line.checked.redirect(end);
+        }
+    }
+
+    /// Whether soft limits are in force. Without a true position there is nothing to compare with.
+    pub(super) fn limits_travel(&self) -> bool {
+        self.settings.is_on(Key::SoftLimits) && !self.needs_homing()
+    }
+
+    /// Whether any part of the line's motion lies outside of the travel, with soft limits on.
+    pub(super) fn leaves_travel(&self) -> bool {
+        if !self.limits_travel() {
+            return false;
+        }
+        let travel = self.settings.axes(AxisKey::Travel);
+        let outside = |position: &PerAxis<Coordinate, N>| {
+            position
+                .zip(&travel, |p, t| p > Coordinate::ZERO || p < -Coordinate::from_mm_f32(t))
+                .iter()
+                .any(|outside| *outside)
+        };
+        match &self.line.checked.motion {
+            gcode::Motion::None => false,
+            gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Arc(arc) => {
+                let (least, greatest) = extent(&geometry(arc));
+                outside(&least) || outside(&greatest)
+            }
+            gcode::Motion::Probe { target, .. } => outside(target),
+            gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
+        }
+    }
+
+    /// The setting that allows no motion at all.
+    #[inline]
+    pub(super) fn locking_setting(&mut self) -> Option<u16> {
+        self.settings_lock.setting(&self.settings)
+    }
+
+    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
+    pub(super) fn motion_locked(&mut self) -> Option<Error> {
+        if self.records.are_damaged() {
+            self.tell_damage();
+            return Some(Error::StoreReadFailed);
+        }
+        self.locking_setting()?;
+        if let Some(setting) = self.settings_lock.name_at_line() {
+            self.name_locking(setting);
+        }
+        Some(Error::Locked)
+    }
+
+    /// Grbl answers a change with `ok` and nothing else: in its dialect the setting is named at the first move.
+    pub(super) fn name_after_change(&mut self, changed: u16) {
+        self.locking_setting();
+        if let Some(setting) = self.settings_lock.name_after_change(changed)
+            && self.dialect() != Dialect::Grbl
+        {
+            self.name_locking(setting);
+        }
+    }
+
+    #[inline(never)]
+    pub(super) fn name_locking(&mut self, setting: u16) {
+        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+    }
+
+    /// With homing on, what uses machine coordinates waits for a position that is true.
+    pub(super) fn needs_homing(&self) -> bool {
+        !self.reference.is_trusted()
+            && self.dialect() != Dialect::Grbl
+            && self.settings.is_on(Key::Homing)
+            && self.settings.is_on(Key::TrustNeeded)
+    }
+}
+
+/// The circle of an arc.
+pub(super) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
+    ArcGeometry {
+        start: arc.start,
+        target: arc.target,
+        axis_0: arc.axes.first,
+        axis_1: arc.axes.second,
+        offset_0: arc.i,
+        offset_1: arc.j,
+        clockwise: arc.clockwise,
+        turns: arc.turns,
+    }
+}

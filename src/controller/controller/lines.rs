@@ -1,0 +1,141 @@
+//! Received bytes become lines, and each line goes to where it is carried out.
+
+use super::Controller;
+use super::task::{Answer, Task};
+use super::view::dialect;
+use crate::error::Error;
+use crate::gcode::{Dialect, Direction};
+use crate::machine::state::Mode;
+use crate::messages::LineByte;
+use crate::protocol::line::{self, Pushed};
+use crate::protocol::report;
+use crate::settings::{Key, Settings};
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    pub(super) fn release_held(&mut self) {
+        if let Some(byte) = self.lines.release() {
+            self.line_byte(byte);
+        }
+    }
+
+    pub(super) fn line_byte(&mut self, byte: LineByte) {
+        let taken = self.lines.take(byte, || line_rules(&self.settings));
+        if taken.lost {
+            self.say(|out| report::message(out, "Received bytes lost"));
+        }
+        if taken.pushed != Pushed::More {
+            // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
+            self.answer_status();
+        }
+        match taken.pushed {
+            Pushed::More => {}
+            Pushed::TooLong => {
+                self.lines.clear();
+                self.refuse(Error::LineTooLong);
+                self.stop_at_error();
+            }
+            Pushed::Complete => {
+                // Filled where it is: a returned value would be copied with its whole capacity.
+                let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+                let _ = text.extend_from_slice(self.lines.text());
+                self.tell_message();
+                if self.must_wait(&text) {
+                    self.task = Task::JogWaits;
+                } else {
+                    self.lines.clear();
+                    self.dispatch(&text);
+                }
+            }
+        }
+    }
+
+    /// `(MSG, ...)`: told when the line is read. What was queued before it may still move.
+    fn tell_message(&mut self) {
+        if let Some(text) = self.lines.message()
+            && self.dialect() != Dialect::Grbl
+            && !self.mode.is_alarm()
+        {
+            let text = heapless::Vec::<u8, { line::MESSAGE_LENGTH }>::from_slice(text).unwrap_or_default();
+            self.say(|out| report::program_message(out, &text));
+        }
+    }
+
+    /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
+    pub(super) fn must_wait(&self, line: &[u8]) -> bool {
+        line.starts_with(b"$J=")
+            && matches!(self.mode, Mode::Jog { cancelling: true })
+            && self.lines.is_jog_behind_cancel()
+    }
+
+    /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
+    #[inline(never)]
+    pub(super) fn begin_waiting_jog(&mut self) -> bool {
+        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.stops.is_awaited() {
+            return false;
+        }
+        let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+        let _ = text.extend_from_slice(self.lines.text());
+        self.lines.clear();
+        self.task = Task::None;
+        self.dispatch(&text);
+        true
+    }
+
+    pub(super) fn dispatch(&mut self, line: &[u8]) {
+        let result = match line.first() {
+            None => {
+                self.say(report::ok);
+                Ok(())
+            }
+            // A tape mark; Grbl's dialect has none.
+            Some(b'%') if self.dialect() != Dialect::Grbl => {
+                self.say(report::ok);
+                Ok(())
+            }
+            Some(b'$') => self.system(line),
+            Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
+            Some(_) => self.program_line(line),
+        };
+        if let Err(error) = result {
+            self.refuse(error);
+            if line.first() != Some(&b'$') {
+                self.stop_at_error();
+            }
+        }
+    }
+
+    /// A line of the host's program: O words first, which Grbl's dialect has not.
+    #[inline]
+    fn program_line(&mut self, line: &[u8]) -> Result<(), Error> {
+        let direction = match self.dialect() {
+            Dialect::Grbl => Direction::Check,
+            _ => self.interpreter.direct(line)?,
+        };
+        match direction {
+            Direction::Check => return self.gcode(line, Answer::Host),
+            Direction::Done => self.say(report::ok),
+            Direction::Run => self.task = Task::Held,
+        }
+        Ok(())
+    }
+}
+
+/// How lines are read.
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line::Rules {
+    match dialect(settings) {
+        Dialect::Grbl => line::Rules {
+            length: line::GRBL_LENGTH,
+            merge_crlf: false,
+            nested_remarks: false,
+            expressions: false,
+            block_delete: false,
+        },
+        dialect => line::Rules {
+            length: line::LENGTH,
+            merge_crlf: true,
+            nested_remarks: dialect == Dialect::Seed,
+            expressions: true,
+            block_delete: settings.is_on(Key::BlockDelete),
+        },
+    }
+}

@@ -1,0 +1,141 @@
+//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$PINS`, `$I`, `$G`.
+
+use super::Controller;
+use super::task::{Listing, Task};
+use crate::gcode::{CoordinateSystem, Dialect, StoredOffset, TOOLS};
+use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::protocol::report::{self, ParserState};
+use crate::settings::Key;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    #[inline(never)]
+    pub(super) fn advance_listing(&mut self, listing: Listing, line: usize) -> bool {
+        if !self.replies.has_room() {
+            return false;
+        }
+        let more = match listing {
+            Listing::Settings => self.list_setting(line),
+            Listing::Parameters => self.list_parameter(line),
+            Listing::Pins => match self.inputs.view() {
+                Some(view) => self.list_pin(&view, line),
+                None => return false,
+            },
+            Listing::StartupLines => match self.records.startup_line(line).cloned() {
+                Some(text) => {
+                    self.say(|out| report::startup_line(out, line, &text));
+                    true
+                }
+                None => false,
+            },
+        };
+        if more {
+            self.task = Task::Listing(listing, line + 1);
+        } else {
+            self.task = Task::None;
+            if listing == Listing::Settings && self.records.listed(self.now) {
+                self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
+            }
+            self.say(report::ok);
+        }
+        true
+    }
+
+    pub(super) fn list_setting(&mut self, line: usize) -> bool {
+        let Some((entry, number, value)) = self.settings.row(line) else { return false };
+        if entry.grbl || self.dialect() != Dialect::Grbl {
+            self.say(|out| report::setting(out, &entry, number, value));
+        }
+        true
+    }
+
+    pub(super) fn list_parameter(&mut self, line: usize) -> bool {
+        let inches = self.settings.is_on(Key::ReportInches);
+        let systems =
+            if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let offsets = *self.interpreter.offsets();
+        if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
+            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));
+            return true;
+        }
+        match line - systems {
+            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), inches)),
+            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), inches)),
+            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, inches)),
+            3 => self.say(|out| report::tool_length(out, &offsets.tool_length, inches)),
+            4 => {
+                let (position, success) = self.probe.result();
+                self.say(|out| report::probe(out, &position, success, inches));
+            }
+            entry if self.dialect() != Dialect::Grbl && entry - 5 < TOOLS => {
+                if let Some(tool) = self.interpreter.tools().entries().get(entry - 5).copied()
+                    && tool.number != 0
+                {
+                    self.say(|out| report::tool(out, tool.number, &tool.offset, inches));
+                }
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    pub(super) fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
+        if view.fitted >> bit & 1 != 0 {
+            let (active, wiring) = (self.inputs.pins().word() >> bit & 1 != 0, self.inputs.wiring());
+            self.say(|out| report::pin(out, bit, view, active, &wiring));
+        }
+        bit + 1 < input::COUNT
+    }
+
+    /// `$I`
+    pub(super) fn report_build_info(&mut self) {
+        let info = self.records.build_info().clone();
+        let letters = self.option_letters();
+        self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
+        // Grbl has two lines, and strict senders count on it.
+        if self.dialect() != Dialect::Grbl {
+            self.say(report::firmware);
+        }
+    }
+
+    /// What `$I` says is switched on, in Grbl's letters and their order.
+    pub(super) fn option_letters(&self) -> heapless::Vec<u8, 12> {
+        let own = self.dialect() != Dialect::Grbl;
+        let on = |key| self.settings.is_on(key);
+        [
+            (true, b'V'),
+            (own, b'N'),
+            (own, b'M'),
+            (on(Key::Kinematics), b'C'),
+            (on(Key::Parking), b'P'),
+            (own, b'H'),
+            (own && on(Key::Parking), b'R'),
+            (on(Key::DoorFitted), b'+'),
+            (on(Key::GangedAxis), b'2'),
+        ]
+        .into_iter()
+        .filter_map(|(on, letter)| on.then_some(letter))
+        .collect()
+    }
+
+    pub(super) fn report_parser_state(&mut self) {
+        let modal = self.interpreter.modal();
+        let state = ParserState {
+            words: [
+                modal.motion.word(),
+                modal.coordinate_system.word(),
+                modal.plane.word(),
+                modal.units.word(),
+                modal.distance.word(),
+                modal.feed_mode.word(),
+            ],
+            spindle: modal.spindle,
+            coolant: modal.coolant,
+            parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
+            tool: modal.tool,
+            feed: modal.feed.to_f32(),
+            speed: modal.speed,
+        };
+        let inches = self.settings.is_on(Key::ReportInches);
+        self.say(|out| report::parser_state(out, &state, inches));
+    }
+}

@@ -1,0 +1,63 @@
+//! Probe moves: a move that the step task ends at a contact.
+
+use super::Controller;
+use crate::axes::PerAxis;
+use crate::error::Alarm;
+use crate::machine::stops::StopReason;
+use crate::motion::{Move, Speed};
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::units::Coordinate;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
+    #[inline(never)]
+    pub(super) fn begin_probe(
+        &mut self,
+        target: &PerAxis<Coordinate, N>,
+        speed: Speed,
+        away: bool,
+        line_number: u32,
+    ) -> bool {
+        if self.inputs.signals().probe != away {
+            // It would have to change to what it is.
+            self.lock(Alarm::ProbeInitialState);
+            self.interpreter.set_position(self.motion.machine_position());
+            return false;
+        }
+        self.motion.line(&seek(*target, speed, line_number));
+        self.probe.begin(away, self.motion.braking());
+        self.start_motion();
+        true
+    }
+
+    /// Once the step task has braked it is asked where it is, and opened again.
+    pub(super) fn settle_probe(&mut self) {
+        if self.probe.is_braking() && self.feed.observed().step_idle && !self.stops.is_awaited() {
+            self.stops.order(StopReason::Contact);
+        }
+    }
+
+    /// Whether the probe is over; then it has been reported.
+    #[inline(never)]
+    pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
+        let Some(touched) = self.probe.outcome(self.motion.is_idle()) else { return false };
+        self.motion.discard();
+        self.feed.end();
+        let here = self.motion.machine_position();
+        self.interpreter.set_position(here);
+        self.probe.finish(touched, must_touch, here);
+        if !touched && must_touch {
+            self.lock(Alarm::ProbeNoContact);
+        }
+        let ((position, _), inches) = (self.probe.result(), self.settings.is_on(Key::ReportInches));
+        self.interpreter.set_probed(&position, touched);
+        self.say(|out| report::probe(out, &position, touched, inches));
+        true
+    }
+}
+
+/// A move that the operator's overrides leave alone.
+pub(super) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
+    Move { target, speed, power: 0, scale_power: false, line_number, no_feed_override: true, digit: 0.0 }
+}

@@ -1,0 +1,374 @@
+//! What outlives the power: records that are read at power-up, written when something changes, and their damage.
+
+use crate::axes::{Axis, PerAxis};
+use crate::gcode::{Interpreter, StoredOffset, Tool};
+use crate::messages::{Record, STORE_DAMAGED, Store};
+use crate::protocol::system::Restore;
+use crate::settings::{Key, Settings};
+use crate::units::{Coordinate, Duration, Instant};
+
+/// Longest startup line and build info that is stored.
+const STORED_TEXT: usize = 80;
+/// A stored text.
+pub(super) type StoredText = heapless::Vec<u8, STORED_TEXT>;
+
+/// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
+/// finds all of it or nothing.
+const KEY_OFFSETS: u16 = 1000;
+/// Entries of the tool table.
+const KEY_TOOLS: u16 = 1040;
+const KEY_STARTUP: u16 = 1100;
+const KEY_BUILD_INFO: u16 = 1200;
+/// The dialect is above what `$RST` forgets: it is how this host is spoken to.
+const KEY_DIALECT: u16 = 2000;
+const DIALECT: u16 = Key::Dialect.number();
+const SOFT_LIMITS: u16 = Key::SoftLimits.number();
+
+/// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
+const LOOKING: Duration = Duration::secs(2);
+
+/// What has become of damage that the store has told of ([`STORE_DAMAGED`]). Settings may be lost, and with them what keeps
+/// the machine from harm, so it is locked until somebody has looked at them and confirms it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Damage {
+    /// There is none.
+    None,
+    /// The settings have not been listed since the last welcome line.
+    Untold,
+    /// `$$` has been answered at this moment.
+    Listed(Instant),
+}
+
+/// Stored texts, and changes on their way to the store. Settings and offsets belong to others.
+// Small things first: see `Controller`.
+#[derive(Clone, Debug)]
+#[repr(C)]
+pub(super) struct Records {
+    /// Without a store nothing is handed over.
+    has_store: bool,
+    /// Changes that have not been answered yet.
+    unstored: u8,
+    /// One of them could not be stored.
+    failed: bool,
+    damage: Damage,
+    stores: heapless::Deque<Store, 4>,
+    startup_lines: [StoredText; 2],
+    /// A startup line that is run before it is stored.
+    validated: StoredText,
+    build_info: StoredText,
+}
+
+impl Records {
+    /// Nothing is stored.
+    pub(super) const fn new(has_store: bool) -> Self {
+        Self {
+            has_store,
+            unstored: 0,
+            failed: false,
+            damage: Damage::None,
+            stores: heapless::Deque::new(),
+            startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
+            validated: heapless::Vec::new(),
+            build_info: heapless::Vec::new(),
+        }
+    }
+
+    /// Takes a stored record at power-up. Records that make no sense are ignored.
+    pub(super) fn restore<const N: usize>(
+        &mut self,
+        record: &Record,
+        settings: &mut Settings<N>,
+        interpreter: &mut Interpreter<N>,
+    ) {
+        let mut set = |number| {
+            if let Ok(bytes) = record.value.as_slice().try_into() {
+                settings.restore(number, f32::from_le_bytes(bytes));
+            }
+        };
+        match record.key {
+            0..KEY_OFFSETS => set(record.key),
+            KEY_TOOLS..KEY_STARTUP => {
+                if let Some((number, offset)) = record.value.split_first_chunk()
+                    && let Some(offset) = position_of(offset)
+                {
+                    let tool = Tool { number: u32::from_le_bytes(*number), offset };
+                    interpreter.tools_mut().put(usize::from(record.key - KEY_TOOLS), tool);
+                }
+            }
+            KEY_OFFSETS..KEY_TOOLS => {
+                if let Some(position) = position_of(&record.value)
+                    && let Some(offset) = StoredOffset::all().nth(usize::from(record.key - KEY_OFFSETS))
+                {
+                    interpreter.set_stored(offset, position);
+                }
+            }
+            KEY_STARTUP..KEY_BUILD_INFO => {
+                if let Some(line) = self.startup_lines.get_mut(usize::from(record.key - KEY_STARTUP)) {
+                    *line = heapless::Vec::from_slice(&record.value).unwrap_or_default();
+                }
+            }
+            KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
+            KEY_DIALECT => set(DIALECT),
+            STORE_DAMAGED => self.damage = Damage::Untold,
+            _ => {}
+        }
+    }
+
+    // Changes
+
+    /// The next change that has to be handed to the store.
+    #[inline]
+    pub(super) fn next_store(&mut self) -> Option<Store> {
+        self.stores.pop_front()
+    }
+
+    /// The store has answered a change.
+    pub(super) fn answered(&mut self, stored: bool) {
+        self.unstored = self.unstored.saturating_sub(1);
+        self.failed |= !stored;
+    }
+
+    /// Whether all changes have been answered.
+    pub(super) fn are_stored(&self) -> bool {
+        self.unstored == 0
+    }
+
+    /// Whether a change could not be stored; once.
+    pub(super) fn take_failure(&mut self) -> bool {
+        core::mem::take(&mut self.failed)
+    }
+
+    /// At most two of these come from one command, and the next is read when they are answered: there is room.
+    fn hand_over(&mut self, store: Store) {
+        if self.has_store && self.stores.push_back(store).is_ok() {
+            self.unstored += 1;
+        }
+    }
+
+    fn save(&mut self, key: u16, value: &[u8]) {
+        if let Ok(value) = heapless::Vec::from_slice(value) {
+            self.hand_over(Store::Put(Record { key, value }));
+        }
+    }
+
+    fn remove(&mut self, keys: core::ops::Range<u16>) {
+        self.hand_over(Store::Remove { from: keys.start, until: keys.end });
+    }
+
+    /// A setting has a new value.
+    pub(super) fn save_setting<const N: usize>(&mut self, number: u16, settings: &Settings<N>) {
+        if let Some(value) = settings.by_number(number) {
+            let key = if number == DIALECT { KEY_DIALECT } else { number };
+            self.save(key, &value.to_le_bytes());
+        }
+    }
+
+    /// `$20` is stored so that the record of `$22`, which follows, changes both at once: see `Settings::settle`.
+    pub(super) fn save_soft_limits_before_homing(&mut self, homing: bool, soft_limits: bool) {
+        let record: f32 = match (homing, soft_limits) {
+            (true, true) => return,
+            (false, true) => 1.0,
+            (_, false) => 0.0,
+        };
+        self.save(SOFT_LIMITS, &record.to_le_bytes());
+    }
+
+    /// A coordinate system, G28, G30 or an entry of the tool table has changed.
+    #[inline(never)]
+    pub(super) fn save_offset<const N: usize>(&mut self, offset: StoredOffset, interpreter: &Interpreter<N>) {
+        let mut bytes: heapless::Vec<u8, 52> = heapless::Vec::new();
+        let mut position = interpreter.offsets().stored(offset);
+        let key = if let StoredOffset::Tool(number) = offset {
+            let _ = bytes.extend_from_slice(&number.to_le_bytes());
+            position = interpreter.tools().offset(number).unwrap_or_default();
+            interpreter.tools().slot(number).map(|slot| KEY_TOOLS + slot as u16)
+        } else {
+            StoredOffset::all().position(|o| o == offset).map(|index| KEY_OFFSETS + index as u16)
+        };
+        for value in position.iter() {
+            let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
+        }
+        if let Some(key) = key {
+            self.save(key, &bytes);
+        }
+    }
+
+    /// `$RST`
+    pub(super) fn forget(&mut self, what: Restore) {
+        if what == Restore::All {
+            self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
+            self.build_info.clear();
+        }
+        self.remove(match what {
+            Restore::Settings => 0..KEY_OFFSETS,
+            Restore::Coordinates => KEY_OFFSETS..KEY_STARTUP,
+            Restore::All => 0..KEY_DIALECT,
+        });
+    }
+
+    // Texts
+
+    /// A startup line, if there is one of this number.
+    pub(super) fn startup_line(&self, index: usize) -> Option<&StoredText> {
+        self.startup_lines.get(index)
+    }
+
+    /// `$N=`
+    pub(super) fn save_startup_line(&mut self, index: usize, line: StoredText) {
+        self.save(KEY_STARTUP + index as u16, &line);
+        if let Some(slot) = self.startup_lines.get_mut(index) {
+            *slot = line;
+        }
+    }
+
+    /// A startup line is run first; [`Records::save_validated`] follows if it is good.
+    pub(super) fn validate(&mut self, line: StoredText) {
+        self.validated = line;
+    }
+
+    /// The line that was run becomes the startup line of this number.
+    pub(super) fn save_validated(&mut self, index: usize) {
+        let line = self.validated.clone();
+        self.save_startup_line(index, line);
+    }
+
+    /// `$I`
+    pub(super) fn build_info(&self) -> &StoredText {
+        &self.build_info
+    }
+
+    /// `$I=`
+    pub(super) fn save_build_info(&mut self, text: StoredText) {
+        self.save(KEY_BUILD_INFO, &text);
+        self.build_info = text;
+    }
+
+    // Damage
+
+    /// Whether stored settings were damaged and have not been confirmed.
+    pub(super) fn are_damaged(&self) -> bool {
+        self.damage != Damage::None
+    }
+
+    /// A welcome line: the settings have to be listed again.
+    pub(super) fn host_greeted(&mut self) {
+        if self.are_damaged() {
+            self.damage = Damage::Untold;
+        }
+    }
+
+    /// `$$` has been answered. Whether that was about damaged ones.
+    pub(super) fn listed(&mut self, now: Instant) -> bool {
+        let damaged = self.are_damaged();
+        if damaged {
+            self.damage = Damage::Listed(now);
+        }
+        damaged
+    }
+
+    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage.
+    /// Whether there was time.
+    pub(super) fn confirm(&mut self, now: Instant) -> bool {
+        let looked = matches!(self.damage, Damage::Listed(at) if now >= at + LOOKING);
+        if looked {
+            self.damage = Damage::None;
+            self.remove(STORE_DAMAGED..STORE_DAMAGED + 1);
+        }
+        looked
+    }
+}
+
+/// The position of a record; nothing if it makes no sense.
+fn position_of<const N: usize>(bytes: &[u8]) -> Option<PerAxis<Coordinate, N>> {
+    let mut position = PerAxis::default();
+    for (axis, bytes) in Axis::of_machine::<N>().zip(bytes.chunks_exact(8)) {
+        position.set(axis, Coordinate(i64::from_le_bytes(bytes.try_into().ok()?)));
+    }
+    position.iter().all(|c| c.in_range()).then_some(position)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: u64) -> Instant {
+        Instant::from_ticks(0) + Duration::secs(seconds)
+    }
+
+    /// Records, and what a restart makes of what they handed to the store.
+    fn restarted(records: &mut Records) -> (Records, Settings<3>, Interpreter<3>) {
+        let mut after = (Records::new(true), Settings::default(), Interpreter::new());
+        while let Some(store) = records.next_store() {
+            if let Store::Put(record) = store {
+                after.0.restore(&record, &mut after.1, &mut after.2);
+            }
+            records.answered(true);
+        }
+        after
+    }
+
+    #[test]
+    fn what_is_saved_is_restored() {
+        let mut records = Records::new(true);
+        let mut settings = Settings::<3>::default();
+        settings.restore(DIALECT, 0.0);
+        records.save_setting(DIALECT, &settings);
+        records.save_startup_line(1, heapless::Vec::from_slice(b"G21").unwrap());
+        records.save_build_info(heapless::Vec::from_slice(b"mill").unwrap());
+        assert!(!records.are_stored());
+        let (after, settings, _) = restarted(&mut records);
+        assert!(records.are_stored());
+        assert_eq!(settings.value(Key::Dialect), 0.0);
+        assert_eq!(after.startup_line(1).unwrap(), b"G21");
+        assert_eq!(after.build_info(), b"mill");
+        assert!(after.startup_line(0).unwrap().is_empty() && after.startup_line(2).is_none());
+    }
+
+    #[test]
+    fn offsets_come_back_and_those_out_of_range_do_not() {
+        let mut records = Records::new(true);
+        let (_, mut settings, mut interpreter) = restarted(&mut records);
+        let position = PerAxis([Coordinate::mm(1), Coordinate::mm(-2), Coordinate::mm(3)]);
+        interpreter.set_stored(StoredOffset::G28, position);
+        records.save_offset(StoredOffset::G28, &interpreter);
+        let (_, _, after) = restarted(&mut records);
+        assert_eq!(after.offsets().stored(StoredOffset::G28), position);
+        let value = heapless::Vec::from_slice(&i64::MAX.to_le_bytes()).unwrap();
+        records.restore(&Record { key: KEY_OFFSETS, value }, &mut settings, &mut interpreter);
+        assert_eq!(interpreter.offsets().stored(StoredOffset::all().next().unwrap()), PerAxis::default());
+    }
+
+    #[test]
+    fn without_a_store_nothing_waits_for_one() {
+        let mut records = Records::new(false);
+        records.save_build_info(heapless::Vec::new());
+        assert!(records.are_stored() && records.next_store().is_none());
+    }
+
+    #[test]
+    fn a_failure_is_told_once() {
+        let mut records = Records::new(true);
+        records.forget(Restore::All);
+        records.answered(false);
+        assert!(records.are_stored());
+        assert!(records.take_failure() && !records.take_failure());
+    }
+
+    #[test]
+    fn damage_is_confirmed_by_somebody_who_has_looked() {
+        let mut records = Records::new(true);
+        assert!(!records.listed(at(0)));
+        let damage = Record { key: STORE_DAMAGED, value: heapless::Vec::new() };
+        let (_, mut settings, mut interpreter) = restarted(&mut records);
+        records.restore(&damage, &mut settings, &mut interpreter);
+        assert!(records.are_damaged() && !records.confirm(at(9)));
+        assert!(records.listed(at(10)));
+        assert!(!records.confirm(at(11)), "too fast to have read them");
+        records.host_greeted();
+        assert!(!records.confirm(at(20)), "another host has not seen them");
+        assert!(records.listed(at(20)) && records.confirm(at(22)));
+        assert!(!records.are_damaged());
+        let store = Store::Remove { from: STORE_DAMAGED, until: STORE_DAMAGED + 1 };
+        assert_eq!(records.next_store(), Some(store));
+    }
+}

@@ -1,0 +1,93 @@
+//! What a reset, an alarm and changed settings make of the machine.
+
+use super::Controller;
+use super::task::Task;
+use crate::error::Alarm;
+use crate::machine::accessories::Accessories;
+use crate::machine::state::Mode;
+use crate::messages::{Coolant, GangedMotors, SpindleDirection};
+use crate::motion::MotionSettings;
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key, Settings};
+use crate::units::{StepsPerMm, per_second};
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// What every power-up and reset ends with.
+    pub(super) fn initialise(&mut self) {
+        self.pins.drive(GangedMotors::Both);
+        self.accessories = Accessories::OFF;
+        self.motion.set_overrides(1.0, 1.0);
+        self.reconfigure();
+        self.interpreter.set_position(self.motion.machine_position());
+        self.probe.forget_result();
+        self.replies.reset();
+        self.greet();
+        if self.settings.is_on(Key::HardLimits) && self.inputs.signals().limits != 0 {
+            self.mode = Mode::Alarm(self.mode.alarm());
+            self.say(|out| report::message(out, "Check Limits"));
+        }
+        if let Some((alarm, _)) = self.inputs.emergency() {
+            self.lock(alarm);
+            let still = match alarm {
+                Alarm::EmergencyStop => "Emergency stop is active",
+                _ => "Driver fault is active",
+            };
+            self.say(|out| report::message(out, still));
+        }
+        if let Mode::Alarm(_) = self.mode {
+            self.tell_lock();
+        } else {
+            if self.inputs.signals().door {
+                self.open_door();
+            }
+            self.task = Task::Startup(0, None);
+        }
+    }
+
+    /// Locks the machine until `$X`, `$H` or a reset.
+    pub(super) fn lock(&mut self, alarm: Alarm) {
+        self.tell_alarm(alarm);
+        self.mode = Mode::Alarm(Some(alarm));
+    }
+
+    /// Spindle and coolant, whose state the next line inherits.
+    pub(super) fn switch_off(&mut self) {
+        self.accessories.switch_off();
+        self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+    }
+
+    /// Homing has ended in an alarm: announced, answered, and then as after a reset.
+    pub(super) fn fail_homing(&mut self, alarm: Alarm) {
+        self.motion.discard();
+        self.reference.lose();
+        self.lock(alarm);
+        self.task = Task::None;
+        self.say(report::ok);
+        self.interpreter.reset();
+        self.initialise();
+    }
+
+    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
+    pub(super) fn reconfigure(&mut self) {
+        self.inputs.configure(&self.settings);
+        let step_clock_hz = self.motion.settings().step_clock_hz;
+        self.motion.configure(motion_settings(&self.settings, step_clock_hz));
+    }
+}
+
+/// The settings as motion wants them. A resolution that cannot be used is taken as 1: motion is locked until
+/// it is mended (`Settings::unrunnable`).
+fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
+    MotionSettings {
+        arrangement: settings.arrangement(),
+        steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
+        max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
+        acceleration: settings.axes(AxisKey::Acceleration),
+        jerk: settings.axes(AxisKey::Jerk),
+        backlash: settings.axes(AxisKey::Backlash),
+        junction_deviation: settings.value(Key::JunctionDeviation),
+        curve_share: settings.value(Key::CurveAcceleration) * 0.01,
+        arc_tolerance: settings.value(Key::ArcTolerance),
+        step_clock_hz,
+    }
+}

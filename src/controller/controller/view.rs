@@ -1,0 +1,94 @@
+//! What can be asked of the controller; nothing changes.
+
+use super::Controller;
+use crate::axes::PerAxis;
+use crate::error::Alarm;
+use crate::gcode::Dialect;
+use crate::machine::state::Mode;
+use crate::settings::{Key, Settings};
+use crate::units::Coordinate;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Whether nothing is queued, moving, waited for or unanswered.
+    pub fn is_idle(&self) -> bool {
+        self.has_nothing_to_do()
+            && self.stops.is_idle()
+            && self.motion.is_idle()
+            && self.door.motion().is_idle()
+            && self.replies.is_idle()
+            && self.records.are_stored()
+    }
+
+    fn has_nothing_to_do(&self) -> bool {
+        self.task.is_none() && !matches!(self.mode, Mode::Home(_))
+    }
+
+    /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
+    pub fn is_quiet(&self) -> bool {
+        self.is_idle() && self.is_off()
+    }
+
+    /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
+    pub fn is_nearly_quiet(&self) -> bool {
+        self.has_nothing_to_do() && self.motion.is_idle() && self.door.motion().is_idle() && self.is_off()
+    }
+
+    pub(super) fn is_off(&self) -> bool {
+        self.pins.are_off()
+    }
+
+    /// Where the machine is.
+    pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
+        // A parked machine is where the parking moves led.
+        if self.door.is_parking() { self.door.motion().machine_position() } else { self.motion.machine_position() }
+    }
+
+    /// Where the machine is in the active coordinate system.
+    pub fn work_position(&self) -> PerAxis<Coordinate, N> {
+        self.machine_position().zip(&self.interpreter.work_offset(), |m, o| m - o)
+    }
+
+    /// N word of the move under way, 0 = none.
+    pub fn line_number(&self) -> u32 {
+        self.motion.line_number()
+    }
+
+    /// The alarm that holds, if any.
+    pub fn alarm(&self) -> Option<Alarm> {
+        self.mode.alarm()
+    }
+
+    /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
+    /// a power-up or a sleep with homing on, until it has been homed.
+    pub fn is_trusted(&self) -> bool {
+        self.reference.is_trusted()
+    }
+
+    /// Whether stored settings were damaged and have not been confirmed.
+    pub fn is_store_damaged(&self) -> bool {
+        self.records.are_damaged()
+    }
+
+    /// The settings that hold.
+    pub fn settings(&self) -> &Settings<N> {
+        &self.settings
+    }
+
+    /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
+    pub fn is_paused(&self) -> bool {
+        matches!(self.mode, Mode::Hold) && self.motion.is_at_rest()
+    }
+
+    pub(super) fn dialect(&self) -> Dialect {
+        dialect(&self.settings)
+    }
+}
+
+/// What the host is spoken to in.
+pub(super) fn dialect<const N: usize>(settings: &Settings<N>) -> Dialect {
+    match settings.whole(Key::Dialect) {
+        0 => Dialect::Grbl,
+        2 => Dialect::Seed,
+        _ => Dialect::Oxmill,
+    }
+}

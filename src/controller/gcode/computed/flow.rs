@@ -1,0 +1,658 @@
+//! O words: conditions, subroutines and loops.
+//!
+//! ```text
+//!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
+//!  Streaming ────────────────────────▶ Recording ─────────────────────────────────────────────┐
+//!      ▲  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
+//!      └─────────────────────────────── the end of the text, M2, an error ────────────┘
+//! ```
+//! A condition needs no memory: the lines of the branch that does not hold are skipped. Subroutines and loops are held as
+//! text of bounded size, for no line comes twice over a serial link. What does not fit is refused to its end, so that no
+//! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
+
+use super::Computed;
+use super::real::Real;
+use crate::error::Error;
+use crate::gcode::Interpreter;
+
+/// Bytes of held text, with one more for each line.
+const TEXT: usize = 2048;
+/// Bytes of it that only the first line of something may take, so that its end is known even if it does not fit.
+const SPARE: usize = 64;
+/// Conditions, loops and calls that may be under way within each other.
+const DEPTH: usize = 16;
+/// Bytes of their labels.
+const LABELS: usize = 160;
+/// Arguments of a call.
+const ARGUMENTS: usize = 30;
+/// How often held text may go back in one line of the host: a loop that never ends is found out.
+const PASSES: u32 = 100_000;
+/// Where a call from the stream returns to.
+const STREAM: u16 = u16::MAX;
+
+/// A line of held text.
+pub type HeldLine = heapless::Vec<u8, 256>;
+
+/// What a line of the host is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// To be checked and carried out.
+    Check,
+    /// Done with: skipped, held, or a condition.
+    Done,
+    /// Held text is to be run: [`Interpreter::next_held`].
+    Run,
+}
+
+/// What comes next of held text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Held {
+    /// This line is to be checked and carried out.
+    Line,
+    /// Nothing for others; ask again.
+    Again,
+    /// It has come to its end.
+    End,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Keyword {
+    Sub,
+    EndSub,
+    Call,
+    Return,
+    If,
+    ElseIf,
+    Else,
+    EndIf,
+    While,
+    EndWhile,
+    Do,
+    Repeat,
+    EndRepeat,
+    Break,
+    Continue,
+}
+
+/// A text that begins another comes behind it.
+const KEYWORDS: [(&[u8], Keyword); 15] = [
+    (b"SUB", Keyword::Sub),
+    (b"ENDSUB", Keyword::EndSub),
+    (b"CALL", Keyword::Call),
+    (b"RETURN", Keyword::Return),
+    (b"IF", Keyword::If),
+    (b"ELSEIF", Keyword::ElseIf),
+    (b"ELSE", Keyword::Else),
+    (b"ENDIF", Keyword::EndIf),
+    (b"WHILE", Keyword::While),
+    (b"ENDWHILE", Keyword::EndWhile),
+    (b"DO", Keyword::Do),
+    (b"REPEAT", Keyword::Repeat),
+    (b"ENDREPEAT", Keyword::EndRepeat),
+    (b"BREAK", Keyword::Break),
+    (b"CONTINUE", Keyword::Continue),
+];
+
+/// A line with an O word.
+#[derive(Clone, Copy, Debug)]
+struct Order<'a> {
+    label: &'a [u8],
+    keyword: Keyword,
+    arguments: &'a [u8],
+}
+
+impl<'a> Order<'a> {
+    /// `None` for every other line; a number without a keyword, such as `O1000`, is one of them.
+    fn of(line: &'a [u8]) -> Option<Order<'a>> {
+        let line = match line.strip_prefix(b"N") {
+            Some(numbered) => numbered.get(digits(numbered)..)?,
+            None => line,
+        };
+        let mut text = line.strip_prefix(b"O")?;
+        // O0100 is O100.
+        while let [b'0', b'0'..=b'9', ..] = text {
+            text = text.get(1..)?;
+        }
+        let length = match text.first()? {
+            b'<' => text.iter().position(|byte| *byte == b'>')? + 1,
+            _ => digits(text),
+        };
+        let (label, text) = text.split_at_checked(length).filter(|(label, _)| !label.is_empty())?;
+        let (name, keyword) = KEYWORDS.iter().find(|(name, _)| text.starts_with(name))?;
+        Some(Order { label, keyword: *keyword, arguments: text.get(name.len()..)? })
+    }
+
+    /// The end of what this begins.
+    fn is_ended_by(&self, other: &Order) -> bool {
+        let end = match self.keyword {
+            Keyword::Sub => Keyword::EndSub,
+            Keyword::While => Keyword::EndWhile,
+            Keyword::Do => Keyword::While,
+            _ => Keyword::EndRepeat,
+        };
+        other.keyword == end && other.label == self.label
+    }
+
+    /// Whether skipped lines can come to an end with it.
+    fn ends_skipping(&self) -> bool {
+        use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
+        matches!(self.keyword, ElseIf | Else | EndIf | EndWhile | While | EndRepeat)
+    }
+}
+
+fn digits(text: &[u8]) -> usize {
+    text.iter().take_while(|byte| byte.is_ascii_digit()).count()
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    /// A condition; whether one of its branches has been taken.
+    If(bool),
+    While,
+    Do,
+    /// So many passes are left, this one included.
+    Repeat(u32),
+    Call,
+}
+
+/// A condition, loop or call under way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Frame {
+    kind: Kind,
+    /// Bytes of its label.
+    label: u8,
+    /// Where a loop goes back to, or a call returns to.
+    at: u16,
+    /// The loop is being left.
+    leaving: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Streaming,
+    /// Lines are held; the text of this begins here. With an error they are refused.
+    Recording(u16, Option<Error>),
+    /// Text runs; a loop of the stream, which begins here, is dropped at its end.
+    Running(Option<u16>),
+}
+
+/// Held text, and what is under way.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Flow {
+    text: heapless::Vec<u8, TEXT>,
+    frames: heapless::Vec<Frame, DEPTH>,
+    labels: heapless::Vec<u8, LABELS>,
+    state: State,
+    /// Lines are skipped up to the next O word of the last frame.
+    skipping: bool,
+    /// The next line that runs.
+    next: u16,
+    /// Frames of the stream, below those of what runs.
+    below: u8,
+    passes: u32,
+    skipped: u32,
+}
+
+impl Flow {
+    pub const fn new() -> Self {
+        Self {
+            text: heapless::Vec::new(),
+            frames: heapless::Vec::new(),
+            labels: heapless::Vec::new(),
+            state: State::Streaming,
+            skipping: false,
+            next: 0,
+            below: 0,
+            passes: 0,
+            skipped: 0,
+        }
+    }
+
+    /// Forgets all.
+    pub fn reset(&mut self) {
+        *self = Self::new();
+    }
+
+    /// The held line at a position.
+    fn line(&self, at: u16) -> Option<&[u8]> {
+        let (length, rest) = self.text.get(usize::from(at)..)?.split_first()?;
+        rest.get(..usize::from(*length))
+    }
+
+    /// Keeps a line, with so many bytes to spare behind it.
+    fn hold(&mut self, line: &[u8], spare: usize) -> Result<(), Error> {
+        let length = u8::try_from(line.len()).map_err(|_| Error::OutOfMemory)?;
+        if self.text.len() + 1 + line.len() + spare > TEXT {
+            return Err(Error::OutOfMemory);
+        }
+        let _ = self.text.push(length);
+        self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)
+    }
+
+    /// Where a subroutine begins, and where its second line does.
+    fn find(&self, label: &[u8]) -> Option<(u16, u16)> {
+        self.find_from(0, |order| order.keyword == Keyword::Sub && order.label == label)
+    }
+
+    /// The next line with an O word of some kind: where it begins and the next one does.
+    fn find_from(&self, from: u16, is_it: impl Fn(&Order) -> bool) -> Option<(u16, u16)> {
+        let mut at = from;
+        while let Some(line) = self.line(at) {
+            let behind = at + 1 + line.len() as u16;
+            if Order::of(line).is_some_and(|order| is_it(&order)) {
+                return Some((at, behind));
+            }
+            at = behind;
+        }
+        None
+    }
+
+    /// Drops a subroutine that has been defined again.
+    fn drop_sub(&mut self, label: &[u8]) {
+        let is_end = |order: &Order| order.keyword == Keyword::EndSub && order.label == label;
+        if let Some((from, behind)) = self.find(label)
+            && let Some((_, end)) = self.find_from(behind, is_end)
+        {
+            self.text.copy_within(usize::from(end).., usize::from(from));
+            self.text.truncate(self.text.len() - usize::from(end - from));
+        }
+    }
+
+    fn push(&mut self, kind: Kind, label: &[u8], at: u16) -> Result<(), Error> {
+        let frame = Frame { kind, label: label.len() as u8, at, leaving: false };
+        if self.labels.len() + label.len() > LABELS || self.frames.push(frame).is_err() {
+            return Err(Error::TooDeep);
+        }
+        self.labels.extend_from_slice(label).map_err(|_| Error::TooDeep)
+    }
+
+    fn pop(&mut self) -> Option<Frame> {
+        let frame = self.frames.pop()?;
+        self.labels.truncate(self.labels.len().saturating_sub(usize::from(frame.label)));
+        Some(frame)
+    }
+
+    /// Whether the innermost frame has this label.
+    fn is_of_last(&self, label: &[u8]) -> bool {
+        let length = self.frames.last().map_or(0, |frame| usize::from(frame.label));
+        self.labels.get(self.labels.len().saturating_sub(length)..) == Some(label)
+    }
+
+    /// The innermost frame, if it has this label.
+    fn last(&mut self, label: &[u8]) -> Result<&mut Frame, Error> {
+        if !self.is_of_last(label) {
+            return Err(Error::FlowSyntax);
+        }
+        self.frames.last_mut().ok_or(Error::FlowSyntax)
+    }
+
+    fn go_back(&mut self, at: u16) -> Result<(), Error> {
+        self.passes += 1;
+        if self.passes > PASSES {
+            return Err(Error::EndlessLoop);
+        }
+        self.next = at;
+        Ok(())
+    }
+
+    fn run(&mut self, at: u16, of_loop: Option<u16>) {
+        self.state = State::Running(of_loop);
+        self.next = at;
+        self.below = self.frames.len() as u8;
+        self.passes = 0;
+    }
+
+    /// Held text has come to its end, or is given up.
+    pub fn stop(&mut self) {
+        if let State::Running(of_loop) = self.state {
+            if let Some(at) = of_loop {
+                self.text.truncate(usize::from(at));
+            }
+            while self.frames.len() > usize::from(self.below) {
+                self.pop();
+            }
+            self.skipping = false;
+            self.state = State::Streaming;
+        }
+    }
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// How a line of the host is to be taken. After an error nothing of it has been done; of a condition whose value is an
+    /// error no branch will be.
+    #[inline]
+    pub fn direct(&mut self, line: &[u8]) -> Result<Direction, Error> {
+        let flow = &self.computed.flow;
+        let plain = flow.state == State::Streaming && !flow.skipping;
+        if plain && !matches!(line.first(), Some(b'O' | b'N')) {
+            return Ok(Direction::Check);
+        }
+        self.direct_order(line, Order::of(line))
+    }
+
+    /// Lines that a condition has left out.
+    pub fn skipped(&self) -> u32 {
+        self.computed.flow.skipped
+    }
+
+    fn direct_order(&mut self, line: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+        if let State::Recording(from, error) = self.computed.flow.state {
+            return self.record(line, order, from, error);
+        }
+        let flow = &mut self.computed.flow;
+        if flow.skipping && !order.is_some_and(|order| order.ends_skipping() && flow.is_of_last(order.label)) {
+            flow.skipped = flow.skipped.saturating_add(1);
+            return Ok(Direction::Done);
+        }
+        let Some(order) = order else { return Ok(Direction::Check) };
+        match order.keyword {
+            Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
+            Keyword::Call => {
+                let (_, at) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
+                let arguments = self.arguments(order.arguments)?;
+                self.computed.flow.run(at, None);
+                self.call(order, STREAM, &arguments)?;
+                return Ok(Direction::Run);
+            }
+            Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
+                let from = flow.text.len() as u16;
+                let held = flow.hold(line, 0);
+                if held.is_err() {
+                    // What is refused needs its label and kind.
+                    let length = line.len() - order.arguments.len();
+                    flow.hold(line.get(..length).unwrap_or(&[]), 0)?;
+                }
+                flow.state = State::Recording(from, held.err());
+                held?;
+            }
+            _ => return Err(Error::FlowSyntax),
+        }
+        Ok(Direction::Done)
+    }
+
+    /// A line of a subroutine or loop.
+    fn record(
+        &mut self,
+        line: &[u8],
+        order: Option<Order>,
+        from: u16,
+        error: Option<Error>,
+    ) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        let opening = flow.line(from).and_then(Order::of).ok_or(Error::FlowSyntax)?;
+        let of_sub = opening.keyword == Keyword::Sub;
+        let ends = order.is_some_and(|order| opening.is_ended_by(&order));
+        let strange = order.is_some_and(|order| matches!(order.keyword, Keyword::Sub | Keyword::EndSub)) && !ends;
+        let error = match error {
+            None if strange => Some(Error::FlowSyntax),
+            None => flow.hold(line, SPARE).err(),
+            error => error,
+        };
+        flow.state = match ends {
+            true => State::Streaming,
+            false => State::Recording(from, error),
+        };
+        match (error, order) {
+            (Some(error), _) => {
+                if ends {
+                    flow.text.truncate(usize::from(from));
+                }
+                Err(error)
+            }
+            (None, Some(order)) if ends && of_sub => {
+                // The older one is found first.
+                if flow.find(order.label).is_some_and(|(at, _)| at < from) {
+                    flow.drop_sub(order.label);
+                }
+                Ok(Direction::Done)
+            }
+            (None, _) if ends => {
+                flow.run(from, Some(from));
+                Ok(Direction::Run)
+            }
+            _ => Ok(Direction::Done),
+        }
+    }
+
+    /// The next line of held text. An error ends it.
+    pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        let next = self.next_line(line);
+        if !matches!(next, Ok(Held::Line | Held::Again)) {
+            self.abandon_held();
+        }
+        next
+    }
+
+    /// A held line was refused: the rest is not run.
+    pub fn abandon_held(&mut self) {
+        self.computed.flow.stop();
+        self.computed.parameters.leave_calls();
+    }
+
+    /// The program is not gone on with: conditions and loops under way are forgotten, and what is held.
+    pub fn abandon_program(&mut self) {
+        self.computed.flow.reset();
+        self.computed.parameters.leave_calls();
+    }
+
+    /// The host has gone: what it began and did not end is not the next one's. What runs comes to its end.
+    pub fn leave_stream(&mut self) {
+        if !matches!(self.computed.flow.state, State::Running(_)) {
+            self.abandon_program();
+        }
+    }
+
+    fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        let flow = &mut self.computed.flow;
+        line.clear();
+        if !matches!(flow.state, State::Running(_)) {
+            return Ok(Held::End);
+        }
+        let Some(text) = flow.line(flow.next) else {
+            let complete = flow.frames.len() == usize::from(flow.below);
+            return if complete { Ok(Held::End) } else { Err(Error::FlowSyntax) };
+        };
+        line.extend_from_slice(text).map_err(|_| Error::OutOfMemory)?;
+        let at = flow.next;
+        flow.next += 1 + text.len() as u16;
+        let Some(order) = Order::of(line) else {
+            return Ok(if flow.skipping { Held::Again } else { Held::Line });
+        };
+        // The end of a subroutine is not skipped: behind it comes another.
+        let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
+        if flow.skipping && !ends {
+            return Ok(Held::Again);
+        }
+        match order.keyword {
+            Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
+            Keyword::Call => {
+                let (_, begin) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
+                let back = flow.next;
+                let arguments = self.arguments(order.arguments)?;
+                self.call(order, back, &arguments)?;
+                self.computed.flow.go_back(begin)?;
+            }
+            Keyword::Return | Keyword::EndSub => return self.leave_call(order),
+            Keyword::Sub => return Err(Error::FlowSyntax),
+            _ => self.go_round(order, at)?,
+        }
+        Ok(Held::Again)
+    }
+
+    /// if, elseif, else, endif.
+    fn branch(&mut self, order: Order) -> Result<(), Error> {
+        match order.keyword {
+            Keyword::If => {
+                let flow = &mut self.computed.flow;
+                flow.push(Kind::If(true), order.label, 0)?;
+                // Unless the condition is found to hold no branch does.
+                flow.skipping = true;
+                let holds = self.condition(order.arguments)?;
+                self.take_branch(order.label, holds, holds)
+            }
+            Keyword::ElseIf => {
+                let taken = self.has_taken(order.label)?;
+                let holds = !taken && self.condition(order.arguments)?;
+                self.take_branch(order.label, taken || holds, holds)
+            }
+            Keyword::Else => {
+                let taken = self.has_taken(order.label)?;
+                self.take_branch(order.label, true, !taken)
+            }
+            _ => {
+                self.has_taken(order.label)?;
+                self.computed.flow.pop();
+                self.computed.flow.skipping = false;
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether a branch of the innermost condition has been taken.
+    fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
+        match self.computed.flow.last(label)?.kind {
+            Kind::If(taken) => Ok(taken),
+            _ => Err(Error::FlowSyntax),
+        }
+    }
+
+    fn take_branch(&mut self, label: &[u8], taken: bool, holds: bool) -> Result<(), Error> {
+        self.computed.flow.last(label)?.kind = Kind::If(taken);
+        self.computed.flow.skipping = !holds;
+        Ok(())
+    }
+
+    /// while, do, repeat and their ends, break, continue; only in held text.
+    fn go_round(&mut self, order: Order, at: u16) -> Result<(), Error> {
+        let next = self.computed.flow.next;
+        match order.keyword {
+            Keyword::While if self.computed.flow.last(order.label).is_ok_and(|frame| frame.kind == Kind::Do) => {
+                let leaving = self.computed.flow.last(order.label)?.leaving;
+                let again = !leaving && self.condition(order.arguments)?;
+                self.end_pass(order.label, again)
+            }
+            Keyword::While => {
+                let holds = self.condition(order.arguments)?;
+                self.computed.flow.push(Kind::While, order.label, at)?;
+                self.begin_pass(order.label, holds)
+            }
+            Keyword::Do => {
+                self.computed.flow.push(Kind::Do, order.label, next)?;
+                self.begin_pass(order.label, true)
+            }
+            Keyword::Repeat => {
+                let count = self.argument(order.arguments)?.ceiling();
+                let beyond = if count.is_negative() { 0 } else { i64::from(PASSES) };
+                let count = count.whole().unwrap_or(beyond).clamp(0, i64::from(PASSES)) as u32;
+                self.computed.flow.push(Kind::Repeat(count), order.label, next)?;
+                self.begin_pass(order.label, count > 0)
+            }
+            Keyword::EndWhile | Keyword::EndRepeat => {
+                let frame = self.computed.flow.last(order.label)?;
+                let again = match (&mut frame.kind, order.keyword) {
+                    (Kind::While, Keyword::EndWhile) => true,
+                    (Kind::Repeat(left), Keyword::EndRepeat) => {
+                        *left = left.saturating_sub(1);
+                        *left > 0
+                    }
+                    _ => return Err(Error::FlowSyntax),
+                };
+                let again = again && !frame.leaving;
+                self.end_pass(order.label, again)
+            }
+            Keyword::Break | Keyword::Continue => self.cut_pass(order),
+            _ => Err(Error::FlowSyntax),
+        }
+    }
+
+    fn begin_pass(&mut self, label: &[u8], holds: bool) -> Result<(), Error> {
+        self.computed.flow.last(label)?.leaving = !holds;
+        self.computed.flow.skipping = !holds;
+        Ok(())
+    }
+
+    fn end_pass(&mut self, label: &[u8], again: bool) -> Result<(), Error> {
+        let flow = &mut self.computed.flow;
+        let frame = *flow.last(label)?;
+        flow.skipping = false;
+        if !again || frame.kind == Kind::While {
+            // A while begins its next pass with its first line.
+            flow.pop();
+        }
+        if again { flow.go_back(frame.at) } else { Ok(()) }
+    }
+
+    /// break, continue: what is within the loop is left, and the rest of the pass is skipped.
+    fn cut_pass(&mut self, order: Order) -> Result<(), Error> {
+        let flow = &mut self.computed.flow;
+        while !flow.is_of_last(order.label) {
+            match flow.frames.last() {
+                Some(frame) if frame.kind != Kind::Call && flow.frames.len() > usize::from(flow.below) => flow.pop(),
+                _ => return Err(Error::FlowSyntax),
+            };
+        }
+        let frame = flow.last(order.label)?;
+        if matches!(frame.kind, Kind::If(_) | Kind::Call) {
+            return Err(Error::FlowSyntax);
+        }
+        frame.leaving = order.keyword == Keyword::Break;
+        flow.skipping = true;
+        Ok(())
+    }
+
+    fn call(&mut self, order: Order, back: u16, arguments: &[Real]) -> Result<(), Error> {
+        let Computed { flow, parameters, .. } = &mut self.computed;
+        let pushed = flow.push(Kind::Call, order.label, back).and_then(|()| parameters.enter_call(arguments));
+        if pushed.is_err() && back == STREAM {
+            self.abandon_held();
+        }
+        pushed
+    }
+
+    /// return, endsub: back to the line behind the call, with a value.
+    fn leave_call(&mut self, order: Order) -> Result<Held, Error> {
+        let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
+        let Computed { flow, parameters, returned, .. } = &mut self.computed;
+        if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != Kind::Call {
+            return Err(Error::FlowSyntax);
+        }
+        while flow.frames.len() > usize::from(flow.below)
+            && let Some(frame) = flow.pop()
+        {
+            if frame.kind == Kind::Call {
+                parameters.leave_call();
+                *returned = value;
+                flow.next = frame.at;
+                return Ok(if frame.at == STREAM { Held::End } else { Held::Again });
+            }
+        }
+        Err(Error::FlowSyntax)
+    }
+
+    fn condition(&self, text: &[u8]) -> Result<bool, Error> {
+        self.argument(text).map(|value| !value.is_zero())
+    }
+
+    /// The value of a bracket that is all of a text.
+    fn argument(&self, text: &[u8]) -> Result<Real, Error> {
+        if text.first() != Some(&b'[') {
+            return Err(Error::FlowSyntax);
+        }
+        let (value, rest) = self.value(text)?;
+        if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
+    }
+
+    fn arguments(&self, text: &[u8]) -> Result<heapless::Vec<Real, ARGUMENTS>, Error> {
+        let mut values = heapless::Vec::new();
+        let mut rest = text;
+        while !rest.is_empty() {
+            if rest.first() != Some(&b'[') {
+                return Err(Error::FlowSyntax);
+            }
+            let (value, behind) = self.value(rest)?;
+            values.push(value).map_err(|_| Error::FlowSyntax)?;
+            rest = behind;
+        }
+        Ok(values)
+    }
+}

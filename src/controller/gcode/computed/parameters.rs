@@ -1,0 +1,219 @@
+//! Parameters that programs set: numbers and names with their values, packed into one stretch of bytes.
+//!
+//! ```text
+//!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
+//!          |<--------- in force: CAPACITY at most ---------->|<-- set by the line being checked -->|
+//! ```
+//! A parameter with a number takes 13 bytes, one with a name 11 and its length, and one that has never been set none. What
+//! a line sets comes behind what is in force, where its own expressions do not look; [`Parameters::commit`] takes it over,
+//! and the next line's check drops it if that does not come.
+
+use super::expression::Reference;
+use super::real::Real;
+use crate::error::Error;
+
+/// Bytes of parameters in force: 157 of those with a number, or 97 names of ten letters.
+const CAPACITY: usize = 2048;
+/// Bytes of parameters that one line may set: 19 of those with a number.
+const OF_A_LINE: usize = 256;
+/// The longest name.
+pub(super) const NAME_LENGTH: usize = 32;
+/// Bytes of a cell in front of its key, and behind it.
+const HEAD: usize = 2;
+const TAIL: usize = 9;
+/// Level of parameters that all calls share.
+const GLOBAL: u8 = u8::MAX;
+/// Parameters up to this number belong to a call.
+const LOCAL_END: i64 = 30;
+
+/// Greatest number of a parameter.
+pub(super) const NUMBER_MAX: i64 = 5999;
+
+/// A key as it is stored.
+type Key = heapless::Vec<u8, NAME_LENGTH>;
+
+/// The parameters of a program.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Parameters {
+    cells: heapless::Vec<u8, { CAPACITY + OF_A_LINE }>,
+    /// Bytes of `cells` that are in force.
+    in_force: usize,
+    /// Bytes that `in_force` will grow by.
+    growth: usize,
+    /// Calls under way.
+    level: u8,
+}
+
+/// A cell taken apart.
+struct Cell<'a> {
+    level: u8,
+    key: &'a [u8],
+    size: usize,
+    value: Real,
+}
+
+impl<'a> Cell<'a> {
+    /// The cell at the start of some bytes.
+    fn first(cells: &'a [u8]) -> Option<Cell<'a>> {
+        let [length, level, rest @ ..] = cells else { return None };
+        let (key, rest) = rest.split_at_checked(usize::from(*length))?;
+        let (mantissa, rest) = rest.split_first_chunk::<8>()?;
+        let exponent = *rest.first()? as i8;
+        let value = Real::from_parts(i64::from_le_bytes(*mantissa), exponent);
+        Some(Cell { level: *level, key, size: HEAD + key.len() + TAIL, value })
+    }
+}
+
+impl Parameters {
+    pub const fn new() -> Self {
+        Self { cells: heapless::Vec::new(), in_force: 0, growth: 0, level: 0 }
+    }
+
+    /// The value of a parameter; `None` if it has not been set.
+    pub fn get(&self, reference: Reference) -> Result<Option<Real>, Error> {
+        let (key, level) = self.stored_as(reference)?;
+        let at = find(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
+        Ok(at.and_then(|at| Cell::first(self.cells.get(at..)?)).map(|cell| cell.value))
+    }
+
+    /// Sets a parameter once the line is committed.
+    pub fn stage(&mut self, reference: Reference, value: Real) -> Result<(), Error> {
+        let (key, level) = self.stored_as(reference)?;
+        let size = HEAD + key.len() + TAIL;
+        if find(&self.cells, &key, level).is_none() {
+            self.growth += size;
+        }
+        if self.in_force + self.growth > CAPACITY || self.cells.len() + size > self.in_force + OF_A_LINE {
+            return Err(Error::OutOfMemory);
+        }
+        let (mantissa, exponent) = value.parts();
+        let parts: [&[u8]; 4] = [&[key.len() as u8, level], &key, &mantissa.to_le_bytes(), &exponent.to_le_bytes()];
+        for part in parts {
+            self.cells.extend_from_slice(part).map_err(|_| Error::OutOfMemory)?;
+        }
+        Ok(())
+    }
+
+    /// Whether the line sets a parameter.
+    pub fn has_staged(&self) -> bool {
+        self.cells.len() > self.in_force
+    }
+
+    /// Forgets what a line would have set that was not committed.
+    pub fn drop_staged(&mut self) {
+        self.cells.truncate(self.in_force);
+        self.growth = 0;
+    }
+
+    /// Sets what the line sets, from left to right.
+    pub fn commit(&mut self) {
+        while let Some((in_force, staged)) = self.cells.split_at_mut_checked(self.in_force)
+            && let Some(cell) = Cell::first(staged)
+        {
+            let size = cell.size;
+            match find(in_force, cell.key, cell.level) {
+                Some(at) => {
+                    if let (Some(old), Some(new)) = (in_force.get_mut(at..at + size), staged.get(..size)) {
+                        old.copy_from_slice(new);
+                    }
+                    self.cut(self.in_force, size);
+                }
+                None => self.in_force += size,
+            }
+        }
+        self.growth = 0;
+    }
+
+    /// Forgets all.
+    pub fn reset(&mut self) {
+        *self = Self::new();
+    }
+
+    /// The end of the program: what is local to it is forgotten, #31 and the names that begin with `_` stay.
+    pub fn end_program(&mut self) {
+        self.drop_staged();
+        self.level = 0;
+        self.forget_locals();
+    }
+
+    /// A call begins, with the values of #1 and on.
+    pub fn enter_call(&mut self, arguments: &[Real]) -> Result<(), Error> {
+        self.level += 1;
+        for (number, value) in (1..).zip(arguments) {
+            self.drop_staged();
+            self.stage(Reference::Number(number), *value)?;
+            self.commit();
+        }
+        Ok(())
+    }
+
+    /// The present call ends.
+    pub fn leave_call(&mut self) {
+        self.drop_staged();
+        self.forget_locals();
+        self.level = self.level.saturating_sub(1);
+    }
+
+    /// All calls end.
+    pub fn leave_calls(&mut self) {
+        while self.level > 0 {
+            self.leave_call();
+        }
+    }
+
+    /// Calls under way.
+    pub fn level(&self) -> u8 {
+        self.level
+    }
+
+    /// Forgets what belongs to the present call and those within it.
+    fn forget_locals(&mut self) {
+        let mut at = 0;
+        while let Some(cell) = self.cells.get(at..).and_then(Cell::first) {
+            let (level, size) = (cell.level, cell.size);
+            if level != GLOBAL && level >= self.level {
+                self.cut(at, size);
+            } else {
+                at += size;
+            }
+        }
+        self.in_force = self.cells.len();
+    }
+
+    /// Takes bytes out.
+    fn cut(&mut self, at: usize, size: usize) {
+        let length = self.cells.len();
+        if at + size <= length {
+            self.cells.copy_within(at + size.., at);
+            self.cells.truncate(length - size);
+        }
+    }
+
+    /// Key and level of a parameter.
+    fn stored_as(&self, reference: Reference) -> Result<(Key, u8), Error> {
+        match reference {
+            Reference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
+                // Its first byte is less than that of every name.
+                let key = Key::from_slice(&(number as u16).to_be_bytes()).unwrap_or_default();
+                Ok((key, if number <= LOCAL_END { self.level } else { GLOBAL }))
+            }
+            Reference::Number(_) => Err(Error::InvalidArgument),
+            Reference::Name(name) => {
+                let key = Key::from_slice(name).map_err(|_| Error::InvalidArgument)?;
+                Ok((key, if name.starts_with(b"_") { GLOBAL } else { self.level }))
+            }
+        }
+    }
+}
+
+/// Where the cell of a key begins.
+fn find(cells: &[u8], key: &[u8], level: u8) -> Option<usize> {
+    let mut at = 0;
+    while let Some(cell) = cells.get(at..).and_then(Cell::first) {
+        if cell.key == key && cell.level == level {
+            return Some(at);
+        }
+        at += cell.size;
+    }
+    None
+}

@@ -1,0 +1,532 @@
+//! Numbers of expressions: decimal floating point with eighteen digits.
+//!
+//! Sums, differences and products of numbers as programs write them are exact (up to eighteen digits), so `10.1 + 0.2` is
+//! 10.3 and nothing else. A quotient and a square root are right in eighteen digits; sine, cosine, arc tangent and
+//! logarithm are within 10⁻¹⁵, powers with a fraction in the exponent within 10⁻¹³ of their size. Integer arithmetic only:
+//! the same result on every machine, and every operation takes a bounded number of steps. Results beyond 10⁴⁰ are an error,
+//! results below 10⁻³² may be 0. Nothing here is inlined: flash is scarcer than the time of an expression.
+
+use crate::error::Error;
+use crate::units::{Coordinate, DECIMAL_PLACES, Decimal, integer_root};
+use core::cmp::Ordering;
+
+/// Digits that a mantissa keeps.
+const DIGITS: u32 = 18;
+/// Mantissas are below this.
+const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
+/// By so many digits a mantissa can be lengthened in an `i128`.
+const SPARE_DIGITS: u32 = 20;
+/// Greatest exponent; numbers beyond are an error.
+const EXPONENT_MAX: i32 = 40;
+/// Least exponent; smaller numbers are 0.
+const EXPONENT_MIN: i32 = -50;
+
+/// A number: mantissa × 10^exponent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Real {
+    /// Without zeros at its end.
+    mantissa: i64,
+    exponent: i8,
+}
+
+impl Real {
+    pub const ZERO: Real = Real::int(0);
+    pub const ONE: Real = Real { mantissa: 1, exponent: 0 };
+
+    /// A whole number that does not end in 0.
+    const fn int(mantissa: i64) -> Real {
+        Real { mantissa, exponent: 0 }
+    }
+
+    /// 1 or 0.
+    pub const fn truth(holds: bool) -> Real {
+        if holds { Real::ONE } else { Real::ZERO }
+    }
+
+    /// `mantissa` × 10^`exponent`, rounded to eighteen digits.
+    pub fn new(mantissa: i128, exponent: i32) -> Result<Real, Error> {
+        Self::rounded(mantissa, exponent, DIGITS)
+    }
+
+    /// The same with so many digits.
+    #[inline(never)]
+    fn rounded(mantissa: i128, exponent: i32, digits: u32) -> Result<Real, Error> {
+        let size = mantissa.unsigned_abs();
+        let end = 10_u128.pow(digits);
+        let (mut power, mut exponent) = (1_u128, exponent);
+        while size >= end.saturating_mul(power) {
+            power *= 10;
+            exponent += 1;
+        }
+        let size = if power == 1 { size } else { (size + power / 2) / power };
+        // At most 10^18.
+        let mut size = size as i64;
+        while size != 0 && size % 10 == 0 {
+            size /= 10;
+            exponent += 1;
+        }
+        match i8::try_from(exponent) {
+            _ if size == 0 || exponent < EXPONENT_MIN => Ok(Real::ZERO),
+            Ok(exponent) if i32::from(exponent) <= EXPONENT_MAX => {
+                Ok(Real { mantissa: if mantissa < 0 { -size } else { size }, exponent })
+            }
+            _ => Err(Error::InvalidResult),
+        }
+    }
+
+    /// A number of at most eighteen digits that is known to fit.
+    #[inline(never)]
+    fn known(mantissa: i64, exponent: i32) -> Real {
+        Self::new(i128::from(mantissa), exponent).unwrap_or(Real::ZERO)
+    }
+
+    /// Its parts, to be stored.
+    pub fn parts(self) -> (i64, i8) {
+        (self.mantissa, self.exponent)
+    }
+
+    /// From stored parts.
+    pub fn from_parts(mantissa: i64, exponent: i8) -> Real {
+        Real { mantissa, exponent }
+    }
+
+    /// The number of a text without sign: digits and at most one point. Digits behind the eighteenth are dropped.
+    pub fn read(text: &[u8]) -> Option<(Real, usize)> {
+        let (mut mantissa, mut exponent, mut digits, mut used) = (0_i64, 0_i32, 0, 0);
+        let mut point = false;
+        for byte in text {
+            match byte {
+                b'0'..=b'9' => {
+                    digits += 1;
+                    if mantissa < MANTISSA_END / 10 {
+                        mantissa = mantissa * 10 + i64::from(byte - b'0');
+                        exponent -= i32::from(point);
+                    } else {
+                        exponent += i32::from(!point);
+                    }
+                }
+                b'.' if !point => point = true,
+                _ => break,
+            }
+            used += 1;
+        }
+        let number = Self::new(i128::from(mantissa), exponent).ok()?;
+        (digits > 0).then_some((number, used))
+    }
+
+    pub fn from_decimal(value: Decimal) -> Real {
+        Self::new(i128::from(value.0), -(DECIMAL_PLACES as i32)).unwrap_or(Real::ZERO)
+    }
+
+    pub fn from_coordinate(value: Coordinate) -> Real {
+        Self::from_decimal(Decimal(value.0))
+    }
+
+    /// The nearest, seven decimals.
+    pub fn from_f32(value: f32) -> Real {
+        Self::from_coordinate(Coordinate::from_mm_f32(value))
+    }
+
+    /// The nearest number of a program; far ones saturate.
+    #[inline(never)]
+    pub fn to_decimal(self) -> Decimal {
+        let exponent = i32::from(self.exponent) + DECIMAL_PLACES as i32;
+        let power = ten_to(exponent.unsigned_abs());
+        let wide = i128::from(self.mantissa);
+        let value = if exponent >= 0 { wide.saturating_mul(power) } else { divided(wide, power) };
+        Decimal(i64::try_from(value).unwrap_or(if wide < 0 { -i64::MAX } else { i64::MAX }))
+    }
+
+    /// Digits behind the point that it has as a number of a program.
+    pub fn places(self) -> u8 {
+        (-i32::from(self.exponent)).clamp(0, DECIMAL_PLACES as i32) as u8
+    }
+
+    /// The whole number that it is within 0.0001.
+    #[inline(never)]
+    pub fn whole(self) -> Option<i64> {
+        let nearest = self.round();
+        let off = self.sub(nearest).ok()?;
+        let value = nearest.to_decimal().0 / crate::units::DECIMAL_ONE;
+        (off.abs().is_below(TOLERANCE) && Self::known(value, 0) == nearest).then_some(value)
+    }
+
+    pub fn is_zero(self) -> bool {
+        self.mantissa == 0
+    }
+
+    pub fn is_negative(self) -> bool {
+        self.mantissa < 0
+    }
+
+    pub fn is_below(self, other: Real) -> bool {
+        self.order(other) == Ordering::Less
+    }
+
+    #[inline(never)]
+    pub fn order(self, other: Real) -> Ordering {
+        // Only numbers of opposite signs could be too far apart.
+        self.sub(other).map_or(self.mantissa.cmp(&0), |off| off.mantissa.cmp(&0))
+    }
+
+    /// Equal within 0.0001, as LinuxCNC compares.
+    pub fn is_near(self, other: Real) -> bool {
+        self.sub(other).is_ok_and(|off| off.abs().is_below(TOLERANCE))
+    }
+
+    pub fn neg(self) -> Real {
+        Real { mantissa: -self.mantissa, ..self }
+    }
+
+    pub fn abs(self) -> Real {
+        Real { mantissa: self.mantissa.abs(), ..self }
+    }
+
+    #[inline(never)]
+    pub fn add(self, other: Real) -> Result<Real, Error> {
+        let (high, low) = if self.exponent >= other.exponent { (self, other) } else { (other, self) };
+        if high.is_zero() {
+            return Ok(low);
+        }
+        let gap = (i32::from(high.exponent) - i32::from(low.exponent)).unsigned_abs();
+        let lift = gap.min(SPARE_DIGITS);
+        let wide = i128::from(high.mantissa) * ten_to(lift);
+        Self::new(wide + i128::from(low.mantissa) / ten_to(gap - lift), i32::from(high.exponent) - lift as i32)
+    }
+
+    pub fn sub(self, other: Real) -> Result<Real, Error> {
+        self.add(other.neg())
+    }
+
+    #[inline(never)]
+    pub fn mul(self, other: Real) -> Result<Real, Error> {
+        let product = i128::from(self.mantissa) * i128::from(other.mantissa);
+        Self::new(product, i32::from(self.exponent) + i32::from(other.exponent))
+    }
+
+    #[inline(never)]
+    pub fn div(self, other: Real) -> Result<Real, Error> {
+        if other.is_zero() {
+            return Err(Error::DivisionByZero);
+        }
+        let (wide, exponent) = self.lengthened();
+        let quotient = wide / i128::from(other.mantissa);
+        Self::new(quotient, exponent - i32::from(other.exponent))
+    }
+
+    /// A mantissa of 38 digits and its exponent.
+    #[inline(never)]
+    fn lengthened(self) -> (i128, i32) {
+        let mut wide = i128::from(self.mantissa);
+        let mut exponent = i32::from(self.exponent);
+        while wide != 0 && wide.unsigned_abs() < ten_to(DIGITS + SPARE_DIGITS - 1).unsigned_abs() {
+            wide *= 10;
+            exponent -= 1;
+        }
+        (wide, exponent)
+    }
+
+    /// What is left of a division, from 0 to below the size of the divisor.
+    #[inline(never)]
+    pub fn modulo(self, divisor: Real) -> Result<Real, Error> {
+        if divisor.is_zero() {
+            return Err(Error::DivisionByZero);
+        }
+        let gap = i32::from(self.exponent) - i32::from(divisor.exponent);
+        let (rest, exponent) = if gap >= 0 {
+            let mut rest = self.mantissa % divisor.mantissa;
+            for _ in 0..gap {
+                rest = (i128::from(rest) * 10 % i128::from(divisor.mantissa)) as i64;
+            }
+            (rest, divisor.exponent)
+        } else {
+            let wide = i128::from(divisor.mantissa).saturating_mul(ten_to(gap.unsigned_abs()));
+            ((i128::from(self.mantissa) % wide) as i64, self.exponent)
+        };
+        let rest = Self::known(rest, i32::from(exponent));
+        if rest.is_negative() { rest.add(divisor.abs()) } else { Ok(rest) }
+    }
+
+    /// Rounded down.
+    #[inline(never)]
+    pub fn floor(self) -> Real {
+        self.whole_part(|wide, power| wide.div_euclid(power))
+    }
+
+    /// Rounded up.
+    pub fn ceiling(self) -> Real {
+        self.neg().floor().neg()
+    }
+
+    /// To the nearest, a half away from zero.
+    #[inline(never)]
+    pub fn round(self) -> Real {
+        self.whole_part(divided)
+    }
+
+    fn whole_part(self, divide: impl Fn(i128, i128) -> i128) -> Real {
+        if self.exponent >= 0 {
+            return self;
+        }
+        let power = ten_to(i32::from(self.exponent).unsigned_abs());
+        Self::known(divide(i128::from(self.mantissa), power) as i64, 0)
+    }
+
+    #[inline(never)]
+    pub fn sqrt(self) -> Result<Real, Error> {
+        if self.is_negative() {
+            return Err(Error::ArgumentOutOfRange);
+        }
+        let (mut wide, mut exponent) = self.lengthened();
+        if exponent % 2 != 0 {
+            wide /= 10;
+            exponent += 1;
+        }
+        Self::new(integer_root(wide.unsigned_abs()) as i128, exponent / 2)
+    }
+
+    /// `self` to a power. A whole exponent multiplies, so that squares stay exact.
+    pub fn power(self, exponent: Real) -> Result<Real, Error> {
+        if exponent.floor() == exponent && exponent.abs().is_below(Self::int(i64::from(i32::MAX))) {
+            let count = (exponent.to_decimal().0 / crate::units::DECIMAL_ONE) as i32;
+            return match self.multiplied(count.unsigned_abs()) {
+                power if count >= 0 => power,
+                Ok(power) if !power.is_zero() || self.is_zero() => Real::ONE.div(power),
+                Ok(_) => Err(Error::InvalidResult),
+                Err(_) => Ok(Real::ZERO),
+            };
+        }
+        match (self.mantissa.cmp(&0), exponent.is_negative()) {
+            (Ordering::Less, _) => Err(Error::ArgumentOutOfRange),
+            (Ordering::Equal, true) => Err(Error::DivisionByZero),
+            (Ordering::Equal, false) => Ok(Real::ZERO),
+            (Ordering::Greater, _) => self.ln()?.mul(exponent)?.exp(),
+        }
+    }
+
+    #[inline(never)]
+    fn multiplied(self, mut count: u32) -> Result<Real, Error> {
+        let (mut square, mut product) = (self, Real::ONE);
+        loop {
+            if count & 1 != 0 {
+                product = product.mul(square)?;
+            }
+            count >>= 1;
+            if count == 0 {
+                return Ok(product);
+            }
+            square = square.mul(square)?;
+        }
+    }
+}
+
+/// Numbers nearer than this are equal to EQ and NE, and whole.
+const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
+
+/// A power of ten; beyond what an `i128` holds, its greatest value.
+#[inline(never)]
+fn ten_to(power: u32) -> i128 {
+    10_i128.checked_pow(power).unwrap_or(i128::MAX)
+}
+
+/// The nearest quotient, a half away from zero.
+#[inline(never)]
+fn divided(value: i128, divisor: i128) -> i128 {
+    let half = if value < 0 { -(divisor / 2) } else { divisor / 2 };
+    value.saturating_add(half) / divisor
+}
+
+// Functions, in binary fixed point: a unit is 2^-60.
+
+const BITS: u32 = 60;
+const UNIT: i64 = 1 << BITS;
+const PI: i64 = 3_622_009_729_038_561_421;
+const LN_2: i128 = 799_144_290_325_165_979;
+const LN_10: i128 = 2_654_699_869_899_991_814;
+const ROOT_OF_HALF: i64 = 815_238_614_083_298_888;
+/// Terms after which every series here has ended.
+const TERMS: i64 = 64;
+
+/// Decimal places of a function's result: less than the unit has, so that what should be 0.5 is.
+const PLACES: u32 = 16;
+/// The same of an angle in degrees.
+const PLACES_OF_DEGREES: u32 = 14;
+
+#[inline(never)]
+fn times(a: i64, b: i64) -> i64 {
+    ((i128::from(a) * i128::from(b)) >> BITS) as i64
+}
+
+#[inline(never)]
+fn over(a: i64, b: i64) -> i64 {
+    ((i128::from(a) << BITS) / i128::from(b)) as i64
+}
+
+/// `first` × (1 - x²/((n)(n+1)) + ...): the sine from `x` and 2, the cosine from 1 and 1.
+#[inline(never)]
+fn sine_series(first: i64, square: i64, n: i64) -> i64 {
+    let (mut term, mut sum) = (first, first);
+    for k in 0..TERMS {
+        let n = n + 2 * k;
+        term = -times(term, square) / (n * (n + 1));
+        sum += term;
+        if term == 0 {
+            break;
+        }
+    }
+    sum
+}
+
+/// x ± x³/3 + x⁵/5 ± ...: the arc tangent with `sign` -1, the area tangent with 1. `x` up to 0.2.
+#[inline(never)]
+fn tangent_series(x: i64, sign: i64) -> i64 {
+    let square = times(x, x) * sign;
+    let (mut power, mut sum) = (x, x);
+    for k in 1..TERMS {
+        power = times(power, square);
+        let term = power / (2 * k + 1);
+        sum += term;
+        if term == 0 {
+            break;
+        }
+    }
+    sum
+}
+
+impl Real {
+    /// In units of 2^-60. For numbers up to 2^60 in size.
+    #[inline(never)]
+    fn to_fixed(self) -> i128 {
+        let power = ten_to(i32::from(self.exponent).unsigned_abs());
+        let wide = i128::from(self.mantissa);
+        if self.exponent >= 0 { wide.saturating_mul(power).saturating_mul(1 << BITS) } else { (wide << BITS) / power }
+    }
+
+    /// From units of 2^-60, of a size below 2^10, rounded to decimal places.
+    #[inline(never)]
+    fn from_fixed(value: i128, places: u32) -> Real {
+        let wide = value * ten_to(places);
+        Self::new((wide + (1 << (BITS - 1))) >> BITS, -(places as i32)).unwrap_or(Real::ZERO)
+    }
+
+    /// Of degrees.
+    pub fn sin(self) -> Result<Real, Error> {
+        self.sine(0)
+    }
+
+    /// Of degrees.
+    pub fn cos(self) -> Result<Real, Error> {
+        self.sine(1)
+    }
+
+    /// The sine of degrees and so many right angles. The angle is reduced in decimals, so that no turn costs accuracy.
+    #[inline(never)]
+    fn sine(self, quarters: u32) -> Result<Real, Error> {
+        let right = Self::known(90, 0);
+        let (mut rest, mut quarters) = (self.modulo(Self::known(360, 0))?, quarters);
+        while !rest.is_below(right) {
+            rest = rest.sub(right)?;
+            quarters += 1;
+        }
+        let complement = Self::int(45).is_below(rest);
+        if complement {
+            rest = right.sub(rest)?;
+        }
+        let x = times(rest.div(Self::int(45))?.to_fixed() as i64, PI / 4);
+        let square = times(x, x);
+        let is_cosine = (quarters & 1 == 1) != complement;
+        let value = if is_cosine { sine_series(UNIT, square, 1) } else { sine_series(x, square, 2) };
+        let value = i128::from(value);
+        Ok(Self::from_fixed(if quarters & 2 == 0 { value } else { -value }, PLACES))
+    }
+
+    pub fn tan(self) -> Result<Real, Error> {
+        self.sin()?.div(self.cos()?).map_err(|_| Error::ArgumentOutOfRange)
+    }
+
+    /// The direction of (x, y) in degrees, above -180 and up to 180; `self` is y.
+    #[inline(never)]
+    pub fn atan(self, x: Real) -> Result<Real, Error> {
+        let (height, width) = (self.abs(), x.abs());
+        let steep = width.is_below(height);
+        let (small, large) = if steep { (width, height) } else { (height, width) };
+        let mut angle = if small.is_zero() { Real::ZERO } else { slope(small.div(large)?) };
+        if steep {
+            angle = Self::known(90, 0).sub(angle)?;
+        }
+        if x.is_negative() {
+            angle = Self::known(180, 0).sub(angle)?;
+        }
+        Ok(if self.is_negative() { angle.neg() } else { angle })
+    }
+
+    pub fn asin(self) -> Result<Real, Error> {
+        self.atan(self.other_leg()?)
+    }
+
+    pub fn acos(self) -> Result<Real, Error> {
+        self.other_leg()?.atan(self)
+    }
+
+    /// √(1 - x²).
+    #[inline(never)]
+    fn other_leg(self) -> Result<Real, Error> {
+        Real::ONE.sub(self)?.mul(Real::ONE.add(self)?)?.sqrt()
+    }
+
+    #[inline(never)]
+    pub fn ln(self) -> Result<Real, Error> {
+        if self.mantissa <= 0 {
+            return Err(Error::ArgumentOutOfRange);
+        }
+        // mantissa = fraction × 2^binary, fraction from √½ to √2.
+        let zeros = self.mantissa.leading_zeros();
+        let mut fraction = (self.mantissa << (zeros - 1)) >> (63 - BITS);
+        let mut binary = i128::from(64 - zeros);
+        if fraction < ROOT_OF_HALF {
+            fraction *= 2;
+            binary -= 1;
+        }
+        let of_fraction = 2 * tangent_series(over(fraction - UNIT, fraction + UNIT), 1);
+        let sum = i128::from(of_fraction) + binary * LN_2 + i128::from(self.exponent) * LN_10;
+        // The sum has errors of up to 2^6 units.
+        Ok(Self::from_fixed(sum, PLACES - 1))
+    }
+
+    /// e to the power of this.
+    #[inline(never)]
+    pub fn exp(self) -> Result<Real, Error> {
+        if Self::known(100, 0).is_below(self) {
+            return Err(Error::InvalidResult);
+        }
+        if self.is_below(Self::known(-120, 0)) {
+            return Ok(Real::ZERO);
+        }
+        let wide = self.to_fixed();
+        let binary = wide.div_euclid(LN_2);
+        let rest = (wide - binary * LN_2) as i64;
+        let (mut term, mut sum) = (UNIT, UNIT);
+        for n in 1..TERMS {
+            term = times(term, rest) / n;
+            sum += term;
+            if term == 0 {
+                break;
+            }
+        }
+        let scale = Self::int(2).multiplied(binary.unsigned_abs() as u32)?;
+        let value = Self::from_fixed(i128::from(sum), PLACES);
+        let value = if binary < 0 { value.div(scale)? } else { value.mul(scale)? };
+        Self::rounded(i128::from(value.mantissa), i32::from(value.exponent), 14)
+    }
+}
+
+/// The angle of a slope from 0 to 1 in degrees. Half the angle has the slope t / (1 + √(1 + t²)).
+fn slope(slope: Real) -> Real {
+    let mut t = slope.to_fixed() as i64;
+    for _ in 0..2 {
+        let square = UNIT + times(t, t);
+        t = over(t, UNIT + integer_root((square as u128) << BITS) as i64);
+    }
+    let half_turns = over(tangent_series(t, -1), PI);
+    Real::from_fixed(4 * 180 * i128::from(half_turns), PLACES_OF_DEGREES)
+}

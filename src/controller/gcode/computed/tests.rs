@@ -1,0 +1,365 @@
+//! Expressions against `f64`, an evaluation of its own.
+
+use super::expression::{self, Reference};
+use super::real::Real;
+use crate::error::Error;
+use proptest::prelude::*;
+
+fn no_parameters(_: Reference) -> Result<Option<Real>, Error> {
+    Ok(None)
+}
+
+fn compute(text: &str) -> Result<Real, Error> {
+    let (value, used) = expression::value(text.as_bytes(), no_parameters)?;
+    assert_eq!(used, text.len(), "{text}");
+    Ok(value)
+}
+
+fn f64_of(value: Real) -> f64 {
+    let (mantissa, exponent) = value.parts();
+    // Through text, for the nearest of all.
+    format!("{mantissa}e{exponent}").parse().unwrap()
+}
+
+fn number(text: &str) -> Real {
+    let (value, used) = Real::read(text.as_bytes()).unwrap();
+    assert_eq!(used, text.len());
+    value
+}
+
+/// The value of a text, equal to a number in all its digits.
+#[track_caller]
+fn exact(text: &str, expected: &str) {
+    let wanted = match expected.strip_prefix('-') {
+        Some(size) => number(size).neg(),
+        None => number(expected),
+    };
+    assert_eq!(compute(text), Ok(wanted), "{text}");
+}
+
+#[test]
+fn decimals_are_exact() {
+    for (text, value) in [
+        ("[10.1+0.2]", "10.3"),
+        ("[0.1*3]", "0.3"),
+        ("[1.1-1]", "0.1"),
+        ("[25.4*0.0005]", "0.0127"),
+        ("[1/8]", "0.125"),
+        ("[10/2.5]", "4"),
+        ("[123456789.123456789*10]", "1234567891.23456789"),
+        ("[2**10]", "1024"),
+        ("[1.5**2]", "2.25"),
+        ("[2**-2]", "0.25"),
+        ("SQRT[2.25]", "1.5"),
+        ("SQRT[90000]", "300"),
+        ("SIN[30]", "0.5"),
+        ("COS[60]", "0.5"),
+        ("COS[90]", "0"),
+        ("SIN[-90]", "-1"),
+        ("SIN[3600030]", "0.5"),
+        ("TAN[45]", "1"),
+        ("ATAN[1]/[1]", "45"),
+        ("ATAN[-1]/[-1]", "-135"),
+        ("ATAN[0]/[-1]", "180"),
+        ("ATAN[0]/[0]", "0"),
+        ("ACOS[0.5]", "60"),
+        ("ASIN[-1]", "-90"),
+        ("EXP[0]", "1"),
+        ("LN[1]", "0"),
+        ("[4**0.5]", "2"),
+        ("[1/3]", "0.333333333333333333"),
+        ("[2/3]", "0.666666666666666667"),
+    ] {
+        exact(text, value);
+    }
+}
+
+/// RS274NGC's order, tried on LinuxCNC's interpreter.
+#[test]
+fn order_of_operators() {
+    for (text, value) in [
+        ("[2**3**2]", "64"),
+        ("[-2**2]", "4"),
+        ("[1+2*3**2]", "19"),
+        ("[2*3 MOD 4]", "2"),
+        ("[10-4-3]", "3"),
+        ("[16/4/2]", "2"),
+        ("[1 EQ 1+1]", "0"),
+        ("[1 AND 0 OR 1]", "1"),
+        ("[1 OR 1 AND 0]", "0"),
+        ("[1 XOR 1 XOR 1]", "1"),
+        ("[1 LT 2 AND 3 GT 2]", "1"),
+        ("[5 GT 3 EQ 1]", "1"),
+        ("[-5 MOD 3]", "1"),
+        ("[-5 MOD -3]", "1"),
+        ("[5.5 MOD 2]", "1.5"),
+        ("[1 EQ 1.00005]", "1"),
+        ("[1 NE 1.0002]", "1"),
+        ("[1 LT 1.00005]", "1"),
+        ("[1 GE 1.00005]", "0"),
+        ("[2 LE 2]", "1"),
+        ("FIX[-1.5]", "-2"),
+        ("FUP[-1.5]", "-1"),
+        ("FIX[2.9]", "2"),
+        ("FUP[2.1]", "3"),
+        ("ROUND[2.5]", "3"),
+        ("ROUND[-2.5]", "-3"),
+        ("ABS[-[3-5]*2]", "4"),
+        ("-[2]", "-2"),
+        ("+-+5", "-5"),
+        ("[3--2]", "5"),
+        ("[[[1]]]", "1"),
+        ("[+1]", "1"),
+        ("SQRT[[3*3]+4*4]", "5"),
+    ] {
+        exact(&text.replace(' ', ""), value);
+    }
+}
+
+#[test]
+fn errors() {
+    for (text, error) in [
+        ("[1/0]", Error::DivisionByZero),
+        ("[1MOD0]", Error::DivisionByZero),
+        ("[0**-1]", Error::DivisionByZero),
+        ("[0**-0.5]", Error::DivisionByZero),
+        ("SQRT[-1]", Error::ArgumentOutOfRange),
+        ("LN[0]", Error::ArgumentOutOfRange),
+        ("ASIN[1.1]", Error::ArgumentOutOfRange),
+        ("ACOS[-1.1]", Error::ArgumentOutOfRange),
+        ("TAN[90]", Error::ArgumentOutOfRange),
+        ("[-2**0.5]", Error::ArgumentOutOfRange),
+        ("EXP[200]", Error::InvalidResult),
+        ("[10**60]", Error::InvalidResult),
+        ("[", Error::ExpressionSyntax),
+        ("[]", Error::ExpressionSyntax),
+        ("[1", Error::ExpressionSyntax),
+        ("[1+]", Error::ExpressionSyntax),
+        ("[*1]", Error::ExpressionSyntax),
+        ("[1 2", Error::ExpressionSyntax),
+        ("[1.2.3]", Error::ExpressionSyntax),
+        ("ATAN[1]", Error::ExpressionSyntax),
+        ("ATAN[1]/2", Error::ExpressionSyntax),
+        ("[1ADD2]", Error::UnknownOperation),
+        ("[FOO[1]]", Error::UnknownOperation),
+        ("[SIN30]", Error::UnknownOperation),
+        ("#0", Error::InvalidArgument),
+        ("#1.5", Error::InvalidArgument),
+        ("#<a", Error::ExpressionSyntax),
+        ("#<>", Error::ExpressionSyntax),
+        ("#<nothing>", Error::InvalidArgument),
+        ("EXISTS[1]", Error::UnknownOperation),
+        ("EXISTS[#<a>", Error::ExpressionSyntax),
+        ("#", Error::ExpressionSyntax),
+    ] {
+        let lookup = |reference: Reference| match reference {
+            Reference::Number(0) => Err(Error::InvalidArgument),
+            _ => Ok(None),
+        };
+        let text = text.replace(' ', "");
+        assert_eq!(expression::value(text.as_bytes(), lookup).err(), Some(error), "{text}");
+    }
+}
+
+#[test]
+fn depth_is_bounded() {
+    let nested = |depth: usize| format!("{}1{}", "[".repeat(depth), "]".repeat(depth));
+    assert_eq!(compute(&nested(32)), Ok(Real::ONE));
+    assert_eq!(compute(&nested(33)), Err(Error::TooDeep));
+    assert_eq!(compute(&("-".repeat(33) + "1")), Err(Error::TooDeep));
+    // Left sides are computed as soon as the level allows.
+    assert_eq!(compute(&format!("[1{}]", "+1".repeat(100))), Ok(number("101")));
+}
+
+#[test]
+fn numbers_of_programs() {
+    for (text, value, places) in [("10.1", 101_000_000, 1), ("0.12345678", 1_234_568, 7), ("1000", 10_000_000_000, 0)] {
+        let read = number(text);
+        assert_eq!((read.to_decimal().0, read.places()), (value, places), "{text}");
+    }
+    assert_eq!(number("99999999999999999999").neg().to_decimal().0, -i64::MAX);
+    assert_eq!(number("0.00000000000000000000001").to_decimal().0, 0);
+    assert_eq!(Real::read(b"."), None);
+    assert_eq!(Real::read(b"-1"), None);
+}
+
+/// An expression, and what a person with `f64` makes of it.
+#[derive(Clone, Debug)]
+enum Tree {
+    Number(i64, u32),
+    Negative(Box<Tree>),
+    Binary(&'static str, Box<Tree>, Box<Tree>),
+    Function(&'static str, Box<Tree>),
+    Atan(Box<Tree>, Box<Tree>),
+}
+
+/// A value and by how much it may be off: the rounding of every operation, through all that follows.
+#[derive(Clone, Copy, Debug)]
+struct Estimate {
+    value: f64,
+    error: f64,
+}
+
+const ROUNDING: f64 = 2e-15;
+
+impl Estimate {
+    /// `None` where the result is no number, or its error would be too large for a comparison.
+    fn new(value: f64, error: f64) -> Option<Estimate> {
+        let error = error + ROUNDING * value.abs();
+        // Much smaller ones are 0.
+        let in_range = value == 0.0 || (1e-25..1e30).contains(&value.abs());
+        (in_range && error < 1e-3 * value.abs().max(1e-6)).then_some(Estimate { value, error })
+    }
+}
+
+impl Tree {
+    fn text(&self) -> String {
+        match self {
+            Tree::Number(digits, places) => {
+                let one = 10_i64.pow(*places);
+                format!("{}.{:0width$}", digits / one, digits % one, width = *places as usize)
+            }
+            Tree::Negative(of) => format!("-{}", of.text()),
+            Tree::Binary(operator, a, b) => format!("[{}{operator}{}]", a.text(), b.text()),
+            Tree::Function(name, of) => format!("{name}[{}]", of.text()),
+            Tree::Atan(y, x) => format!("ATAN[{}]/[{}]", y.text(), x.text()),
+        }
+    }
+
+    fn estimate(&self) -> Option<Estimate> {
+        match self {
+            Tree::Number(digits, places) => Estimate::new(*digits as f64 / 10_f64.powi(*places as i32), 0.0),
+            Tree::Negative(of) => {
+                let of = of.estimate()?;
+                Some(Estimate { value: -of.value, ..of })
+            }
+            Tree::Binary(operator, a, b) => {
+                let (a, b) = (a.estimate()?, b.estimate()?);
+                match *operator {
+                    "+" => Estimate::new(a.value + b.value, a.error + b.error),
+                    "-" => Estimate::new(a.value - b.value, a.error + b.error),
+                    "*" => Estimate::new(a.value * b.value, a.error * b.value.abs() + b.error * a.value.abs()),
+                    "/" => {
+                        let value = a.value / b.value;
+                        Estimate::new(value, (a.error + value.abs() * b.error) / b.value.abs())
+                    }
+                    // Powers that only a zero or a one survives.
+                    "**" if b.value.abs() > 1e9 => None,
+                    "**" => {
+                        let value = a.value.powf(b.value);
+                        let relative = (b.value * a.error / a.value).abs() + b.error * a.value.abs().ln().abs();
+                        let of_function = 1e-13 + 1e-15 * (b.value * a.value.abs().ln()).abs();
+                        Estimate::new(value, value.abs() * (relative + of_function))
+                    }
+                    _ => unreachable!(),
+                }
+            }
+            Tree::Function(name, of) => {
+                let Estimate { value: x, error } = of.estimate()?;
+                let radians = x.to_radians();
+                let per_degree = 1_f64.to_radians();
+                // What the reduction of a large angle costs `f64`.
+                let turned = error * per_degree + radians.abs() * 3e-16;
+                match *name {
+                    "SIN" => Estimate::new(radians.sin(), turned + ROUNDING),
+                    "COS" => Estimate::new(radians.cos(), turned + ROUNDING),
+                    "TAN" => {
+                        let slope = 1.0 + radians.tan().powi(2);
+                        Estimate::new(radians.tan(), (turned + ROUNDING) * slope)
+                    }
+                    "ASIN" => Estimate::new(x.asin().to_degrees(), error / (1.0 - x * x).sqrt() / per_degree + 1e-13),
+                    "ACOS" => Estimate::new(x.acos().to_degrees(), error / (1.0 - x * x).sqrt() / per_degree + 1e-13),
+                    "ABS" => Estimate::new(x.abs(), error),
+                    "SQRT" => Estimate::new(x.sqrt(), error / (2.0 * x.sqrt())),
+                    "LN" => Estimate::new(x.ln(), error / x + ROUNDING),
+                    "EXP" => Estimate::new(x.exp(), x.exp() * (error + 1e-13)),
+                    _ => unreachable!(),
+                }
+            }
+            Tree::Atan(y, x) => {
+                let (y, x) = (y.estimate()?, x.estimate()?);
+                let size = x.value.hypot(y.value);
+                Estimate::new(y.value.atan2(x.value).to_degrees(), (x.error + y.error) / size * 60.0 + 1e-13)
+            }
+        }
+    }
+}
+
+fn tree() -> impl Strategy<Value = Tree> {
+    let number = prop_oneof![
+        3 => (0_i64..100_000, 0_u32..4),
+        1 => (0_i64..1_000_000_000_000, 0_u32..10),
+    ];
+    number.prop_map(|(digits, places)| Tree::Number(digits, places)).prop_recursive(5, 24, 3, |inner| {
+        let function = prop::sample::select(vec!["SIN", "COS", "TAN", "ASIN", "ACOS", "ABS", "SQRT", "LN", "EXP"]);
+        let operator = prop::sample::select(vec!["+", "-", "*", "/", "**"]);
+        prop_oneof![
+            1 => inner.clone().prop_map(|of| Tree::Negative(Box::new(of))),
+            5 => (operator, inner.clone(), inner.clone())
+                .prop_map(|(operator, a, b)| Tree::Binary(operator, Box::new(a), Box::new(b))),
+            3 => (function, inner.clone()).prop_map(|(name, of)| Tree::Function(name, Box::new(of))),
+            1 => (inner.clone(), inner).prop_map(|(y, x)| Tree::Atan(Box::new(y), Box::new(x))),
+        ]
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4000))]
+
+    #[test]
+    fn as_f64_computes(tree in tree()) {
+        if let Some(Estimate { value, error }) = tree.estimate() {
+            let text = tree.text();
+            let computed = compute(&text);
+            prop_assert!(computed.is_ok(), "{text} is {value}: {computed:?}");
+            let off = (f64_of(computed.unwrap()) - value).abs();
+            prop_assert!(off <= 2.0 * error + 1e-40, "{text} is {value}, off by {off} with {error} allowed");
+        }
+    }
+
+    #[test]
+    fn functions_keep_their_accuracy(digits in 0..1_000_000_000_i64, places in 0_u32..10) {
+        let x = digits as f64 / 10_f64.powi(places as i32);
+        let text = Tree::Number(digits, places).text();
+        let is = |name: &str| f64_of(compute(&format!("{name}[{text}]")).unwrap());
+        // Of the angle within one turn, for `f64` loses digits of the others.
+        let turn = (x % 360.0).to_radians();
+        let lost = x * 1e-17;
+        prop_assert!((is("SIN") - turn.sin()).abs() < 2e-15 + lost, "{text}");
+        prop_assert!((is("COS") - turn.cos()).abs() < 2e-15 + lost, "{text}");
+        prop_assert!((is("SQRT") / x.max(1e-300).sqrt() - 1.0).abs() < 4e-16 || x == 0.0);
+        if x > 0.0 {
+            prop_assert!((is("LN") - x.ln()).abs() < 1e-15 + x.ln().abs() * 3e-16, "{text}");
+        }
+        if x < 90.0 {
+            prop_assert!((is("EXP") / x.exp() - 1.0).abs() < 6e-14, "{text}");
+        }
+    }
+
+    /// Also the discontinuous ones, on numbers in which both count exactly.
+    #[test]
+    fn whole_numbers_as_integers(a in -100_000_i64..100_000, b in -1000_i64..1000) {
+        let is = |text: &str| compute(text).map(f64_of);
+        prop_assert_eq!(is(&format!("[[{a}]*[{b}]]")), Ok((a * b) as f64));
+        if b != 0 {
+            prop_assert_eq!(is(&format!("[{a}MOD{b}]")), Ok(a.rem_euclid(b) as f64));
+            let quotient = format!("{}.0", a);
+            prop_assert_eq!(is(&format!("FIX[{quotient}/{b}]")), Ok((a as f64 / b as f64).floor()));
+            prop_assert_eq!(is(&format!("FUP[{quotient}/{b}]")), Ok((a as f64 / b as f64).ceil()));
+        }
+        for (operator, truth) in [
+            ("EQ", a == b), ("NE", a != b), ("GT", a > b), ("GE", a >= b), ("LT", a < b), ("LE", a <= b),
+            ("AND", a != 0 && b != 0), ("OR", a != 0 || b != 0), ("XOR", (a != 0) != (b != 0)),
+        ] {
+            prop_assert_eq!(is(&format!("[{a}{operator}{b}]")), Ok(f64::from(u8::from(truth))));
+        }
+    }
+
+    /// Whatever comes has an answer, which takes no more of the text than there is.
+    #[test]
+    fn any_text_has_an_answer(text in "([-+*/#<>=.0-9\\[\\]A-Z]|SIN\\[|ATAN\\[|\\]/\\[|\\*\\*|EXISTS\\[#|MOD|[0-9]{1,20}){0,60}") {
+        if let Ok((_, used)) = expression::value(text.as_bytes(), no_parameters) {
+            prop_assert!(used > 0 && used <= text.len());
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Where expressions, parameters and O words are left out to save flash: what uses them is refused by its own error.
+
+use super::interpreter::Interpreter;
+use super::word::Word;
+use crate::axes::PerAxis;
+use crate::error::Error;
+use crate::units::Coordinate;
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Computed<const N: usize>;
+
+impl<const N: usize> Computed<N> {
+    pub const fn new() -> Self {
+        Self
+    }
+
+    pub fn reset(&mut self) {}
+
+    pub fn begin(&mut self) {}
+
+    pub fn assigns(&self) -> bool {
+        false
+    }
+
+    pub fn commit(&mut self) {}
+
+    pub fn end_program(&mut self) {}
+}
+
+/// A line of held text, of which there is none.
+pub type HeldLine = heapless::Vec<u8, 1>;
+
+/// What a line of the host is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// To be checked and carried out.
+    Check,
+    /// Done with.
+    Done,
+    /// Held text is to be run.
+    Run,
+}
+
+/// What comes next of held text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Held {
+    /// This line is to be checked and carried out.
+    Line,
+    /// Nothing for others; ask again.
+    Again,
+    /// It has come to its end.
+    End,
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// Every line is to be checked.
+    pub fn direct(&mut self, _: &[u8]) -> Result<Direction, Error> {
+        Ok(Direction::Check)
+    }
+
+    /// Lines that a condition has left out.
+    pub fn skipped(&self) -> u32 {
+        0
+    }
+
+    /// There is no held text.
+    pub fn next_held(&mut self, _: &mut HeldLine) -> Result<Held, Error> {
+        Ok(Held::End)
+    }
+
+    /// There is no held text.
+    pub fn abandon_held(&mut self) {}
+
+    /// There are no conditions.
+    pub fn leave_stream(&mut self) {}
+
+    /// There are no conditions.
+    pub fn abandon_program(&mut self) {}
+
+    /// Where parameters exist, they show it.
+    pub fn set_probed(&mut self, _: &PerAxis<Coordinate, N>, _: bool) {}
+
+    /// The remark as it is: there are no parameters.
+    pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
+        for byte in remark {
+            let _ = out.push(*byte);
+        }
+    }
+
+    pub(super) fn compute<'t>(&self, _: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
+        let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
+        match text.get(signs) {
+            Some(b'[' | b'#') => Err(Error::ExpressionsLeftOut),
+            _ => Err(Error::BadNumber),
+        }
+    }
+
+    pub(super) fn assign<'t>(&mut self, _: &'t [u8]) -> Result<&'t [u8], Error> {
+        Err(Error::ExpressionsLeftOut)
+    }
+}

@@ -1,0 +1,377 @@
+//! Canned cycles: one line that drills, pecks or bores holes, and the moves that it is made of.
+//!
+//! ```text
+//!  clear  ───▶ (in the plane, rapid) ──┐                        ▲
+//!                                      │ rapid                  │ as the cycle says
+//!  R      ─────────────────────────────┼────────────────────────┤
+//!                                      │ feed, at once or       │
+//!                                      │ in pecks of Q          │
+//!  bottom                              ▼ dwell, spindle stop ───┘
+//! ```
+//! All levels lie along the axis across the selected plane. Where the tool is below R at the start, it first rises to R
+//! above the point where it is. The clear level is R with G99, and with G98 the level at which the series of cycles
+//! began, if that is above R. Order and levels are those of RS274NGC.
+
+use super::check::{Check, Motion, along, reachable};
+use super::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, Plane, PlaneAxes};
+use super::word::Letters;
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::messages::SpindleDirection;
+use crate::units::{Coordinate, Decimal, Duration, per_second};
+
+/// Most repetitions that L may ask for.
+const REPEATS_MAX: i32 = 1_000_000;
+
+/// The words that stay in force while the same cycle word does, and the level that G98 goes back to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CycleWords {
+    plane: Plane,
+    /// R as it was written, in mm.
+    r: Coordinate,
+    /// The word of the axis across the plane, as it was written, in mm.
+    depth: Coordinate,
+    /// Q.
+    peck: Coordinate,
+    /// P.
+    dwell: Duration,
+    /// Machine coordinate at which the series of cycles began.
+    level: Coordinate,
+}
+
+impl CycleWords {
+    /// Before the first cycle.
+    pub const NONE: CycleWords = CycleWords {
+        plane: Plane::Xy,
+        r: Coordinate::ZERO,
+        depth: Coordinate::ZERO,
+        peck: Coordinate::ZERO,
+        dwell: Duration::from_ticks(0),
+        level: Coordinate::ZERO,
+    };
+}
+
+/// What follows when the bottom is reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum After {
+    Dwell,
+    SpindleOff,
+    Pause,
+    FeedToR,
+    FeedToClear,
+    RapidToClear,
+    SpindleOn,
+}
+
+impl CycleKind {
+    const fn after_bottom(self) -> &'static [After] {
+        use After::{Dwell, FeedToClear, FeedToR, Pause, RapidToClear, SpindleOff, SpindleOn};
+        match self {
+            CycleKind::ChipBreak | CycleKind::Drill | CycleKind::Peck => &[RapidToClear],
+            CycleKind::DrillDwell => &[Dwell, RapidToClear],
+            CycleKind::Bore => &[FeedToR, RapidToClear],
+            CycleKind::BoreStop => &[Dwell, SpindleOff, RapidToClear, SpindleOn],
+            CycleKind::BoreManual => &[Dwell, SpindleOff, Pause, RapidToClear, SpindleOn],
+            CycleKind::BoreDwell => &[Dwell, FeedToClear],
+        }
+    }
+
+    /// Whether Q gives the depth of a peck.
+    pub const fn pecks(self) -> bool {
+        matches!(self, CycleKind::ChipBreak | CycleKind::Peck)
+    }
+
+    /// Whether P gives the dwell at the bottom.
+    pub const fn dwells(self) -> bool {
+        matches!(self, CycleKind::DrillDwell | CycleKind::BoreStop | CycleKind::BoreManual | CycleKind::BoreDwell)
+    }
+
+    /// Whether the spindle stops at the bottom.
+    pub const fn stops_spindle(self) -> bool {
+        matches!(self, CycleKind::BoreStop | CycleKind::BoreManual)
+    }
+}
+
+/// One thing that a cycle does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CycleStep<const N: usize> {
+    /// A rapid, which may be of no length.
+    Rapid(PerAxis<Coordinate, N>),
+    /// A feed move at so many mm/s, which may be of no length.
+    Feed(PerAxis<Coordinate, N>, f32),
+    /// At the bottom.
+    Dwell(Duration),
+    /// The spindle stops.
+    SpindleOff,
+    /// The program pauses.
+    Pause,
+    /// The spindle turns again.
+    SpindleOn(SpindleDirection),
+}
+
+/// Which step is next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Next {
+    /// Up to R where the tool is.
+    Rise,
+    /// To the next hole, in the plane.
+    Plane,
+    /// Down to R.
+    Approach,
+    /// To the bottom, or a peck towards it.
+    Cut,
+    /// Out of the hole to R.
+    Out,
+    /// Down again, or back from the ground, to where the next peck begins.
+    Return,
+    /// So many of [`CycleKind::after_bottom`] are done.
+    After(u8),
+}
+
+/// A cycle line: its holes, and how far it has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cycle<const N: usize> {
+    /// Which cycle.
+    pub kind: CycleKind,
+    axes: PlaneAxes,
+    /// Where the tool is after the step before.
+    place: PerAxis<Coordinate, N>,
+    /// The next hole; its coordinate along the depth does not count.
+    hole: PerAxis<Coordinate, N>,
+    /// From a hole to the next one.
+    pitch: [Coordinate; 2],
+    /// Holes that have not been begun.
+    left: u32,
+    r: Coordinate,
+    bottom: Coordinate,
+    clear: Coordinate,
+    /// Bottom of the latest peck.
+    reached: Coordinate,
+    next: Next,
+    feed: f32,
+    spindle: SpindleDirection,
+    pub(super) words: CycleWords,
+}
+
+impl<const N: usize> Cycle<N> {
+    fn at_depth(&self, place: &PerAxis<Coordinate, N>, depth: Coordinate) -> PerAxis<Coordinate, N> {
+        let mut place = *place;
+        place.set(self.axes.linear, depth);
+        place
+    }
+
+    /// The hole that is so many after the next one.
+    fn hole_after(&self, count: u32) -> PerAxis<Coordinate, N> {
+        let mut hole = self.hole;
+        for (axis, pitch) in [self.axes.first, self.axes.second].into_iter().zip(self.pitch) {
+            let way = pitch.0.saturating_mul(i64::from(count));
+            hole.set(axis, along(&hole, axis) + Coordinate(way));
+        }
+        hole
+    }
+
+    /// The corners of all that is to come: every move leads from one of these points, or from a point between two of
+    /// them, to another. Before the first step only.
+    pub fn corners(&self) -> [PerAxis<Coordinate, N>; 6] {
+        let high = along(&self.place, self.axes.linear).max(self.r);
+        let last = self.hole_after(self.left.saturating_sub(1));
+        [
+            self.at_depth(&self.place, high),
+            self.at_depth(&self.hole, high),
+            self.at_depth(&self.hole, self.bottom),
+            self.at_depth(&self.hole, self.clear),
+            self.at_depth(&last, self.bottom),
+            self.at_depth(&last, self.clear),
+        ]
+    }
+
+    /// Whether motion has to be at rest before the next step.
+    pub fn next_rests(&self) -> bool {
+        let Next::After(done) = self.next else { return false };
+        matches!(
+            self.kind.after_bottom().get(usize::from(done)),
+            Some(After::Dwell | After::SpindleOff | After::Pause | After::SpindleOn)
+        )
+    }
+
+    /// The next step. `clearance`: how far the tool backs off after a peck, and above the ground of a hole it rapids
+    /// down to; never above R.
+    pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
+        let r = self.r;
+        let (next, depth, is_feed) = match self.next {
+            Next::Plane if self.left == 0 => return None,
+            Next::Rise => (Next::Plane, along(&self.place, self.axes.linear).max(r), false),
+            Next::Plane => {
+                let level = along(&self.place, self.axes.linear);
+                self.place = self.hole;
+                (Next::Approach, level, false)
+            }
+            Next::Approach => {
+                self.reached = r;
+                (Next::Cut, r, false)
+            }
+            Next::Cut => {
+                let peck = if self.kind.pecks() { self.reached - self.words.peck } else { self.bottom };
+                self.reached = peck.max(self.bottom);
+                let next = match self.kind {
+                    _ if self.reached == self.bottom => Next::After(0),
+                    CycleKind::Peck => Next::Out,
+                    _ => Next::Return,
+                };
+                (next, self.reached, true)
+            }
+            Next::Out => (Next::Return, r, false),
+            Next::Return => (Next::Cut, (self.reached + clearance).min(r), false),
+            Next::After(done) => return self.after(done),
+        };
+        self.next = next;
+        Some(self.go(depth, is_feed))
+    }
+
+    fn after(&mut self, done: u8) -> Option<CycleStep<N>> {
+        let all = self.kind.after_bottom();
+        let after = all.get(usize::from(done)).copied()?;
+        self.next = Next::After(done + 1);
+        if usize::from(done) + 1 == all.len() {
+            self.next = Next::Plane;
+            self.hole = self.hole_after(1);
+            self.left = self.left.saturating_sub(1);
+        }
+        Some(match after {
+            After::Dwell => CycleStep::Dwell(self.words.dwell),
+            After::SpindleOff => CycleStep::SpindleOff,
+            After::Pause => CycleStep::Pause,
+            After::FeedToR => self.go(self.r, true),
+            After::FeedToClear => self.go(self.clear, true),
+            After::RapidToClear => self.go(self.clear, false),
+            After::SpindleOn => CycleStep::SpindleOn(self.spindle),
+        })
+    }
+
+    fn go(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
+        self.place.set(self.axes.linear, depth);
+        if is_feed { CycleStep::Feed(self.place, self.feed) } else { CycleStep::Rapid(self.place) }
+    }
+}
+
+impl<const N: usize> Check<'_, N> {
+    /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
+    /// same plane.
+    pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let modal = self.checked.modal;
+        if modal.feed_mode == FeedMode::InverseTime {
+            return Err(Error::CycleNeedsPerMinute);
+        }
+        // M6 in the line may stop it.
+        let stopped = self.checked.tool_change && self.line.spindle.is_none();
+        if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
+            return Err(Error::SpindleNotTurning);
+        }
+        let axes = modal.plane.axes();
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        if Axis::of_machine::<N>().skip(3).any(|axis| self.line.axes.has(axis)) {
+            return Err(Error::AxisWordsUnused);
+        }
+        let words = self.cycle_words(kind, axes)?;
+        let place = self.state.position;
+        let mut hole = self.target();
+        hole.set(axes.linear, along(&place, axes.linear));
+        let incremental = modal.distance == Distance::Incremental;
+        let (pitch, (r, bottom)) = if incremental {
+            let pitch = [axes.first, axes.second].map(|axis| along(&hole, axis) - along(&place, axis));
+            (pitch, (words.level + words.r, words.level + words.r + words.depth))
+        } else {
+            let origin = self.work_offset(axes.linear);
+            ([Coordinate::ZERO; 2], (origin + words.r, origin + words.depth))
+        };
+        if r < bottom {
+            return Err(Error::RetractBelowBottom);
+        }
+        let clear = if modal.retract_to_r { r } else { words.level.max(r) };
+        let cycle = Cycle {
+            kind,
+            axes,
+            place,
+            hole,
+            pitch,
+            left: self.repeats()?,
+            r,
+            bottom,
+            clear,
+            reached: r,
+            next: Next::Rise,
+            feed: per_second(modal.feed.to_f32()),
+            spindle: modal.spindle,
+            words,
+        };
+        for corner in &cycle.corners() {
+            reachable(corner)?;
+        }
+        self.checked.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
+        self.checked.motion = Motion::Cycle(cycle);
+        Ok(())
+    }
+
+    /// The words of the line over those that are in force.
+    fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
+        let (before, modal) = (&self.state.modal, self.checked.modal);
+        let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
+        let sticky = series && before.motion == MotionMode::Cycle(kind);
+        let mut words = if series {
+            self.state.cycle
+        } else {
+            let level = along(&self.state.position, axes.linear);
+            CycleWords { plane: modal.plane, level, ..CycleWords::NONE }
+        };
+        let line = self.line;
+        let unused = self.unused;
+        let missing = |letter| !(sticky || unused.has(letter));
+        let depth_missing = !(sticky || line.axes.has(axes.linear));
+        if depth_missing || missing(b'R') || kind.pecks() && missing(b'Q') || kind.dwells() && missing(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        if line.axes.has(axes.linear) {
+            words.depth = self.axis_length(axes.linear);
+        }
+        if self.take(b'R') {
+            words.r = self.length(line.r);
+        }
+        if kind.pecks() && self.take(b'Q') {
+            words.peck = self.length(line.q);
+            if words.peck <= Coordinate::ZERO {
+                return Err(Error::ValueOutOfRange);
+            }
+        }
+        if kind.dwells() && self.take(b'P') {
+            words.dwell = super::check::seconds(line.p);
+        }
+        Ok(words)
+    }
+
+    /// L: how many holes, all in one place with G90, in a row with G91.
+    fn repeats(&mut self) -> Result<u32, Error> {
+        if !self.take(b'L') {
+            return Ok(1);
+        }
+        let count = self.line.l.truncate();
+        if Decimal::from_int(count) != self.line.l {
+            return Err(Error::IntegerRequired);
+        }
+        if !(1..=REPEATS_MAX).contains(&count) {
+            return Err(Error::ValueOutOfRange);
+        }
+        Ok(count.unsigned_abs())
+    }
+
+    /// Whether the line has a word of this letter that no other command has used; this one uses it.
+    pub(super) fn take(&mut self, letter: u8) -> bool {
+        let has = self.unused.has(letter);
+        self.unused.remove(Letters::of(&[letter]));
+        has
+    }
+}

@@ -1,0 +1,86 @@
+//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides, M70 to M72 for the modal state.
+
+use super::check::Check;
+use super::modal::{EXTENDED, Modal, OverridesHeld};
+use super::word::{Groups, Letters};
+use crate::axes::PerAxis;
+use crate::error::Error;
+use crate::units::{Coordinate, Decimal};
+
+/// What M70 has kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Saved<const N: usize> {
+    modal: Modal,
+    tool_length: PerAxis<Coordinate, N>,
+    g92_acts: bool,
+}
+
+/// What a line does with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keeping {
+    /// Nothing.
+    Leave,
+    /// M70.
+    Save,
+    /// M71.
+    Forget,
+}
+
+impl<const N: usize> Saved<N> {
+    pub(super) fn of(modal: Modal, tool_length: PerAxis<Coordinate, N>, g92_acts: bool) -> Self {
+        Self { modal, tool_length, g92_acts }
+    }
+}
+
+impl<const N: usize> Check<'_, N> {
+    /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.
+    pub(super) fn overrides(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.extended.overrides.filter(|_| EXTENDED) else { return Ok(()) };
+        let takes_p = matches!(word, 50..=53);
+        let on = match takes_p && self.take(b'P') {
+            false => word != 49,
+            true if self.line.p == Decimal::ZERO => false,
+            true if self.line.p == Decimal::from_int(1) => true,
+            true => return Err(Error::ValueOutOfRange),
+        };
+        let held = &mut self.checked.modal.overrides_held;
+        match word {
+            48 | 49 => *held = OverridesHeld { feed: !on, spindle: !on },
+            50 => held.feed = !on,
+            51 => held.spindle = !on,
+            // There is no input for an adaptive feed, and the hold button always acts.
+            _ if on == (word == 52) => return Err(Error::NotSupported),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// M70 to M72, which have a line of their own.
+    pub(super) fn keep_state(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.extended.keep.filter(|_| EXTENDED) else { return Ok(()) };
+        let mut others = self.line.values;
+        others.remove(Letters::of(b"N"));
+        if !(others.is_empty() && self.line.groups.within(Groups::KEEP)) {
+            return Err(Error::ModalGroupViolation);
+        }
+        match word {
+            70 => self.checked.after.keeping = Keeping::Save,
+            71 => self.checked.after.keeping = Keeping::Forget,
+            _ => {
+                let saved = self.state.saved.ok_or(Error::NothingSaved)?;
+                let before = &self.state.modal;
+                let checked = &mut *self.checked;
+                checked.modal =
+                    Modal { motion: before.motion, straight: before.straight, tool: before.tool, ..saved.modal };
+                checked.tool_length = saved.tool_length;
+                // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
+                if checked.after.g92_acts != saved.g92_acts {
+                    let kept = self.state.offsets.g92_kept;
+                    checked.g92 = if saved.g92_acts { kept } else { PerAxis::all(Coordinate::ZERO) };
+                    checked.after.g92_acts = saved.g92_acts;
+                }
+            }
+        }
+        Ok(())
+    }
+}

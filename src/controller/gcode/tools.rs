@@ -1,0 +1,138 @@
+//! Tools: their lengths in a table, which of them the spindle holds, and the words that use both (T, M6, G43, G10 L1).
+
+use super::Dialect;
+use super::check::{Check, along};
+use super::modal::{CoordinateSystem, EXTENDED};
+use super::offsets::{StoredOffset, TOOL_AXIS};
+use super::word::{Letters, ToolLength};
+use crate::axes::{AxisMask, PerAxis};
+use crate::error::Error;
+use crate::units::{Coordinate, Decimal};
+
+/// How many tools the table holds.
+pub const TOOLS: usize = if EXTENDED { 32 } else { 0 };
+
+/// A tool of the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tool<const N: usize> {
+    /// Its number, from 1 on; 0 for a free entry.
+    pub number: u32,
+    /// How far its tip is from the point that the spindle alone would have, by axis.
+    pub offset: PerAxis<Coordinate, N>,
+}
+
+/// The tools whose offsets are kept over power-off, in the order in which they were entered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToolTable<const N: usize>([Tool<N>; TOOLS]);
+
+impl<const N: usize> ToolTable<N> {
+    /// No tools.
+    pub const EMPTY: Self = Self([Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) }; TOOLS]);
+
+    /// All entries, the free ones included.
+    pub fn entries(&self) -> &[Tool<N>] {
+        &self.0
+    }
+
+    /// The entry of a tool, or the first free one.
+    pub fn slot(&self, number: u32) -> Option<usize> {
+        let find = |wanted| self.0.iter().position(|tool| tool.number == wanted);
+        find(number).or_else(|| find(0))
+    }
+
+    /// What an entry holds from now on.
+    pub fn put(&mut self, slot: usize, tool: Tool<N>) {
+        if let Some(entry) = self.0.get_mut(slot) {
+            *entry = tool;
+        }
+    }
+
+    /// The offset of a tool; nothing for an unknown one. No tool at all (0) has no offset.
+    pub fn offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
+        if number == 0 {
+            return Some(PerAxis::all(Coordinate::ZERO));
+        }
+        self.0.iter().find(|tool| tool.number == number).map(|tool| tool.offset)
+    }
+}
+
+impl<const N: usize> Check<'_, N> {
+    /// T selects, M6 puts what is selected into the spindle.
+    pub(super) fn tool(&mut self) {
+        let modal = &mut self.checked.modal;
+        if self.line.values.has(b'T') {
+            modal.tool = self.line.t.truncate().unsigned_abs();
+        } else if self.dialect == Dialect::Grbl {
+            modal.tool = 0;
+        }
+        self.checked.tool_change = self.line.extended.tool_change && modal.tool != self.state.spindle_tool;
+        self.checked.after.spindle_word = self.line.spindle.is_some();
+        self.checked.after.spindle_tool =
+            if self.line.extended.tool_change { modal.tool } else { self.state.spindle_tool };
+    }
+
+    /// Group 8. Only the axes' next moves are affected.
+    pub(super) fn tool_length(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.tool_length else { return Ok(()) };
+        let offset = match word {
+            ToolLength::Cancel => PerAxis::all(Coordinate::ZERO),
+            ToolLength::Dynamic => {
+                let along_tool = self.dialect != Dialect::Grbl || self.line.axes == AxisMask::NONE.with(TOOL_AXIS);
+                if self.line.axes.is_empty() || !along_tool {
+                    return Err(Error::ToolLengthAxis);
+                }
+                self.with_axis_words(self.checked.tool_length, |_, value| value)
+            }
+            ToolLength::FromTable => self.tool_of_h()?,
+            ToolLength::Add if !self.line.values.has(b'H') => return Err(Error::ValueWordMissing),
+            ToolLength::Add => self.tool_of_h()?.zip(&self.checked.tool_length, |more, present| more + present),
+        };
+        self.checked.tool_length = offset;
+        Ok(())
+    }
+
+    /// The offset that H names; that of the tool in the spindle without H or with H0.
+    fn tool_of_h(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let number = if self.take(b'H') { whole(self.line.h)? } else { 0 };
+        let number = if number == 0 { self.checked.after.spindle_tool } else { number };
+        self.state.tools.offset(number).ok_or(Error::UnknownTool)
+    }
+
+    /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43.
+    pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let number = whole(self.line.p)?;
+        if !self.line.values.has(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        let offsets = &self.state.offsets;
+        if number == 0 || self.state.tools.slot(number).is_none() {
+            return Err(Error::UnknownTool);
+        }
+        self.unused.remove(Letters::of(b"LP"));
+        // Where the work zero of the tool's tip is: L10 in the active system with its G92, L11 in the ninth, which holds a
+        // fixture.
+        let origin = if l == 11 {
+            offsets.system(CoordinateSystem::G59_3)
+        } else {
+            offsets.system(self.checked.modal.coordinate_system).zip(&offsets.g92, |origin, g92| origin + g92)
+        };
+        let present = self.state.tools.offset(number).unwrap_or(PerAxis::all(Coordinate::ZERO));
+        self.checked.store = Some(StoredOffset::Tool(number));
+        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+            if l == 1 { value } else { self.position(axis) - along(&origin, axis) - value }
+        }));
+        Ok(())
+    }
+}
+
+/// The number of a tool.
+fn whole(value: Decimal) -> Result<u32, Error> {
+    let number = value.truncate();
+    if Decimal::from_int(number) == value { Ok(number.unsigned_abs()) } else { Err(Error::IntegerRequired) }
+}

@@ -1,0 +1,318 @@
+//! Spindle (or laser), coolant and the operator's overrides: what the program has switched on, and what of it is on now.
+//!
+//! ```text
+//!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
+//!                                              0x9E in a hold, door, laser in a hold
+//! ```
+//! Spindle and coolant are off after a reset, an alarm and the end of the program.
+
+use super::realtime_override::Overrides;
+use super::spindle::SpindleRange;
+use crate::messages::{Coolant, SpindleDirection};
+use crate::settings::{Key, Settings};
+use crate::units::{Duration, Instant};
+
+/// Spindle, coolant and overrides.
+#[derive(Clone, Copy, Debug)]
+pub struct Accessories {
+    overrides: Overrides,
+    /// They have changed, and motion does not follow them yet.
+    overrides_due: bool,
+    direction: SpindleDirection,
+    coolant: Coolant,
+    /// The spindle is stopped although the program has it on.
+    suspended: bool,
+    /// S of the last line, rpm.
+    speed: f32,
+    /// A hold is being left: motion resumes when the spindle turns (`$394`), at this moment at the earliest.
+    spinning_up: Option<Instant>,
+}
+
+/// Whether a spindle that was switched on turns as fast as it should.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SpinUp {
+    /// Not yet.
+    Waits,
+    /// It does.
+    UpToSpeed,
+    /// It should have by now (`$916`).
+    Late,
+}
+
+impl Accessories {
+    /// Off, and everything as programmed.
+    pub const OFF: Accessories = Accessories {
+        overrides: Overrides::NONE,
+        overrides_due: false,
+        direction: SpindleDirection::Off,
+        coolant: Coolant { flood: false, mist: false },
+        suspended: false,
+        speed: 0.0,
+        spinning_up: None,
+    };
+
+    /// The overrides.
+    pub fn overrides(&self) -> Overrides {
+        self.overrides
+    }
+
+    /// Other overrides. Whether they differ.
+    pub fn set_overrides(&mut self, overrides: Overrides) -> bool {
+        let differ = overrides != self.overrides;
+        self.overrides = overrides;
+        self.overrides_due |= differ;
+        differ
+    }
+
+    /// Whether motion has to follow other overrides from here on. All presses since the last call are one change: each
+    /// plans the whole look-ahead again, which takes about a millisecond, so a burst of them would starve the step queue.
+    #[inline]
+    pub fn take_overrides_due(&mut self) -> bool {
+        core::mem::take(&mut self.overrides_due)
+    }
+
+    /// Direction of the spindle as programmed.
+    #[inline]
+    pub fn spindle(&self) -> SpindleDirection {
+        self.direction
+    }
+
+    /// Whether the program has the spindle on.
+    #[inline]
+    pub fn is_on(&self) -> bool {
+        self.direction != SpindleDirection::Off
+    }
+
+    /// Whether the spindle is stopped although the program has it on.
+    #[inline]
+    pub fn is_suspended(&self) -> bool {
+        self.suspended
+    }
+
+    /// Direction as the output has it.
+    #[inline]
+    pub fn spindle_output(&self) -> SpindleDirection {
+        if self.suspended { SpindleDirection::Off } else { self.direction }
+    }
+
+    /// The coolant.
+    #[inline]
+    pub fn coolant(&self) -> Coolant {
+        self.coolant
+    }
+
+    /// S of a line.
+    pub fn set_speed(&mut self, rpm: f32) {
+        self.speed = rpm;
+    }
+
+    /// M3, M4, M5: how long a spindle then takes to turn or to come to rest. A laser takes no time.
+    pub fn set_spindle<const N: usize>(&mut self, direction: SpindleDirection, settings: &Settings<N>) -> Duration {
+        let changed = direction != self.direction;
+        self.direction = direction;
+        if !changed || settings.is_on(Key::Laser) {
+            return Duration::from_ticks(0);
+        }
+        settings.seconds(if direction == SpindleDirection::Off { Key::SpinDown } else { Key::SpinUp })
+    }
+
+    /// M7, M8, M9.
+    pub fn set_coolant(&mut self, coolant: Coolant) {
+        self.coolant = coolant;
+    }
+
+    /// M5.
+    pub fn stop_spindle(&mut self) {
+        self.direction = SpindleDirection::Off;
+    }
+
+    /// M5 and M9.
+    pub fn switch_off(&mut self) {
+        self.stop_spindle();
+        self.coolant = Coolant::default();
+    }
+
+    /// The spindle is stopped until [`Accessories::restore`]; the program keeps it on.
+    pub fn suspend(&mut self) {
+        self.suspended = true;
+    }
+
+    /// Ends [`Accessories::suspend`]. Whether it was suspended.
+    pub fn restore(&mut self) -> bool {
+        core::mem::take(&mut self.suspended)
+    }
+
+    /// When the spindle for which the end of a hold waits turns, at the earliest.
+    #[inline]
+    pub fn spinning_up(&self) -> Option<Instant> {
+        self.spinning_up
+    }
+
+    /// The end of a hold waits for the spindle.
+    pub fn spin_up(&mut self, until: Instant) {
+        self.spinning_up = Some(until);
+    }
+
+    /// The end of a hold does not wait for the spindle, or is called off.
+    pub fn end_spin_up(&mut self) {
+        self.spinning_up = None;
+    }
+
+    /// Whether a cut has to wait for the input that tells of the spindle's speed (`$915`).
+    pub fn must_tell_speed<const N: usize>(&self, settings: &Settings<N>) -> bool {
+        settings.whole(Key::AtSpeed) != 0 && !settings.is_on(Key::Laser) && self.is_on()
+    }
+
+    /// Whether the spindle turns as it should, as far as can be known. `input`: the level of the input for it.
+    pub fn is_at_speed<const N: usize>(&self, input: bool, settings: &Settings<N>) -> bool {
+        !self.must_tell_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
+    }
+
+    /// Whether a spindle that should have turned long enough at the moment `until` has, and is up to speed.
+    pub fn spun_up<const N: usize>(&self, until: Instant, now: Instant, input: bool, settings: &Settings<N>) -> SpinUp {
+        if now < until {
+            SpinUp::Waits
+        } else if self.is_at_speed(input, settings) {
+            SpinUp::UpToSpeed
+        } else if now >= until + settings.seconds(Key::AtSpeedWithin) {
+            SpinUp::Late
+        } else {
+            SpinUp::Waits
+        }
+    }
+
+    /// When [`Accessories::spun_up`] has to be asked again, if no input changes.
+    pub fn next_look<const N: usize>(until: Instant, now: Instant, settings: &Settings<N>) -> Instant {
+        if now < until { until } else { until + settings.seconds(Key::AtSpeedWithin) }
+    }
+
+    /// Power of a spindle that is on while nothing moves. A laser with constant power (M3) stays on between feed motions
+    /// (`burns_at_rest`); one with scaled power (M4) is off at no speed. `running`: power of the move under way. `percent`: the
+    /// override.
+    pub fn resting_power<const N: usize>(
+        &self,
+        settings: &Settings<N>,
+        percent: u8,
+        burns_at_rest: impl FnOnce() -> bool,
+        running: impl FnOnce() -> Option<u16>,
+    ) -> u16 {
+        let range = SpindleRange::of(settings);
+        let speed = if settings.is_on(Key::Laser) {
+            if self.direction != SpindleDirection::Clockwise || !burns_at_rest() {
+                return 0;
+            }
+            // The segments carry the power of its moves.
+            self.speed
+        } else {
+            // S of the move under way. Without one that of the last line.
+            match running() {
+                Some(power) if power != range.output(self.speed, 100).0 => range.speed_of(power),
+                _ => self.speed,
+            }
+        };
+        range.output(speed, percent).0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(values: &[(u16, f32)]) -> Settings<3> {
+        let mut settings = Settings::default();
+        values.iter().for_each(|(number, value)| settings.restore(*number, *value));
+        settings
+    }
+
+    const SPIN_UP: u16 = Key::SpinUp.number();
+    const AT_SPEED: u16 = Key::AtSpeed.number();
+    const WITHIN: u16 = Key::AtSpeedWithin.number();
+    const LASER: u16 = Key::Laser.number();
+
+    fn at(seconds: u64) -> Instant {
+        Instant::from_ticks(0) + Duration::secs(seconds)
+    }
+
+    #[test]
+    fn a_spindle_takes_its_time_and_a_laser_none() {
+        let spindle = settings(&[(SPIN_UP, 4.0)]);
+        let mut off = Accessories::OFF;
+        assert_eq!(off.set_spindle(SpindleDirection::Clockwise, &spindle), Duration::secs(4));
+        assert_eq!(off.set_spindle(SpindleDirection::Clockwise, &spindle), Duration::secs(0), "it turns already");
+        let laser = settings(&[(SPIN_UP, 4.0), (LASER, 1.0)]);
+        let mut off = Accessories::OFF;
+        assert_eq!(off.set_spindle(SpindleDirection::Clockwise, &laser), Duration::secs(0));
+    }
+
+    #[test]
+    fn a_spindle_that_tells_its_speed_is_waited_for_and_late_at_last() {
+        let settings = settings(&[(AT_SPEED, 1.0), (WITHIN, 5.0)]);
+        let mut on = Accessories::OFF;
+        on.set_spindle(SpindleDirection::Clockwise, &settings);
+        let spun_up = |now, input| on.spun_up(at(4), at(now), input, &settings);
+        assert_eq!((spun_up(3, true), spun_up(4, true)), (SpinUp::Waits, SpinUp::UpToSpeed));
+        assert_eq!(
+            (spun_up(4, false), spun_up(8, false), spun_up(9, false)),
+            (SpinUp::Waits, SpinUp::Waits, SpinUp::Late)
+        );
+        assert_eq!(Accessories::OFF.spun_up(at(4), at(4), false, &settings), SpinUp::UpToSpeed, "nothing turns");
+    }
+
+    #[test]
+    fn a_suspended_spindle_is_off_and_comes_back() {
+        let mut on = Accessories::OFF;
+        on.set_spindle(SpindleDirection::CounterClockwise, &settings(&[]));
+        on.suspend();
+        assert_eq!((on.spindle_output(), on.is_on()), (SpindleDirection::Off, true));
+        assert!(on.restore() && !on.restore());
+        assert_eq!(on.spindle_output(), SpindleDirection::CounterClockwise);
+    }
+
+    #[test]
+    fn at_rest_a_laser_burns_with_constant_power_only() {
+        let laser = settings(&[(LASER, 1.0)]);
+        let power = |direction, burns_at_rest: bool| {
+            let mut on = Accessories::OFF;
+            on.set_speed(1000.0);
+            on.set_spindle(direction, &laser);
+            on.resting_power(&laser, 100, || burns_at_rest, || Some(7))
+        };
+        assert_eq!(power(SpindleDirection::Clockwise, true), u16::MAX);
+        assert_eq!(power(SpindleDirection::Clockwise, false), 0);
+        assert_eq!(power(SpindleDirection::CounterClockwise, true), 0);
+    }
+
+    #[test]
+    fn the_override_acts_on_the_move_under_way() {
+        let settings = settings(&[]);
+        let mut on = Accessories::OFF;
+        on.set_speed(1000.0);
+        on.set_spindle(SpindleDirection::Clockwise, &settings);
+        let range = SpindleRange::of(&settings);
+        let (slow, half) = (range.output(400.0, 100).0, range.output(200.0, 100).0);
+        let power = |running| on.resting_power(&settings, 50, || false, || running);
+        assert!(power(Some(slow)).abs_diff(half) <= 1);
+        assert_eq!(power(Some(slow)), range.overridden(slow, 50));
+        assert_eq!(power(None), range.output(500.0, 100).0);
+    }
+
+    #[test]
+    fn other_overrides_differ() {
+        let mut on = Accessories::OFF;
+        let half = Overrides { spindle: 50, ..Overrides::NONE };
+        assert!(on.set_overrides(half));
+        assert!(!on.set_overrides(half));
+        assert_eq!(on.overrides(), half);
+    }
+
+    #[test]
+    fn many_presses_are_one_change_for_motion() {
+        let mut on = Accessories::OFF;
+        assert!(!on.take_overrides_due());
+        for feed in [110, 120, 130] {
+            on.set_overrides(Overrides { feed, ..Overrides::NONE });
+        }
+        assert!(on.take_overrides_due());
+        assert!(!on.take_overrides_due());
+    }
+}

@@ -1,0 +1,246 @@
+//! The ledger of stops: how many have been asked for, how many have happened, and why one is awaited.
+//!
+//! ```text
+//!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume
+//!                                 ▲
+//!  reset, armed input: they have stopped it already, and are only counted
+//! ```
+//! Stops are counted on both sides, so one that has happened is never taken for another that was asked for later.
+
+use crate::error::Alarm;
+
+/// Why a stop is awaited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopReason {
+    /// 0x18 or the reset button.
+    Reset,
+    /// An alarm follows.
+    Alarm(Alarm),
+    /// A homing switch.
+    Switch,
+    /// The probe: the step task has braked already.
+    Contact,
+    /// An armed input of a machine that was locked already.
+    Nothing,
+}
+
+impl StopReason {
+    /// A reset wins over everything, an alarm over a homing switch: what they end, the others cannot continue.
+    const fn weight(self) -> u8 {
+        match self {
+            StopReason::Nothing => 1,
+            StopReason::Switch | StopReason::Contact => 2,
+            StopReason::Alarm(Alarm::EmergencyStop) => 5,
+            StopReason::Alarm(Alarm::DriverFault) => 4,
+            StopReason::Alarm(_) => 3,
+            StopReason::Reset => 6,
+        }
+    }
+}
+
+/// A stop that is over: all that were asked for have happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Finished {
+    /// Why it was awaited.
+    pub reason: StopReason,
+    /// The machine was stepping when it came.
+    pub moving: bool,
+    /// N word of what was running, 0 = none.
+    pub line: u32,
+}
+
+/// Stops asked for and stops that have happened.
+#[derive(Clone, Copy, Debug)]
+pub struct Stops {
+    awaited: Option<StopReason>,
+    /// Stops that must have happened before it is over (wrapping).
+    expected: u16,
+    /// Stops that have happened (wrapping).
+    seen: u16,
+    /// The machine was stepping at one of them.
+    moving: bool,
+    /// N word of what was running at the last of them, 0 = none.
+    line: u32,
+    /// The step task has to be told to stop.
+    ordered: bool,
+    /// The step task has to be opened again.
+    resume: bool,
+}
+
+impl Stops {
+    /// Nothing has stopped.
+    pub const NONE: Stops =
+        Stops { awaited: None, expected: 0, seen: 0, moving: false, line: 0, ordered: false, resume: false };
+
+    /// Why a stop is awaited, if one is.
+    #[inline]
+    pub fn awaited(&self) -> Option<StopReason> {
+        self.awaited
+    }
+
+    /// Whether a stop is awaited.
+    #[inline]
+    pub fn is_awaited(&self) -> bool {
+        self.awaited.is_some()
+    }
+
+    /// Whether nothing is awaited and the step task has been told everything.
+    pub fn is_idle(&self) -> bool {
+        self.awaited.is_none() && !self.ordered && !self.resume
+    }
+
+    /// Whether the step task takes messages. A stop may have happened of which only the step task has told yet.
+    #[inline]
+    pub fn is_open(&self) -> bool {
+        self.awaited.is_none() && self.seen == self.expected
+    }
+
+    /// Armed inputs have stopped the step task so often.
+    pub fn count(&mut self, stops: u8) {
+        self.expected = self.expected.wrapping_add(u16::from(stops));
+    }
+
+    /// A stop that is counted already is awaited for this reason.
+    pub fn wait_for(&mut self, reason: StopReason) {
+        if self.awaited.is_none_or(|awaited| reason.weight() > awaited.weight()) {
+            self.awaited = Some(reason);
+        }
+    }
+
+    /// A stop has been asked for by somebody who has also stopped the step task.
+    pub fn begin(&mut self, reason: StopReason) {
+        self.count(1);
+        self.wait_for(reason);
+    }
+
+    /// Asks the step task to stop. Two reasons before it has been told are one stop.
+    pub fn order(&mut self, reason: StopReason) {
+        if !self.ordered {
+            self.count(1);
+        }
+        self.ordered = true;
+        self.wait_for(reason);
+    }
+
+    /// Whether the step task has to be told to stop now.
+    #[inline]
+    pub fn take_order(&mut self) -> bool {
+        let ordered = self.ordered;
+        if ordered {
+            self.ordered = false;
+        }
+        ordered
+    }
+
+    /// The count of stops to open the step task with, if that is due.
+    #[inline]
+    pub fn take_resume(&mut self) -> Option<u16> {
+        core::mem::take(&mut self.resume).then_some(self.seen)
+    }
+
+    /// The step task has stopped, as it was told.
+    pub fn happened(&mut self, stops: u16, moving: bool, line: u32) {
+        self.seen = stops;
+        self.moving |= moving;
+        self.line = line;
+    }
+
+    /// The step task has stopped at speed for want of segments.
+    pub fn underrun(&mut self, stops: u16) {
+        self.count(1);
+        self.seen = stops;
+        self.moving = true;
+        self.awaited.get_or_insert(StopReason::Alarm(Alarm::Underrun));
+    }
+
+    /// The awaited stop, once every stop that was asked for has happened. The step task is opened again after it.
+    pub fn finish(&mut self) -> Option<Finished> {
+        let reason = self.awaited?;
+        // An order that is not out yet cannot have been obeyed, whatever else has stopped meanwhile.
+        if self.ordered || (self.seen.wrapping_sub(self.expected) as i16) < 0 {
+            return None;
+        }
+        let finished = Finished { reason, moving: self.moving, line: self.line };
+        // A stop that has happened and has not been counted yet keeps it shut: see `is_open`.
+        *self = Stops { expected: self.expected, seen: self.seen, resume: true, ..Stops::NONE };
+        Some(finished)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_ends_when_it_has_been_obeyed() {
+        let mut stops = Stops::NONE;
+        stops.order(StopReason::Switch);
+        stops.happened(0, false, 0);
+        assert!(stops.finish().is_none(), "it is not out yet");
+        assert!(stops.take_order() && !stops.take_order());
+        assert!(stops.finish().is_none() && !stops.is_open());
+        stops.happened(1, true, 7);
+        assert_eq!(stops.finish(), Some(Finished { reason: StopReason::Switch, moving: true, line: 7 }));
+        assert!(!stops.is_idle() && stops.is_open());
+        assert_eq!((stops.take_resume(), stops.take_resume()), (Some(1), None));
+        assert!(stops.is_idle() && stops.finish().is_none());
+    }
+
+    #[test]
+    fn two_orders_before_one_is_out_are_one_stop() {
+        let mut stops = Stops::NONE;
+        stops.order(StopReason::Switch);
+        stops.order(StopReason::Alarm(Alarm::HardLimit));
+        assert!(stops.take_order());
+        stops.happened(1, false, 0);
+        assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Alarm(Alarm::HardLimit)));
+    }
+
+    #[test]
+    fn the_weightier_reason_wins_whichever_comes_first() {
+        let rising = [
+            StopReason::Nothing,
+            StopReason::Contact,
+            StopReason::Alarm(Alarm::HardLimit),
+            StopReason::Alarm(Alarm::DriverFault),
+            StopReason::Alarm(Alarm::EmergencyStop),
+            StopReason::Reset,
+        ];
+        for (i, low) in rising.iter().enumerate() {
+            for high in rising.iter().skip(i) {
+                for pair in [[*low, *high], [*high, *low]] {
+                    let mut stops = Stops::NONE;
+                    pair.into_iter().for_each(|reason| stops.wait_for(reason));
+                    assert_eq!(stops.awaited(), Some(*high));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_stop_that_happened_before_its_reason_was_known_is_over_at_once() {
+        let mut stops = Stops::NONE;
+        // The step task tells first; the reset that stopped it comes through the other queue.
+        stops.happened(1, true, 0);
+        assert!(stops.finish().is_none() && !stops.is_open());
+        stops.begin(StopReason::Reset);
+        assert_eq!(stops.finish().map(|f| f.moving), Some(true));
+        // Counts wrap.
+        let mut stops = Stops { expected: u16::MAX, seen: u16::MAX, ..Stops::NONE };
+        stops.begin(StopReason::Reset);
+        assert!(stops.finish().is_none());
+        stops.happened(0, false, 0);
+        assert!(stops.finish().is_some());
+    }
+
+    #[test]
+    fn an_underrun_counts_itself_and_yields_to_what_is_awaited() {
+        let mut stops = Stops::NONE;
+        stops.underrun(1);
+        let reason = StopReason::Alarm(Alarm::Underrun);
+        assert_eq!(stops.finish(), Some(Finished { reason, moving: true, line: 0 }));
+        stops.begin(StopReason::Nothing);
+        stops.underrun(3);
+        assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Nothing));
+    }
+}

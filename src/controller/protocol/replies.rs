@@ -1,0 +1,210 @@
+//! What waits to be sent to the host: the queue of answers, a status report that was asked for, and news that are told
+//! once.
+
+use super::report::{RareFields, is_answer};
+use super::text::PIECE;
+use crate::messages::{Chunk, Restart};
+
+/// Bytes of answers that wait for the serial task.
+const BYTES: usize = 1024;
+/// Free bytes that a listing, a status report or a line asks for before it begins.
+const RESERVE: usize = 2 * PIECE;
+
+/// Answers and reports to come.
+// Small things first: one instruction reaches 4 KiB from the base of the controller.
+#[derive(Clone, Debug)]
+#[repr(C)]
+pub struct Replies {
+    /// Hosts that have gone (wrapping).
+    hosts_gone: u16,
+    /// A startup line has been echoed: the answer to it follows on the same line.
+    echoed: bool,
+    /// `?` has been asked and not yet answered.
+    status_due: bool,
+    rare_fields: RareFields,
+    /// The host knows of the failure before this start.
+    restart_told: bool,
+    restart: Restart,
+    queue: heapless::Deque<u8, BYTES>,
+}
+
+impl Default for Replies {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Replies {
+    /// Nothing to say.
+    pub const fn new() -> Self {
+        Self {
+            hosts_gone: 0,
+            echoed: false,
+            status_due: false,
+            rare_fields: RareFields::DUE,
+            restart_told: false,
+            restart: Restart::POWER,
+            queue: heapless::Deque::new(),
+        }
+    }
+
+    /// Whether there is room for what can wait for it.
+    #[inline]
+    pub fn has_room(&self) -> bool {
+        self.queue.capacity() - self.queue.len() >= RESERVE
+    }
+
+    /// Whether nothing waits to be sent.
+    pub fn is_idle(&self) -> bool {
+        self.queue.is_empty() && !self.status_due
+    }
+
+    /// A host has gone; this is the number (wrapping) of such hosts.
+    pub fn host_left(&mut self, hosts_gone: u16) {
+        self.hosts_gone = hosts_gone;
+    }
+
+    /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a
+    /// message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole.
+    ///
+    /// `hosts_cut`: of the hosts that have gone those whose last line has been read. The next host would take the answer
+    /// to a line of one that has gone for one of its own, so it is left out.
+    // Once, and not in each of the forty calls that say something.
+    #[inline(never)]
+    pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
+        let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_answer(text);
+        if unheard || self.queue.capacity() - self.queue.len() < text.len() {
+            return;
+        }
+        self.echoed = text.last() == Some(&b':');
+        for byte in text {
+            let _ = self.queue.push_back(*byte);
+        }
+    }
+
+    /// The next bytes to be sent.
+    pub fn next_chunk(&mut self) -> Option<Chunk> {
+        let mut chunk = Chunk { len: 0, bytes: [0; 15] };
+        for slot in &mut chunk.bytes {
+            let Some(byte) = self.queue.pop_front() else { break };
+            *slot = byte;
+            chunk.len += 1;
+        }
+        (chunk.len > 0).then_some(chunk)
+    }
+
+    /// `?`
+    pub fn ask_status(&mut self) {
+        self.status_due = true;
+    }
+
+    /// Whether a status report has to be made now.
+    #[inline]
+    pub fn take_status(&mut self) -> bool {
+        let now = self.status_due && self.has_room();
+        self.status_due &= !now;
+        now
+    }
+
+    /// After a reset no report is due, and the first carries what is rare.
+    pub fn reset(&mut self) {
+        self.rare_fields = RareFields::DUE;
+        self.status_due = false;
+    }
+
+    /// The work offset has changed: the next report shows it.
+    pub fn offset_changed(&mut self) {
+        self.rare_fields.offset_changed();
+    }
+
+    /// An override or accessory has changed: the next report shows it.
+    pub fn overrides_changed(&mut self) {
+        self.rare_fields.overrides_changed();
+    }
+
+    /// Whether the report made now carries (`WCO`, `Ov`).
+    pub fn rare_fields(&mut self, busy: bool) -> (bool, bool) {
+        self.rare_fields.next(busy)
+    }
+
+    /// What is known of the end before this start.
+    pub fn restarted(&mut self, restart: Restart) {
+        self.restart = restart;
+    }
+
+    /// The failure that a welcome line is followed by: at each until the host has asked for the record, as the first may
+    /// not have been heard.
+    pub fn failure(&self) -> Option<&Restart> {
+        (self.restart.is_failure() && !self.restart_told).then_some(&self.restart)
+    }
+
+    /// `$RC`: the record.
+    pub fn tell_restart(&mut self) -> &Restart {
+        self.restart_told = true;
+        &self.restart
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::ResetCause;
+
+    fn sent(replies: &mut Replies) -> String {
+        let mut all = Vec::new();
+        while let Some(chunk) = replies.next_chunk() {
+            all.extend_from_slice(chunk.as_bytes());
+        }
+        String::from_utf8(all).unwrap()
+    }
+
+    #[test]
+    fn what_finds_no_room_is_left_out_as_a_whole() {
+        let mut replies = Replies::new();
+        let text = [b'x'; 300];
+        for _ in 0..3 {
+            replies.push(&text, 0);
+        }
+        assert!(!replies.has_room());
+        replies.push(&text, 0);
+        replies.push(b"ALARM:1\r\n", 0);
+        assert_eq!(sent(&mut replies), "x".repeat(900) + "ALARM:1\r\n");
+        assert!(replies.has_room() && replies.is_idle());
+    }
+
+    #[test]
+    fn a_host_that_has_gone_gets_no_answers_until_its_lines_are_read() {
+        let mut replies = Replies::new();
+        replies.host_left(1);
+        replies.push(b"ok\r\n", 0);
+        replies.push(b"[MSG:Pgm End]\r\n", 0);
+        replies.push(b">G0X1:", 0);
+        replies.push(b"ok\r\n", 0);
+        replies.push(b"error:1\r\n", 0);
+        replies.push(b"ok\r\n", 1);
+        assert_eq!(sent(&mut replies), "[MSG:Pgm End]\r\n>G0X1:ok\r\nok\r\n");
+    }
+
+    #[test]
+    fn a_status_report_waits_for_room() {
+        let mut replies = Replies::new();
+        assert!(!replies.take_status());
+        replies.push(&[b'x'; BYTES], 0);
+        replies.ask_status();
+        assert!(!replies.take_status() && !replies.is_idle());
+        sent(&mut replies);
+        assert!(replies.take_status() && !replies.take_status());
+    }
+
+    #[test]
+    fn a_failure_is_told_until_it_has_been_asked_for() {
+        let mut replies = Replies::new();
+        assert_eq!(replies.failure(), None);
+        let failure = Restart { cause: ResetCause::Watchdog, crash: None };
+        replies.restarted(failure.clone());
+        replies.reset();
+        assert_eq!(replies.failure(), Some(&failure));
+        assert_eq!(*replies.tell_restart(), failure);
+        assert_eq!(replies.failure(), None);
+    }
+}

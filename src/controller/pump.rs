@@ -1,0 +1,107 @@
+//! The order in which the controller is told what has happened and asked what is to be done. It is a rule: firmware,
+//! simulator and the suites on the target follow this code, so that they make the same steps of the same bytes.
+//!
+//! ```text
+//!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends
+//!    ▲                                                                        │
+//!    └──── a message to the step task, a stop, a question to store or pins ◀──┘
+//! ```
+//! Each message to the step task begins another round, so the look-ahead is as full as the received bytes allow before each
+//! segment is cut, and the steps do not depend on the speed of the processor. Whatever is answered by an event (a stop, a
+//! stored record, the view of the pins) begins one too: the answer is told before another output is asked for, and there is
+//! never more than one of a kind under way.
+
+use crate::controller::Controller;
+use crate::messages::{Event, LineByte, Observed, Output, Room};
+use crate::units::Instant;
+
+/// Where events come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The step task: stopped, ran dry, touched.
+    Step,
+    /// Hosts that have gone and come.
+    Hosts,
+    /// Realtime commands, in the order of their coming.
+    Commands,
+    /// Levels of the inputs.
+    Inputs,
+    /// The answer to [`Output::ReadPins`].
+    Pins,
+    /// The answer to [`Output::Store`].
+    Store,
+}
+
+/// The order of the sources. A command is told after the step task's reports of what came before it, and a host that has
+/// gone before the commands of the next one.
+const ORDER: [Source; 6] = [Source::Step, Source::Hosts, Source::Commands, Source::Inputs, Source::Pins, Source::Store];
+
+/// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
+pub trait Pump<const N: usize, const BLOCKS: usize> {
+    /// Whether something wakes the pump when more comes in or room is made while a round lasts. If not, a round in which
+    /// anything was done is followed by another.
+    const IS_WOKEN: bool;
+    /// The controller that is carried.
+    fn controller(&mut self) -> &mut Controller<N, BLOCKS>;
+    /// A round begins; gives the time for all of it. Of the line bytes only those that are queued now belong to the round:
+    /// so a report asked for by `?` comes before the answer to a line that ends after it.
+    fn begin(&mut self) -> Instant;
+    /// How far the step task is, and what has been received and not yet taken.
+    fn observed(&mut self) -> Observed;
+    /// Takes the next event of a source.
+    fn next_event(&mut self, source: Source) -> Option<Event<N>>;
+    /// Takes the next byte of a line, if it may be taken now.
+    fn next_line_byte(&mut self) -> Option<LineByte>;
+    /// Events and lines have been taken: what has found no room in their queues may come now. `took`: there were any.
+    /// Gives whether something has come.
+    fn make_room(&mut self, took: bool) -> bool;
+    /// What the queues of outputs can take.
+    fn room(&mut self) -> Room;
+    /// Carries an output to where it is done. There is room for it.
+    fn carry(&mut self, output: Output);
+}
+
+/// One round; whether another one may find more to do.
+#[inline]
+pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut P) -> bool {
+    let now = pump.begin();
+    observe(pump);
+    let (mut events, mut lines) = (false, false);
+    for source in ORDER {
+        while let Some(event) = pump.next_event(source) {
+            // What has been received before an event is taken, has come before it.
+            observe(pump);
+            pump.controller().event(now, event);
+            events = true;
+        }
+    }
+    while pump.controller().wants_line()
+        && let Some(byte) = pump.next_line_byte()
+    {
+        pump.controller().event(now, Event::Line(byte));
+        lines = true;
+    }
+    let came = pump.make_room(events || lines);
+    let mut again = lines || came || events && !P::IS_WOKEN;
+    loop {
+        let room = pump.room();
+        let Some(output) = pump.controller().output(now, room) else { return again };
+        let begins_again = match output {
+            // Events first: a long arc must not keep a stop waiting.
+            Output::Worked => return true,
+            Output::Step(_) | Output::Stop | Output::Store(_) | Output::ReadPins { .. } => true,
+            Output::Reply(_) | Output::Pins(_) | Output::Wiring(_) => false,
+        };
+        pump.carry(output);
+        if begins_again {
+            return true;
+        }
+        again |= !P::IS_WOKEN;
+    }
+}
+
+#[inline]
+fn observe<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>) {
+    let observed = pump.observed();
+    pump.controller().observe(observed);
+}

@@ -1,0 +1,249 @@
+//! O words: which lines run, how often, and with which parameters. The expected lists were tried on LinuxCNC's interpreter
+//! where it takes the same text.
+#![cfg(feature = "expressions")]
+
+use oxmill_controller::gcode::{Checked, Dialect, Direction, Held, HeldLine, Interpreter, Motion};
+use proptest::prelude::*;
+
+/// A program as a host sends it: what X every rapid goes to, and the error numbers.
+struct Sender {
+    interpreter: Interpreter<3>,
+    went: Vec<i64>,
+    errors: Vec<u8>,
+    lines: u32,
+}
+
+impl Sender {
+    fn new() -> Self {
+        Self { interpreter: Interpreter::new(), went: Vec::new(), errors: Vec::new(), lines: 0 }
+    }
+
+    fn carry_out(&mut self, line: &[u8]) -> bool {
+        let mut checked = Checked::NOTHING;
+        self.lines += 1;
+        match self.interpreter.check_into(line, Dialect::Oxmill, &mut checked) {
+            Ok(()) => {
+                if let Motion::Line { target, .. } = checked.motion {
+                    self.went.push(target.0[0].0 / 10_000_000);
+                }
+                self.interpreter.commit(&checked);
+                true
+            }
+            Err(error) => {
+                self.errors.push(error.code());
+                false
+            }
+        }
+    }
+
+    fn send(&mut self, line: &str) {
+        let line: String = line.split(';').next().unwrap().replace(' ', "").to_uppercase();
+        match self.interpreter.direct(line.as_bytes()) {
+            Ok(Direction::Check) => {
+                self.carry_out(line.as_bytes());
+            }
+            Ok(Direction::Done) => {}
+            Ok(Direction::Run) => {
+                let mut held = HeldLine::new();
+                loop {
+                    match self.interpreter.next_held(&mut held) {
+                        Ok(Held::Line) => {
+                            if !self.carry_out(&held) {
+                                self.interpreter.abandon_held();
+                                break;
+                            }
+                        }
+                        Ok(Held::Again) => {}
+                        Ok(Held::End) => break,
+                        Err(error) => {
+                            self.errors.push(error.code());
+                            break;
+                        }
+                    }
+                }
+            }
+            Err(error) => self.errors.push(error.code()),
+        }
+    }
+
+    fn send_all(&mut self, text: &str) -> &mut Self {
+        text.lines().for_each(|line| self.send(line));
+        self
+    }
+}
+
+/// Where a program goes.
+#[track_caller]
+fn goes(text: &str, places: &[i64]) {
+    let mut sender = Sender::new();
+    sender.send_all(text);
+    assert_eq!((sender.went, sender.errors), (places.to_vec(), vec![]), "{text}");
+}
+
+/// The errors of a program, and where it goes all the same.
+#[track_caller]
+fn fails(text: &str, errors: &[u8], places: &[i64]) {
+    let mut sender = Sender::new();
+    sender.send_all(text);
+    assert_eq!((sender.errors, sender.went), (errors.to_vec(), places.to_vec()), "{text}");
+}
+
+#[test]
+fn conditions() {
+    for (a, b, place) in [(1, 0, 1), (1, 1, 1), (0, 1, 2), (0, 0, 3)] {
+        let text = format!("o1 if [{a}]\nG0 X1\no1 elseif [{b}]\nG0 X2\no1 else\nG0 X3\no1 endif\nG0 X4");
+        goes(&text, &[place, 4]);
+    }
+    goes("o1 if [0]\no2 if [1]\nX1\no2 else\nX2\no2 endif\nM2\no1 endif\nX3", &[3]);
+    goes("N1 o<a b> if [1]\no2 if [0]\nX1\no2 else\nX2\no2 endif\no<AB> else\nX5\no<ab> endif\nX3", &[2, 3]);
+    goes("#1=5\no010 if [#1 GT 3]\nX#1\no10 endif", &[5]);
+    // What is skipped is not looked at.
+    goes("o1 if [0]\nnonsense\no1 elseif [0]\nX[1/0]\no1 endif\nX1", &[1]);
+    goes("o1 if [1]\no1 elseif [1/0]\no1 endif\nX1", &[1]);
+}
+
+#[test]
+fn conditions_that_do_not_fit() {
+    fails("o1 else", &[81], &[]);
+    fails("o1 endif", &[81], &[]);
+    fails("o1 if [1]\no2 endif\no1 endif\nX1", &[81], &[1]);
+    fails("o1 if 1", &[81], &[]);
+    fails("o1 if [1] X5\nX1", &[81], &[]);
+    // Neither branch of a condition without a value.
+    fails("o1 if [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
+    fails("o1 break", &[81], &[]);
+    fails("o1 endwhile\no1 endrepeat\no1 return\no1 endsub\no1 continue", &[81; 5], &[]);
+    let deep: String = (0..17).map(|label| format!("o{label} if [1]\n")).collect();
+    fails(&deep, &[82], &[]);
+}
+
+#[test]
+fn loops() {
+    goes("o1 while [#1 LT 3]\n#1=[#1+1]\nX#1\no1 endwhile\nX9", &[1, 2, 3, 9]);
+    goes("o1 while [0]\nX1\no1 endwhile\nX9", &[9]);
+    goes("#1=5\no1 do\n#1=[#1-1]\nX#1\no1 while [#1 GT 3]\nX9", &[4, 3, 9]);
+    goes("o1 repeat [2.7]\n#1=[#1+1] X[#1]\no1 endrepeat\nX9", &[0, 1, 2, 9]);
+    goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
+    goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
+    // A loop within a loop, and a condition within it.
+    goes(
+        "o1 repeat [2]\no2 repeat [3]\n#1=[#1+1]\no3 if [#1 MOD 2]\nX#1\no3 endif\no2 endrepeat\nX-1\no1 endrepeat",
+        &[1, 3, -1, 5, -1],
+    );
+    goes(
+        "o1 while [1]\n#1=[#1+1]\no2 if [#1 EQ 2]\no1 continue\no2 endif\no3 if [#1 EQ 4]\no1 break\no3 endif\nX#1\n\
+         o1 endwhile\nX9",
+        &[1, 3, 9],
+    );
+    goes("o1 do\n#1=[#1+1]\no2 if [#1 EQ 1]\no1 continue\no2 endif\nX#1\no1 while [#1 LT 3]\nX9", &[2, 3, 9]);
+    goes("o1 do\nX1\no1 break\nX2\no1 while [1]\nX9", &[1, 9]);
+    goes("o1 repeat [3]\n#1=[#1+1]\no2 if [#1 EQ 2]\no1 continue\no2 endif\nX#1\no1 endrepeat\nX9", &[1, 3, 9]);
+    // A loop within a branch.
+    goes("o1 if [1]\no2 repeat [2]\nX1\no2 endrepeat\no1 else\nX2\no1 endif\nX9", &[1, 1, 9]);
+}
+
+#[test]
+fn subroutines() {
+    goes("o100 sub\nX1\no100 endsub\nX2\no100 call\nX3", &[2, 1, 3]);
+    goes("o100 sub\nX[#1+#2]\n#1=50\no100 endsub\n#1=7\no100 call [1] [2]\nX#1\no100 call\nX#1", &[3, 7, 0, 7]);
+    goes("o<f> sub\no<f> return [#1*2]\nX99\no<f> endsub\no<f> call [4]\nX#<_value> Y#<_value_returned>", &[8]);
+    goes(
+        "o1 sub\no1 endsub [5]\no1 call\nX[#<_value>+#<_value_returned>]\no2 sub\no2 endsub\no2 call\nX#<_value>",
+        &[6, 0],
+    );
+    // Names are local unless they begin with an underline.
+    goes("o1 sub\n#<a>=1 #<_b>=2\no1 endsub\no1 call\nX[EXISTS[#<a>]] \nX#<_b>", &[0, 2]);
+    // Calls within calls, and from loops.
+    goes("o1 sub\nX#1\no1 endsub\no2 sub\no1 call [#1+10]\nX#1\no2 endsub\no2 call [1]\nX9", &[11, 1, 9]);
+    goes("o1 sub\no2 if [#1 GT 0]\nX#1\no1 call [#1-1]\no2 endif\no1 endsub\no1 call [3]\nX9", &[3, 2, 1, 9]);
+    goes("o1 sub\nX#1\no1 endsub\no3 repeat [2]\no1 call [5]\no3 endrepeat\nX9", &[5, 5, 9]);
+    goes("o1 sub\no2 while [1]\nX1\no1 return\no2 endwhile\no1 endsub\no1 call\nX9", &[1, 9]);
+    // The one that was defined last.
+    goes("o1 sub\nX1\no1 endsub\no2 sub\nX2\no2 endsub\no1 sub\nX3\no1 endsub\no1 call\no2 call\no1 call", &[3, 2, 3]);
+    // The body does not run when it is defined.
+    goes("o1 sub\nX1\nM2\no1 endsub\nX2", &[2]);
+}
+
+#[test]
+fn subroutines_that_do_not_fit() {
+    fails("o1 call", &[81], &[]);
+    fails("o1 sub\no2 sub\nX1\no1 endsub\no1 call\nX2", &[81, 81, 81, 81], &[2]);
+    fails("o1 sub\no2 endsub\nX1\no1 endsub\nX2", &[81, 81, 81], &[2]);
+    fails("o1 sub\no1 endsub\no1 call [1\nX1", &[75], &[1]);
+    fails("o1 sub\no1 endsub\no1 call 5\nX1", &[81], &[1]);
+    // An error within ends the call, and what was local to it.
+    fails("o1 sub\n#1=8\nX1\nX[1/0]\nX2\no1 endsub\n#1=7\no1 call\nX#1", &[72], &[1, 7]);
+    fails("o1 sub\no2 if [1]\no1 endsub\no1 call\nX1", &[81], &[1]);
+    fails("o1 sub\no2 if [0]\no1 endsub\no3 sub\nX5\no3 endsub\no1 call\nX1", &[81], &[1]);
+    fails("o1 sub\no1 call\no1 endsub\no1 call\nX1", &[82], &[1]);
+    fails("o1 while [1]\no1 endwhile\nX1", &[202], &[1]);
+    fails("o1 repeat [2]\no1 return\no1 endrepeat\nX1", &[81], &[1]);
+    fails("o1 repeat [2]\no2 break\no1 endrepeat\nX1", &[81], &[1]);
+    fails("o1 repeat [2]\no2 endwhile\no1 endrepeat\nX1", &[81], &[1]);
+}
+
+/// 2 KiB of text. What does not fit is refused to its end: no line of it runs by itself.
+#[test]
+fn memory_for_text() {
+    let line = "G1 F100 X1.5 Y2.5 Z-0.5\n";
+    let sub = |label: u32, lines: usize| format!("o{label} sub\n{}o{label} endsub\n", line.repeat(lines));
+    let mut sender = Sender::new();
+    sender.send_all(&sub(1, 90)).send_all("o1 call");
+    assert_eq!((sender.errors.as_slice(), sender.went.len()), (&[][..], 90));
+    sender.send_all(&sub(2, 30));
+    assert!(sender.errors.len() > 20 && sender.errors.iter().all(|code| *code == 83), "{:?}", sender.errors);
+    assert_eq!(sender.went.len(), 90);
+    sender.errors.clear();
+    sender.send_all("o2 call").send_all("o1 call");
+    assert_eq!((sender.errors.as_slice(), sender.went.len()), (&[81][..], 180));
+    // Loops leave no text behind, whether they come to their end or not.
+    let mut sender = Sender::new();
+    for _ in 0..100 {
+        sender.send_all("o5 repeat [2]\nG0 X1 Y2 Z3\nG0 X1 Y2 Z3\no5 endrepeat");
+        sender.send_all("o5 repeat [2]\nG0 X1 Y2 Z3\nnonsense\no5 endrepeat");
+    }
+    assert_eq!((sender.errors, sender.went.len()), (vec![2; 100], 500));
+}
+
+#[test]
+fn the_end_of_a_program() {
+    // M2 within a call and a condition: nothing of it is left.
+    goes("o1 sub\nX1\nM2\nX2\no1 endsub\no2 if [1]\no1 call\nG0 X3", &[1, 3]);
+    fails("o1 sub\nM2\no1 endsub\no1 call\no1 call", &[81], &[]);
+    let mut sender = Sender::new();
+    sender.send_all("o1 if [0]\nX1");
+    assert_eq!(sender.interpreter.skipped(), 1);
+    sender.interpreter.reset();
+    sender.send_all("X2\no3 repeat [2]\nX3");
+    sender.interpreter.abandon_program();
+    sender.send("X4");
+    assert_eq!(sender.went, [2, 4]);
+}
+
+/// A number alone is no O word.
+#[test]
+fn numbers_of_programs_are_left_to_the_check() {
+    let mut interpreter = Interpreter::<3>::new();
+    for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O<A>", b"O1X5"] {
+        assert_eq!(interpreter.direct(line), Ok(Direction::Check), "{line:?}");
+    }
+}
+
+proptest! {
+    /// Any order of O words has an end, and what comes after a reset runs.
+    #[test]
+    fn any_program_ends(lines in prop::collection::vec(
+        "(o[123] ?(sub|endsub|call|return|if|elseif|else|endif|while|endwhile|do|repeat|endrepeat|break|continue) \
+         ?(|\\[#1\\]|\\[#1 LT 2\\]|\\[2\\]|\\[0\\]|\\[1\\]))|#1=\\[#1\\+1\\]|G0X1|M2",
+        0..40,
+    )) {
+        let mut sender = Sender::new();
+        for line in &lines {
+            sender.send(line);
+        }
+        sender.interpreter.reset();
+        sender.went.clear();
+        sender.send("G0 X5");
+        prop_assert_eq!(sender.went, vec![5]);
+    }
+}

@@ -1,0 +1,255 @@
+//! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path control,
+//! and the words that are refused by an error of their own.
+
+mod program;
+
+use oxmill_controller::gcode::{Dialect, Flow, Motion, PathControl};
+use oxmill_controller::messages::SpindleDirection;
+use program::Program;
+
+const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
+
+/// At X1 Y2 Z3.
+fn ready(dialect: Dialect) -> Program {
+    let mut program = Program::new(dialect);
+    program.run_all("G21 F300\nG0 X1 Y2 Z3");
+    program
+}
+
+/// Lines, and the machine position after each.
+fn play(lines: &[(&str, [f64; 3])]) {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for (line, machine) in lines {
+            program.run(line);
+            assert_eq!(program.machine(), *machine, "{line}");
+        }
+    }
+}
+
+#[test]
+fn g92_suspended_and_restored() {
+    play(&[
+        ("G92 X10", [1.0, 2.0, 3.0]),
+        ("G0 X11", [2.0, 2.0, 3.0]),
+        ("G92.2", [2.0, 2.0, 3.0]),
+        ("X1", [1.0, 2.0, 3.0]),
+        ("G92.3", [1.0, 2.0, 3.0]),
+        ("X1", [-8.0, 2.0, 3.0]),
+        ("G92.1", [-8.0, 2.0, 3.0]),
+        ("X1", [1.0, 2.0, 3.0]),
+        // Nothing is left to restore.
+        ("G92.3", [1.0, 2.0, 3.0]),
+        ("X2", [2.0, 2.0, 3.0]),
+    ]);
+}
+
+#[test]
+fn g52_and_g92_are_one_offset() {
+    play(&[
+        ("G52 X10", [1.0, 2.0, 3.0]),
+        ("G0 X11", [21.0, 2.0, 3.0]),
+        ("G92 Y5", [21.0, 2.0, 3.0]),
+        ("X1 Y1", [11.0, -2.0, 3.0]),
+        // Only the named axes; the value itself, whatever the distance mode.
+        ("G91 G52 X1", [11.0, -2.0, 3.0]),
+        ("G90 X1 Y1", [2.0, -2.0, 3.0]),
+        ("G92.1", [2.0, -2.0, 3.0]),
+        ("X0 Y0", [0.0, 0.0, 3.0]),
+        ("G52 Z1", [0.0, 0.0, 3.0]),
+        ("G92.2", [0.0, 0.0, 3.0]),
+        ("Z0", [0.0, 0.0, 0.0]),
+        ("G92.3", [0.0, 0.0, 0.0]),
+        ("Z0", [0.0, 0.0, 1.0]),
+    ]);
+}
+
+#[test]
+fn a_reset_forgets_what_g92_3_would_restore() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run_all("G92 X10\nG92.2\nM70");
+        program.interpreter.reset();
+        program.run_all("G92.3\nG0 X0");
+        assert_eq!(program.machine(), [0.0, 2.0, 3.0]);
+        assert_eq!(program.error("M72"), 123);
+    }
+}
+
+#[test]
+fn g28_in_two_stages() {
+    play(&[
+        ("G28.1", [1.0, 2.0, 3.0]),
+        ("G0 X10 Y10 Z10", [10.0, 10.0, 10.0]),
+        ("G28 X5", [1.0, 10.0, 10.0]),
+        ("G91 G28 Z0", [1.0, 10.0, 3.0]),
+        ("G28 X1 Y1", [1.0, 2.0, 3.0]),
+        ("G0 X1", [2.0, 2.0, 3.0]),
+        ("G90 G28", [1.0, 2.0, 3.0]),
+    ]);
+}
+
+#[test]
+fn full_circles_need_no_axis_word() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for (line, i, j, z) in
+            [("G2 I5", 5, 0, 3.0), ("I3", 3, 0, 3.0), ("G2 Z1 I5", 5, 0, 1.0), ("G3 X1 J2", 0, 2, 1.0)]
+        {
+            let Motion::Arc(arc) = program.run(line).motion else { panic!("{line}") };
+            assert_eq!((arc.i.0, arc.j.0), (i * 10_000_000, j * 10_000_000), "{line}");
+            assert_eq!(program.machine(), [1.0, 2.0, z], "{line}");
+        }
+        let Motion::Arc(arc) = program.run("G18 I5").motion else { panic!() };
+        assert_eq!((arc.i.0, arc.j.0), (0, 50_000_000));
+        for (line, code) in [("G2", 26), ("G2 R5", 26), ("R5", 36), ("G17 G2 Z5 R5", 32), ("G0 I5", 36)] {
+            assert_eq!(program.error(line), code, "{line}");
+        }
+    }
+    let mut program = ready(Dialect::Grbl);
+    assert_eq!((program.error("G2 I5"), program.error("G2 Z1 I5")), (26, 32));
+    program.run("G2 X1 I5");
+    assert_eq!(program.error("I5"), 36);
+}
+
+#[test]
+fn state_is_kept_and_restored() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("G43.1 Z1 M3 S100");
+        program.run("M70");
+        let before = *program.interpreter.modal();
+        program.run_all("G20 G91 G18 G55 G93 G99 G49 M4 S5 M8 M49 T7 G61.1\nG1 X1 F5");
+        let restored = program.run("M72");
+        assert_eq!(restored.spindle, Some(SpindleDirection::Clockwise));
+        assert!(restored.coolant.is_some() && restored.speed_changed && restored.work_offset_changed);
+        let after = *program.interpreter.modal();
+        // The motion word and the tool stay.
+        assert_eq!((after.motion.word(), after.tool), ("G1", 7));
+        assert!(
+            oxmill_controller::gcode::Modal { motion: before.motion, straight: before.straight, tool: 0, ..after }
+                == before
+        );
+        program.run("G0 Z0");
+        assert_eq!(program.machine()[2], 1.0);
+        program.run_all("N5 M72\nM71");
+        assert_eq!(program.error("M72"), 123);
+        for line in ["M70 G0", "M72 X1", "M70 M72", "M71 S5"] {
+            assert_eq!(program.error(line), 21, "{line}");
+        }
+    }
+}
+
+#[test]
+fn overrides_are_held_off() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for (line, feed, spindle) in [
+            ("M49", true, true),
+            ("M48", false, false),
+            ("M50 P0", true, false),
+            ("M51 P0", true, true),
+            ("M50", false, true),
+            ("M51 P1", false, false),
+            ("M52 P0", false, false),
+            ("M53", false, false),
+            ("M49", true, true),
+            ("M2", false, false),
+        ] {
+            program.run(line);
+            let held = program.interpreter.modal().overrides_held;
+            assert_eq!((held.feed, held.spindle), (feed, spindle), "{line}");
+        }
+        for (line, code) in
+            [("M50 P2", 39), ("M50 P0.5", 39), ("M52", 121), ("M53 P0", 121), ("M48 P1", 36), ("M48 M50", 21)]
+        {
+            assert_eq!(program.error(line), code, "{line}");
+        }
+    }
+}
+
+#[test]
+fn path_control() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for (line, path) in [
+            ("G61.1", PathControl::ExactStop),
+            ("G64 P0.1 Q0.2", PathControl::ExactPath),
+            ("G61.1 G0 X1", PathControl::ExactStop),
+            ("G61", PathControl::ExactPath),
+            ("G64", PathControl::ExactPath),
+        ] {
+            program.run(line);
+            assert_eq!(program.interpreter.modal().path, path, "{line}");
+        }
+        assert_eq!((program.error("G61 P1"), program.error("G61 G64"), program.error("G64 P-1")), (36, 21, 4));
+    }
+}
+
+#[test]
+fn words_that_say_what_is_so() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for line in ["G50 G69 G97", "G0 G49 G40 G17 G80 G50 G90", "O1000", "N10 O7", "M60", "M6"] {
+            assert_eq!(program.run(line).motion, Motion::None, "{line}");
+        }
+        assert_eq!((program.run("M60").flow, program.run("M1").flow), (Flow::Pause, Flow::OptionalPause));
+        assert_eq!((program.error("O1000 G0"), program.error("O1000 X1")), (36, 36));
+    }
+}
+
+#[test]
+fn errors_of_their_own() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for word in [
+            "G5", "G5.1", "G7", "G8", "G15", "G16", "G33", "G33.1", "G51", "G68", "G74", "G76", "G84", "G87", "G95",
+            "G96", "M19", "M61", "M62", "M66", "M68", "M73", "M98", "M99",
+        ] {
+            let line = format!("{word} X1 Z-1 R1 Q1 P1 F100 S1");
+            assert_eq!(program.error(&line), 121, "{word}");
+        }
+        for word in ["G41", "G41.1", "G42", "G42.1"] {
+            assert_eq!(program.error(&format!("{word} D1 X1")), 122, "{word}");
+        }
+        assert_eq!(program.error("G10 L2 P1 R30"), 26);
+        assert_eq!(program.error("G10 L2 P1 X1 R30"), 121);
+        for word in ["G39", "G100", "M31", "M100"] {
+            assert_eq!(program.error(word), 20, "{word}");
+        }
+        program.run("G1 X1");
+        assert_eq!(program.machine(), [1.0, 2.0, 3.0]);
+    }
+}
+
+/// M72 restores not the values of G92, but whether it acts.
+#[test]
+fn g92_and_m72() {
+    play(&[
+        ("M70", [1.0, 2.0, 3.0]),
+        ("G92 X10", [1.0, 2.0, 3.0]),
+        ("M72", [1.0, 2.0, 3.0]),
+        ("X0", [0.0, 2.0, 3.0]),
+        ("G92.3", [0.0, 2.0, 3.0]),
+        ("X0", [-9.0, 2.0, 3.0]),
+        ("M70", [-9.0, 2.0, 3.0]),
+        ("G92.2", [-9.0, 2.0, 3.0]),
+        ("M72", [-9.0, 2.0, 3.0]),
+        ("X1", [-8.0, 2.0, 3.0]),
+        ("G92 X11", [-8.0, 2.0, 3.0]),
+        ("M72", [-8.0, 2.0, 3.0]),
+        ("X11", [-8.0, 2.0, 3.0]),
+    ]);
+}
+
+/// In Grbl's dialect all of them are what they are to Grbl.
+#[test]
+fn grbl_knows_none_of_them() {
+    let program = ready(Dialect::Grbl);
+    for line in [
+        "G52 X1", "G92.2", "G92.3", "G61.1", "G64", "G50", "G69", "G97", "G41", "G42", "G51", "G33", "M48", "M49",
+        "M50", "M60", "M70", "M71", "M72", "M73", "O1000",
+    ] {
+        assert_eq!(program.error(line), 20, "{line}");
+    }
+}

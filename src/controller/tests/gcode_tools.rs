@@ -1,0 +1,150 @@
+//! Tools: the table, the words that change it, and the offsets that act from it.
+
+mod program;
+
+use oxmill_controller::gcode::{Dialect, Motion, TOOLS};
+use program::Program;
+
+const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
+
+/// At X1 Y2 Z3.
+fn ready(dialect: Dialect) -> Program {
+    let mut program = Program::new(dialect);
+    program.run_all("G21 F300\nG0 X1 Y2 Z3");
+    program
+}
+
+#[test]
+fn offsets_move_nothing_and_then_one_axis_each() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("G10 L1 P1 Z5 X1");
+        for (line, machine) in [
+            ("G43 H1", [1.0, 2.0, 3.0]),
+            ("G0 Z1", [1.0, 2.0, 6.0]),
+            ("X1", [2.0, 2.0, 6.0]),
+            ("G43.1 Z2", [2.0, 2.0, 6.0]),
+            ("Z1", [2.0, 2.0, 3.0]),
+            // G43.1 leaves the axes alone that it does not name.
+            ("G43.1 Y3", [2.0, 2.0, 3.0]),
+            ("X1 Y1 Z1", [2.0, 4.0, 3.0]),
+            // G43.2 adds.
+            ("G43.2 H1", [2.0, 4.0, 3.0]),
+            ("X1 Y1 Z1", [3.0, 4.0, 8.0]),
+            ("G53 Z1", [3.0, 4.0, 1.0]),
+            ("M2", [3.0, 4.0, 1.0]),
+            ("G0 Z1", [3.0, 4.0, 8.0]),
+            ("G49 X1 Y1 Z1", [1.0, 1.0, 1.0]),
+        ] {
+            program.run(line);
+            assert_eq!(program.machine(), machine, "{line}");
+        }
+    }
+}
+
+#[test]
+fn the_tool_in_the_spindle() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run_all("G10 L1 P7 Z5\nG10 L1 P8 Z6");
+        // T alone selects and changes nothing.
+        program.run_all("T7\nG43\nG0 Z0");
+        assert_eq!(program.machine(), [1.0, 2.0, 0.0]);
+        assert!(program.run("M6").tool_change);
+        assert!(!program.run("M6").tool_change);
+        program.run_all("G43\nZ0");
+        assert_eq!(program.machine(), [1.0, 2.0, 5.0]);
+        // All in one line: the new tool's offset acts on the move.
+        program.run("T8 M6 G43 G0 Z1");
+        assert_eq!(program.machine(), [1.0, 2.0, 7.0]);
+        program.run_all("G43 H7\nG43 H0\nZ0");
+        assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
+        // The table acts from the next G43 on.
+        program.run_all("G10 L1 P8 Z-1 X4\nZ0");
+        assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
+        program.run("G43 Z0 X0");
+        assert_eq!(program.machine(), [4.0, 2.0, -1.0]);
+        program.run("T0 M6 G43 X0 Y0 Z0");
+        assert_eq!(program.machine(), [0.0, 0.0, 0.0]);
+        program.run_all("G10 L1 P99999 Z1\nT99999");
+        assert_eq!(program.interpreter.modal().tool, 99_999);
+    }
+}
+
+#[test]
+fn entries_by_measuring() {
+    for dialect in NEW {
+        for (before, word, z) in [
+            // The tip shall read Z5 where the machine is.
+            ("", "L10", -2.0),
+            // With G92 as it is, without the tool offset of before.
+            ("G92 Z10\nG43.1 Z4", "L10", 5.0),
+            ("G10 L2 P1 Z-2", "L10", 0.0),
+            // In the system of the fixture, without G92.
+            ("G10 L2 P9 Z-7\nG10 L2 P1 Z-2", "L11", 5.0),
+            ("G10 L2 P9 Z-7\nG92 Z10", "L11", 5.0),
+        ] {
+            let mut program = ready(dialect);
+            program.run_all(before);
+            program.run(&format!("G10 {word} P1 Z5"));
+            let offset = program.interpreter.tools().offset(1).unwrap();
+            assert_eq!(offset.0.map(|place| place.0), [0, 0, (z * 1e7) as i64], "{before} {word}");
+        }
+    }
+}
+
+#[test]
+fn a_table_has_an_end() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for tool in 1..=TOOLS {
+            program.run(&format!("G10 L1 P{} Z{tool}", tool * 100));
+        }
+        assert_eq!(program.error("G10 L1 P7 Z1"), 47);
+        program.run("G10 L1 P300 Z-1");
+        program.run("G43 H300 G0 Z0");
+        assert_eq!(program.machine(), [1.0, 2.0, -1.0]);
+    }
+}
+
+#[test]
+fn what_is_refused() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("G10 L1 P1 Z1");
+        for (line, code) in [
+            ("G43 H7", 47),
+            ("G43.2 H7", 47),
+            ("G43.2", 28),
+            ("G43 H1.5", 23),
+            ("G43 H-1", 4),
+            ("G0 X1 H1", 36),
+            ("G43.1", 37),
+            ("G43.1 H1", 37),
+            ("T100000", 38),
+            ("G10 L1 Z5", 28),
+            ("G10 L1 P0 Z5", 47),
+            ("G10 L1 P1.5 Z5", 23),
+            ("G10 L1 P1", 26),
+            ("G10 L1 P1 Z5 R3", 36),
+            // L before P: of an unknown L the number does not matter.
+            ("G10 L3 P12 X1", 20),
+            ("G10 L3 P3 X1", 20),
+            ("G10 L2 P12 X1", 29),
+            ("M6 M6", 21),
+            ("G43 G49", 21),
+        ] {
+            assert_eq!(program.error(line), code, "{line}");
+        }
+    }
+    let mut program = ready(Dialect::Grbl);
+    for (line, code) in
+        [("G43", 20), ("G43 H1", 20), ("M6", 20), ("H1", 20), ("T256", 38), ("G10 L1 P3 X1", 20), ("G10 L1 P12 X1", 29)]
+    {
+        assert_eq!(program.error(line), code, "{line}");
+    }
+    assert_eq!(program.error("G43.1 X1"), 37);
+    program.run("G43.1 Z1");
+    assert!(matches!(program.run("G0 Z1").motion, Motion::Line { .. }));
+    assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
+}

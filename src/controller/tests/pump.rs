@@ -1,0 +1,208 @@
+//! The pump's order, seen by one that writes down what it is asked for.
+
+use oxmill_controller::messages::{
+    Event, LineByte, Observed, Output, PinView, Realtime, Room, Sensed, StepEvent, input,
+};
+use oxmill_controller::pump::{Pump, Source, round};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile, StepRates};
+use std::collections::VecDeque;
+
+struct Scribe<const WOKEN: bool> {
+    controller: Controller<3, 16>,
+    log: Vec<String>,
+    events: Vec<(Source, Event<3>)>,
+    lines: VecDeque<u8>,
+    /// Given by `make_room`, once.
+    late: VecDeque<u8>,
+    said: String,
+}
+
+impl<const WOKEN: bool> Scribe<WOKEN> {
+    fn new() -> Self {
+        let mut controller = Controller::new(Profile {
+            name: "test",
+            step_clock_hz: 1_000_000,
+            rates: StepRates { safe_hz: 100_000, attention_ns: 0 },
+            has_second_motor: false,
+            has_store: true,
+        });
+        controller.start(Instant::from_ticks(0));
+        controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
+        let none = VecDeque::new();
+        let mut scribe = Self {
+            controller,
+            log: Vec::new(),
+            events: Vec::new(),
+            lines: none.clone(),
+            late: none,
+            said: String::new(),
+        };
+        while round(&mut scribe) {}
+        scribe.log.clear();
+        scribe.said.clear();
+        scribe
+    }
+
+    fn send(&mut self, line: &str) {
+        self.lines.extend(line.bytes());
+    }
+
+    fn position(&self, entry: &str) -> usize {
+        self.log.iter().position(|e| e == entry).unwrap_or_else(|| panic!("no {entry} in {:#?}", self.log))
+    }
+}
+
+impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
+    const IS_WOKEN: bool = WOKEN;
+
+    fn controller(&mut self) -> &mut Controller<3, 16> {
+        &mut self.controller
+    }
+
+    fn begin(&mut self) -> Instant {
+        self.log.push("begin".into());
+        Instant::from_ticks(0)
+    }
+
+    fn observed(&mut self) -> Observed {
+        self.log.push("observed".into());
+        let received = self.lines.len() as u16;
+        Observed { segments_begun: 0, step_idle: true, rx_free: 255 - received, received }
+    }
+
+    fn next_event(&mut self, source: Source) -> Option<Event<3>> {
+        let at = self.events.iter().position(|(s, _)| *s == source)?;
+        let (_, event) = self.events.remove(at);
+        self.log.push(format!("{source:?}"));
+        Some(event)
+    }
+
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        let byte = self.lines.pop_front()?;
+        self.log.push("line".into());
+        Some(LineByte { byte, epoch: 0, damaged: false })
+    }
+
+    fn make_room(&mut self, took: bool) -> bool {
+        self.log.push(format!("room {took}"));
+        let late = std::mem::take(&mut self.late);
+        self.lines.extend(&late);
+        !late.is_empty()
+    }
+
+    fn room(&mut self) -> Room {
+        Room { step: true, reply: true }
+    }
+
+    fn carry(&mut self, output: Output) {
+        let name = match output {
+            Output::Step(_) => "step",
+            Output::Reply(chunk) => {
+                self.said += std::str::from_utf8(chunk.as_bytes()).unwrap();
+                "reply"
+            }
+            Output::Pins(_) => "pins",
+            Output::Wiring(_) => "wiring",
+            Output::Stop => "stop",
+            Output::ReadPins { clear_noise } => {
+                if !clear_noise {
+                    let view = PinView { fitted: u16::MAX, low: 0, noise: [0; input::COUNT] };
+                    self.events.push((Source::Pins, Event::Pins(view)));
+                }
+                "look"
+            }
+            Output::Store(_) => {
+                self.events.push((Source::Store, Event::Stored));
+                "store"
+            }
+            Output::Worked => panic!("nothing to carry"),
+        };
+        self.log.push(name.into());
+    }
+}
+
+#[test]
+fn events_are_told_source_by_source_then_lines_then_outputs() {
+    let mut scribe = Scribe::<false>::new();
+    scribe.send("$G\n");
+    let signals = Sensed::default();
+    let stopped = StepEvent::Stopped { stops: 0, moving: false, position: Default::default() };
+    // In another order than the rule's.
+    scribe.events = vec![
+        (Source::Store, Event::Stored),
+        (Source::Inputs, Event::Signals(signals)),
+        (Source::Commands, Event::Realtime(Realtime::Status)),
+        (Source::Hosts, Event::Connected),
+        (Source::Step, Event::Step(stopped)),
+    ];
+    round(&mut scribe);
+    let order = ["begin", "Step", "Hosts", "Commands", "Inputs", "Store", "line", "room true", "reply"];
+    let found: Vec<usize> = order.iter().map(|entry| scribe.position(entry)).collect();
+    assert!(found.is_sorted(), "{:?}", scribe.log);
+    // Before each event it is looked what has come before it.
+    for source in &order[1..6] {
+        assert_eq!(scribe.log[scribe.position(source) + 1], "observed", "{source}: {:?}", scribe.log);
+    }
+}
+
+#[test]
+fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
+    let mut scribe = Scribe::<false>::new();
+    // Each stores a record, and is answered `ok`.
+    scribe.send("$100=81\n$101=82\nG10L2P1X1\n");
+    while round(&mut scribe) {}
+    assert_eq!(scribe.said, "ok\r\nok\r\nok\r\n");
+    let stores = scribe.log.iter().filter(|entry| *entry == "store").count();
+    assert!(stores >= 3, "{:?}", scribe.log);
+    let outputs = ["step", "reply", "pins", "wiring", "stop", "look", "store"];
+    let mut entries = scribe.log.iter();
+    while entries.by_ref().any(|entry| entry == "store") {
+        let next = entries.clone().find(|e| *e == "Store" || outputs.contains(&e.as_str()));
+        assert_eq!(next.map(String::as_str), Some("Store"), "{:?}", scribe.log);
+    }
+}
+
+#[test]
+fn each_message_to_the_step_task_begins_a_round() {
+    let mut scribe = Scribe::<false>::new();
+    scribe.send("G1X1F600\n");
+    for _ in 0..20 {
+        if !round(&mut scribe) {
+            break;
+        }
+    }
+    let steps: Vec<usize> = (0..scribe.log.len()).filter(|&k| scribe.log[k] == "step").collect();
+    assert!(steps.len() > 3, "{:?}", scribe.log);
+    for k in steps {
+        assert_eq!(scribe.log.get(k + 1).map_or("begin", String::as_str), "begin");
+    }
+}
+
+#[test]
+fn what_comes_when_room_is_made_is_taken_in_another_round() {
+    let mut scribe = Scribe::<false>::new();
+    scribe.send("G20\n");
+    scribe.late.extend(b"G21\n");
+    while round(&mut scribe) {}
+    assert_eq!(scribe.said, "ok\r\nok\r\n");
+    // A round that finds nothing is the last.
+    scribe.log.clear();
+    assert!(!round(&mut scribe));
+    assert_eq!(scribe.log, ["begin", "observed", "room false"]);
+}
+
+#[test]
+fn a_pump_that_is_woken_makes_no_round_for_nothing() {
+    let rounds = |again: bool, log: &[String]| (again, log.iter().filter(|entry| *entry == "begin").count());
+    let mut woken = Scribe::<true>::new();
+    woken.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
+    assert_eq!(rounds(round(&mut woken), &woken.log), (false, 1));
+    assert!(woken.said.starts_with("<Idle|"), "{}", woken.said);
+    // Lines are another matter: more of them may be waiting.
+    woken.send("G20\n");
+    assert!(round(&mut woken));
+    let mut other = Scribe::<false>::new();
+    other.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
+    assert_eq!(rounds(round(&mut other), &other.log), (true, 1));
+}

@@ -1,0 +1,26 @@
+//! The end after a failure of any kind: outputs into the safe state first, then the reason into RAM that outlives the reset and into
+//! the log, then a reset. The host is told of it at the next welcome line, by a machine that is locked.
+
+use crate::{boards, record};
+use core::sync::atomic::{AtomicBool, Ordering};
+use oxmill_controller::messages::CrashKind;
+
+/// The program is being ended.
+static FAILING: AtomicBool = AtomicBool::new(false);
+
+/// Ends the program. A failure while it does so (in the log, whose frames do not nest; in a `Display` of the reason) leaves
+/// the first record as it is and resets at once.
+pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
+    cortex_m::interrupt::disable();
+    boards::safe_state();
+    if FAILING.swap(true, Ordering::Relaxed) {
+        cortex_m::peripheral::SCB::sys_reset()
+    }
+    record::keep(kind, why);
+    boards::restart(why)
+}
+
+/// The supply sinks: called by boards that can tell.
+pub fn low_voltage() -> ! {
+    fail(CrashKind::Voltage, format_args!("supply below 2.9 V"))
+}

@@ -1,0 +1,30 @@
+//! The firmware: the controller of `oxmill-controller`, pumped by tasks of RTIC.
+//!
+//! ```text
+//!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam
+//!  priority 3  serial   UART           ─realtime, lines─▶ ◀─replies─  bytes in and out
+//!  priority 2  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`
+//!  priority 1  control  software task  everything is decided here, by the controller
+//!  priority 0  idle                    sleeps
+//! ```
+//! The tasks are bound to their vectors in `main.rs`; what they do is here. Nothing shares the priority of `step`. Each channel has one sender
+//! and one receiver; what happens when one is full stands with its depth in `oxmill_controller::messages`. A channel
+//! call takes 50 to 130 instructions and masks interrupts for 25 cycles of them at most (`cargo xtask count`).
+#![no_std]
+
+pub use oxmill_boards as boards;
+
+mod clock;
+pub mod control;
+mod copy;
+pub mod crossing;
+pub mod failure;
+mod flash;
+pub mod inputs;
+mod outputs;
+mod record;
+pub mod serial;
+pub mod stack;
+pub mod startup;
+pub mod step_timer;
+mod watchdog;

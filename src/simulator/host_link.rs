@@ -1,0 +1,170 @@
+//! The host's end of the link, the link itself, which is the boards' own, and the queues behind it.
+//!
+//! ```text
+//!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task
+//! ```
+//! The host is on a link like USB, which can wait: what has no room in the board's queues and in the link waits in the
+//! host's port.
+
+use crate::boards::AXES;
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
+use oxmill_controller::{Entrance, Link, Queues};
+use std::collections::VecDeque;
+
+/// Line bytes that the link keeps beyond the queue, as that of USB on the boards.
+const HELD: usize = 3 * 64;
+/// Number of the host's link, and of the one that has no host.
+const HOST: usize = 0;
+const UNUSED: usize = 1;
+
+/// The queues from the link to the control task, as deep as the boards'.
+#[derive(Clone, Default)]
+struct ToControl {
+    realtime: VecDeque<Realtime>,
+    lines: VecDeque<LineByte>,
+    /// All that any host has said is done and answered.
+    free: bool,
+    /// The step task has to be stopped.
+    stop: bool,
+}
+
+impl Queues for ToControl {
+    fn realtime(&mut self, command: Realtime) -> bool {
+        let room = self.realtime.len() < REALTIME_DEPTH;
+        if room {
+            self.realtime.push_back(command);
+        }
+        room
+    }
+
+    fn line(&mut self, byte: LineByte) -> bool {
+        let room = self.lines.len() < LINES_DEPTH;
+        if room {
+            self.lines.push_back(byte);
+        }
+        room
+    }
+
+    fn waits(&self) -> bool {
+        true
+    }
+
+    fn is_free(&self) -> bool {
+        self.free
+    }
+
+    fn stop(&mut self) {
+        self.stop = true;
+    }
+}
+
+/// The link with what is in front of it and behind it.
+#[derive(Clone)]
+pub struct HostLink {
+    /// Sent by the host and not yet fetched by the link, which has no room.
+    port: VecDeque<u8>,
+    link: Link<HELD>,
+    unused_link: Link<1>,
+    entrance: Entrance,
+    queues: ToControl,
+    connected: bool,
+    disconnected: bool,
+}
+
+impl Default for HostLink {
+    fn default() -> Self {
+        HostLink {
+            port: VecDeque::new(),
+            link: Link::new(HOST),
+            unused_link: Link::new(UNUSED),
+            entrance: Entrance::new(),
+            queues: ToControl::default(),
+            connected: false,
+            disconnected: false,
+        }
+    }
+}
+
+impl HostLink {
+    /// Bytes from the host reach its port.
+    pub fn send(&mut self, bytes: &[u8]) {
+        self.port.extend(bytes);
+    }
+
+    /// A realtime command that does not come over the wire.
+    pub fn command(&mut self, command: Realtime) {
+        // There is room: each turn empties the queue.
+        self.entrance.command(command, &mut self.queues);
+    }
+
+    /// A host has opened the port.
+    pub fn connect(&mut self) {
+        self.connected |= self.link.came(&mut self.entrance, &mut self.unused_link, &self.queues);
+    }
+
+    /// The host has closed the port, or is unplugged; what the port holds goes with it.
+    pub fn disconnect(&mut self) {
+        self.port.clear();
+        self.disconnected |= self.link.went(&mut self.entrance);
+    }
+
+    // The serial task
+
+    /// What the link holds goes into the queues, as far as there is room; whether anything did.
+    pub fn pass_on(&mut self) -> bool {
+        self.link.pass_on(&mut self.entrance, &mut self.queues)
+    }
+
+    /// Fetches a byte from the port, if there are one and room for it; whether something was queued.
+    pub fn fetch(&mut self, controller_is_idle: bool) -> Option<bool> {
+        let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
+        self.queues.free = self.queues.lines.is_empty() && controller_is_idle;
+        Some(self.link.take(byte, &mut self.entrance, &mut self.unused_link, &mut self.queues))
+    }
+
+    /// Whether the step task has to be stopped; `true` once.
+    pub fn wants_stop(&mut self) -> bool {
+        std::mem::take(&mut self.queues.stop)
+    }
+
+    /// Whether something has found no room.
+    pub fn waits(&self) -> bool {
+        !self.port.is_empty() || self.link.is_waiting()
+    }
+
+    // The control task
+
+    /// A host that has gone or come.
+    pub fn next_event(&mut self) -> Option<Event<AXES>> {
+        if std::mem::take(&mut self.disconnected) {
+            return Some(Event::Disconnected(self.entrance.gone()));
+        }
+        std::mem::take(&mut self.connected).then_some(Event::Connected)
+    }
+
+    /// The next command.
+    pub fn next_command(&mut self) -> Option<Realtime> {
+        self.queues.realtime.pop_front()
+    }
+
+    /// The next byte of a line.
+    pub fn next_line_byte(&mut self) -> Option<LineByte> {
+        self.queues.lines.pop_front()
+    }
+
+    /// Line bytes in the queue.
+    pub fn queued(&self) -> usize {
+        self.queues.lines.len()
+    }
+
+    /// Line bytes in the queue, those that wait in the link for room in it, and the cut that goes before these.
+    pub fn received(&self) -> usize {
+        let held = self.link.held();
+        self.queues.lines.len() + held + usize::from(held > 0 && self.entrance.owes_cut())
+    }
+
+    /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the port.
+    pub fn unread(&self) -> usize {
+        self.port.len() + self.received()
+    }
+}

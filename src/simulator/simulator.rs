@@ -1,0 +1,481 @@
+//! A board on a desk: the controller with a step task, an input task, a link to the host, a store and a machine, in virtual
+//! time.
+//!
+//! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
+//! task takes no time, so it is never late. What happens at the same tick happens in this order:
+//! 1. the step task's tick,
+//! 2. bytes from the host, in the order sent, through the boards' own [`Link`](oxmill_controller::Link),
+//! 3. changes of input pins, through the boards' own filter,
+//! 4. a turn of the control task: rounds in the order of [`oxmill_controller::pump`], the firmware's, until one has found
+//!    nothing to do.
+
+use crate::boards::{self, AXES, BLOCKS, Board};
+use crate::clock::Clock;
+use crate::fittings::Fittings;
+use crate::host_link::HostLink;
+use crate::input_task::InputTask;
+use crate::machine::Machine;
+use crate::meter::Meter;
+use crate::step_task::{StepTask, World};
+use crate::store::Store;
+use crate::text::JobText;
+use crate::trace::{Sole, Trace};
+use oxmill_controller::machine::filter::SAMPLE_HZ;
+use oxmill_controller::messages::{Realtime, Signals, SlowOutputs, Wiring};
+use oxmill_controller::pump;
+use oxmill_controller::settings::AxisKey;
+use oxmill_controller::units::Coordinate;
+use oxmill_controller::{Controller, Profile, StepRates};
+use std::time::Duration;
+
+/// Outgoing bytes that may wait for the host before the controller is asked to keep its answers.
+pub(crate) const OUTGOING: usize = 1 << 16;
+
+/// What a simulator is made of.
+#[derive(Debug)]
+pub struct Options {
+    /// The board it stands in for.
+    pub board: Board,
+    /// The flash image.
+    pub store: Store,
+    /// Switches and plate of the machine.
+    pub fittings: Fittings,
+    /// Whether all step events are kept in memory, for [`Trace::kept`].
+    pub keep_steps: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { board: boards::DESK, store: Store::in_memory(), fittings: Fittings::default(), keep_steps: false }
+    }
+}
+
+/// A controller, a step task and a machine in virtual time. A copy goes on as this one would, but without its job and its
+/// CSV file.
+#[derive(Clone)]
+pub struct Simulator {
+    pub(crate) board: Board,
+    pub(crate) clock: Clock,
+    pub(crate) controller: Box<Controller<AXES, BLOCKS>>,
+    pub(crate) store: Store,
+    pub(crate) host: HostLink,
+    pub(crate) inputs: InputTask,
+    pub(crate) step: StepTask,
+    pub(crate) world: World,
+    /// Whether the last record was stored, still to be told.
+    pub(crate) stored: Option<bool>,
+    /// The controller has asked to see the inputs.
+    pub(crate) pins_asked: bool,
+    pub(crate) outgoing: Vec<u8>,
+    /// A job whose lines are taken whenever the controller wants them, and how many bytes of it are ready.
+    pub(crate) job: Sole<JobText>,
+    pub(crate) job_ready: usize,
+    pub(crate) wiring: Option<Wiring>,
+}
+
+impl Simulator {
+    /// Powers the board up and lets the controller say its welcome.
+    pub fn new(options: Options) -> Self {
+        let Options { board, mut store, fittings, keep_steps } = options;
+        let mut controller = Box::new(Controller::new(Profile {
+            name: board.name,
+            step_clock_hz: board.step_clock_hz,
+            rates: StepRates { safe_hz: board.safe_step_hz, attention_ns: board.attention_ns },
+            has_second_motor: true,
+            has_store: true,
+        }));
+        for record in store.records() {
+            controller.restore(&record);
+        }
+        let clock = Clock::new(board.step_clock_hz);
+        controller.start(clock.instant());
+        let mut trace = Trace::default();
+        if keep_steps {
+            trace.keep();
+        }
+        let mut simulator = Self {
+            board,
+            clock,
+            controller,
+            store,
+            host: HostLink::default(),
+            inputs: InputTask::default(),
+            step: StepTask::default(),
+            world: World { machine: Machine::default(), fittings, meter: Meter::new(board.step_clock_hz), trace },
+            stored: None,
+            pins_asked: false,
+            outgoing: Vec::new(),
+            job: Sole(None),
+            job_ready: 0,
+            wiring: None,
+        };
+        let World { fittings, machine, .. } = &mut simulator.world;
+        if !fittings.is_empty() && fittings.moved(machine, 0) {
+            // The machine was left on a switch.
+            simulator.inputs.sample_at(0);
+        }
+        simulator.turn();
+        simulator
+    }
+
+    // The outside world
+
+    /// Bytes from the host, at the present virtual time. Realtime commands act now, whatever line bytes stand before them,
+    /// as long as these find room in the board's queue and the link (255 and 192 bytes); what is beyond, commands too,
+    /// waits in the host's port: see [`Simulator::unread`].
+    pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
+        self.host.send(bytes.as_ref());
+        self.receive();
+        self.turn();
+    }
+
+    /// A realtime command that does not come over the wire.
+    pub fn press(&mut self, command: Realtime) {
+        if command == Realtime::Reset {
+            self.stop();
+        }
+        self.host.command(command);
+        self.turn();
+    }
+
+    /// A host has opened the port.
+    pub fn connect(&mut self) {
+        self.host.connect();
+        self.turn();
+    }
+
+    /// The host has closed the port, or is unplugged. What its port and the link still hold goes with it, also the rest of
+    /// a line; lines that the board's queue has are carried out and get no `ok` or `error`.
+    pub fn disconnect(&mut self) {
+        self.host.disconnect();
+        self.turn();
+    }
+
+    /// What the controller has said since the last call.
+    pub fn take_output(&mut self) -> String {
+        let taken = std::mem::take(&mut self.outgoing);
+        if taken.len() >= OUTGOING {
+            // The controller has held answers back, and what depends on them.
+            self.turn();
+        }
+        String::from_utf8_lossy(&taken).into_owned()
+    }
+
+    /// Levels that a hand has put on the input pins. A pin at 1 is active unless a setting inverts it.
+    pub fn pins(&self) -> Signals {
+        self.inputs.hand()
+    }
+
+    /// Moves input pins by hand.
+    pub fn set_pins(&mut self, signals: Signals) {
+        if self.inputs.set_hand(signals) {
+            self.settle_inputs();
+            self.turn();
+        }
+    }
+
+    /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong.
+    pub fn pin_line(&mut self, line: &str) -> String {
+        match crate::pins::disturbed(self.board.axes, line) {
+            Some(Ok(bit)) => {
+                let low = self.inputs.low();
+                for low in [low ^ 1 << bit, low] {
+                    if self.inputs.sample(low) {
+                        self.stop();
+                    }
+                }
+                self.turn();
+                return "ok".into();
+            }
+            Some(Err(text)) => return format!("error: {text}"),
+            None => {}
+        }
+        match crate::pins::apply(self.inputs.hand(), self.board.axes, line) {
+            Ok(signals) => {
+                self.set_pins(signals);
+                "ok".into()
+            }
+            Err(text) => format!("error: {text}"),
+        }
+    }
+
+    /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
+    pub fn unread(&self) -> usize {
+        self.host.unread()
+    }
+
+    /// Bytes of answers not yet fetched with [`Simulator::take_output`].
+    pub fn unfetched(&self) -> usize {
+        self.outgoing.len()
+    }
+
+    // Time
+
+    /// Lets virtual time pass.
+    pub fn run_for(&mut self, time: Duration) {
+        self.advance_to(self.clock.now().saturating_add(self.clock.ticks_in(time)));
+    }
+
+    /// Lets virtual time pass until nothing is moving, waiting or unanswered, or the machine waits for the host (a hold,
+    /// an alarm with unread lines, 64 KiB of answers that were not fetched). Gives whether the controller is idle.
+    pub fn run_until_idle(&mut self) -> bool {
+        self.turn();
+        while !self.is_idle() && self.advance_once(u64::MAX) {}
+        self.is_idle()
+    }
+
+    /// Lets virtual time pass up to a tick of the step clock.
+    pub fn advance_to(&mut self, ticks: u64) {
+        while self.clock.now() < ticks {
+            if !self.advance_once(ticks) {
+                self.clock.advance_to(ticks);
+                self.turn();
+            }
+        }
+    }
+
+    /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
+    pub fn advance_once(&mut self, limit: u64) -> bool {
+        if self.power_is_gone() {
+            return false;
+        }
+        let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
+        let sample = self.inputs.sample_due();
+        if wake.is_none() && self.step.due().is_none() && sample.is_none() {
+            return false;
+        }
+        let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
+        loop {
+            match self.step.due() {
+                Some(due) if due <= until => {
+                    self.clock.advance_to(due);
+                    if self.step.tick(&self.clock, &mut self.world, &mut self.inputs) {
+                        break;
+                    }
+                }
+                // The timer runs on and so does the wait for the wake-up.
+                _ => {
+                    self.clock.advance_to(until);
+                    break;
+                }
+            }
+        }
+        if self.inputs.sample_due().is_some_and(|due| due <= self.clock.now()) {
+            self.sample_contacts();
+        }
+        self.turn();
+        true
+    }
+
+    /// Whether nothing is queued, moving, waited for or unanswered.
+    pub fn is_idle(&self) -> bool {
+        self.controller.is_idle()
+            && self.step.is_done()
+            && self.unread() == 0
+            && !self.power_is_gone()
+            && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
+    }
+
+    /// Whether an ordered power cut has come: nothing happens any more.
+    pub fn power_is_gone(&self) -> bool {
+        self.store.power_is_gone()
+    }
+
+    /// Whether something will happen without the host: a motion or a wait is going on.
+    pub fn is_active(&self) -> bool {
+        !self.power_is_gone() && (self.step.due().is_some() || self.controller.next_wakeup().is_some())
+    }
+
+    /// Whether the step task is busy.
+    pub fn is_stepping(&self) -> bool {
+        self.step.due().is_some()
+    }
+
+    /// The virtual clock.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    // What can be seen
+
+    /// The board.
+    pub fn board(&self) -> &Board {
+        &self.board
+    }
+
+    /// The controller.
+    pub fn controller(&self) -> &Controller<AXES, BLOCKS> {
+        &self.controller
+    }
+
+    /// Trace of the step outputs.
+    pub fn trace(&self) -> &Trace {
+        &self.world.trace
+    }
+
+    /// Trace of the step outputs, to be told what else to record.
+    pub fn trace_mut(&mut self) -> &mut Trace {
+        &mut self.world.trace
+    }
+
+    /// The machine.
+    pub fn fittings(&self) -> &Fittings {
+        &self.world.fittings
+    }
+
+    /// Motors and carriages.
+    pub fn machine(&self) -> &Machine {
+        &self.world.machine
+    }
+
+    /// Distances and speeds.
+    pub fn meter(&self) -> &Meter {
+        &self.world.meter
+    }
+
+    /// Distances and speeds, to be told what else to collect.
+    pub fn meter_mut(&mut self) -> &mut Meter {
+        &mut self.world.meter
+    }
+
+    /// The flash image; give it to another simulator to see what a power cycle leaves.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The flash image, to have its power cut.
+    pub fn store_mut(&mut self) -> &mut Store {
+        &mut self.store
+    }
+
+    /// Slow outputs; `None` before the controller has written them.
+    pub fn outputs(&self) -> Option<SlowOutputs> {
+        self.step.outputs()
+    }
+
+    /// Spindle or laser power now, 0 to 65535.
+    pub fn power(&self) -> u16 {
+        self.step.power()
+    }
+
+    /// Facts for the pins' own tasks.
+    pub fn wiring(&self) -> Option<Wiring> {
+        self.wiring
+    }
+
+    /// Step-clock ticks for which the step task has been busy: the time of the digest.
+    pub fn busy_ticks(&self) -> u64 {
+        self.step.busy()
+    }
+
+    /// Machine position in mm.
+    pub fn machine_position(&self) -> [f64; AXES] {
+        self.controller.machine_position().0.map(millimetres)
+    }
+
+    /// Work position in mm.
+    pub fn work_position(&self) -> [f64; AXES] {
+        self.controller.work_position().0.map(millimetres)
+    }
+
+    /// Digests, trace, extents and measurements begin anew: what follows is a job of its own.
+    pub fn begin_job(&mut self) {
+        self.step.restart();
+        self.world.restart();
+        self.learn_resolution();
+    }
+
+    /// Gives the controller a job, whose lines it takes whenever it wants one.
+    pub fn load_job(&mut self, job: JobText) {
+        self.job = Sole(Some(job));
+        self.turn();
+    }
+
+    /// Takes the job away.
+    pub fn unload_job(&mut self) -> Option<JobText> {
+        self.job.0.take()
+    }
+
+    /// The job, if one was loaded.
+    pub fn job(&self) -> Option<&JobText> {
+        self.job.0.as_ref()
+    }
+
+    /// The job, if one was loaded.
+    pub fn job_mut(&mut self) -> Option<&mut JobText> {
+        self.job.0.as_mut()
+    }
+
+    // The tasks
+
+    /// One sample with the machine's contacts as they are now.
+    fn sample_contacts(&mut self) {
+        let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
+        if self.inputs.sample_contacts(&mut self.world.fittings, &self.clock, period) {
+            self.stop();
+        }
+    }
+
+    /// A hand, or the host with a setting, takes its time: the input task has taken as many samples as its filter wants.
+    pub(crate) fn settle_inputs(&mut self) {
+        for _ in 0..self.inputs.settle() {
+            self.stop();
+        }
+    }
+
+    /// Stops the step task at once.
+    pub(crate) fn stop(&mut self) {
+        self.step.stop(&self.clock, &mut self.world);
+    }
+
+    /// The link fetches what the host has sent, as far as there is room. Whether anything was queued.
+    pub(crate) fn receive(&mut self) -> bool {
+        let mut any = self.host.pass_on();
+        while let Some(queued) = self.host.fetch(self.controller.is_idle()) {
+            any |= queued;
+            if self.host.wants_stop() {
+                self.stop();
+            }
+        }
+        any
+    }
+
+    /// One turn of the control task at the present time.
+    fn turn(&mut self) {
+        while !self.power_is_gone() {
+            if !pump::round(self) {
+                self.erase_ahead();
+                return;
+            }
+        }
+    }
+
+    /// Erases flash while the machine is quiet, so that no write has to wait for it.
+    fn erase_ahead(&mut self) {
+        if self.store.needs_erase() && self.step.due().is_none() && self.controller.is_quiet() {
+            // A file that cannot be written shows at the next write.
+            let _ = self.store.erase_ahead();
+        }
+    }
+
+    pub(crate) fn learn_resolution(&mut self) {
+        let settings = self.controller.settings();
+        let (steps_per_mm, arrangement) = (settings.axes(AxisKey::Resolution), settings.arrangement());
+        self.world.meter.set_resolution(steps_per_mm.0.map(f64::from), arrangement);
+        self.world.machine.arrange(arrangement);
+    }
+
+    /// Makes the next bytes of a job ready; at its end the controller is told that no more will come.
+    pub(crate) fn read_job_ahead(&mut self) {
+        if let Some(job) = &mut self.job.0 {
+            self.job_ready = job.waiting();
+            if self.job_ready == 0 {
+                self.controller.input_ended();
+            }
+        }
+    }
+}
+
+fn millimetres(coordinate: Coordinate) -> f64 {
+    coordinate.0 as f64 / Coordinate::mm(1).0 as f64
+}

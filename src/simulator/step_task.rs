@@ -1,0 +1,244 @@
+//! The step task: the controller's own stepper with a queue in front of it, on a machine whose motors it turns.
+
+use crate::boards::AXES;
+use crate::clock::Clock;
+use crate::fittings::Fittings;
+use crate::input_task::InputTask;
+use crate::machine::Machine;
+use crate::meter::Meter;
+use crate::trace::{StepRecord, Trace};
+use oxmill_controller::Stepper;
+use oxmill_controller::messages::{SEGMENTS_DEPTH, SlowOutputs, StepEvent, ToStep, Wiring};
+use std::collections::VecDeque;
+
+/// What is behind the pins, and what records it.
+#[derive(Clone)]
+pub struct World {
+    /// Motors and carriages.
+    pub machine: Machine,
+    /// Switches and plate.
+    pub fittings: Fittings,
+    /// Distances and speeds.
+    pub meter: Meter,
+    /// Trace of the step outputs.
+    pub trace: Trace,
+}
+
+impl World {
+    /// Trace, extents and measurements begin at zero.
+    pub fn restart(&mut self) {
+        self.trace.restart();
+        self.machine.restart();
+        self.meter.restart();
+    }
+}
+
+/// The stepper, its timer and its queue.
+#[derive(Clone)]
+pub struct StepTask {
+    stepper: Box<Stepper<AXES>>,
+    segments: VecDeque<ToStep>,
+    events: VecDeque<StepEvent<AXES>>,
+    /// When the step timer expires next; `None` while it is stopped.
+    due: Option<u64>,
+    /// Ticks for which the task has been busy.
+    busy: u64,
+    directions: u8,
+    begun: u32,
+    /// Count of stops that the task waits to hear of, while its gate is shut.
+    shut: Option<u16>,
+    power: u16,
+    outputs: Option<SlowOutputs>,
+    /// The probe is active while its pin is high.
+    probe_invert: bool,
+}
+
+impl Default for StepTask {
+    fn default() -> Self {
+        StepTask {
+            stepper: Box::new(Stepper::new()),
+            segments: VecDeque::with_capacity(SEGMENTS_DEPTH),
+            events: VecDeque::new(),
+            due: None,
+            busy: 0,
+            directions: 0,
+            begun: 0,
+            shut: None,
+            power: 0,
+            outputs: None,
+            probe_invert: false,
+        }
+    }
+}
+
+impl StepTask {
+    /// When the step timer expires next.
+    #[inline]
+    pub fn due(&self) -> Option<u64> {
+        self.due
+    }
+
+    /// Ticks for which the task has been busy: the time of the digest.
+    pub fn busy(&self) -> u64 {
+        self.busy
+    }
+
+    /// The time of the digest begins at zero.
+    pub fn restart(&mut self) {
+        self.busy = 0;
+    }
+
+    /// Messages that wait.
+    pub fn queued(&self) -> usize {
+        self.segments.len()
+    }
+
+    /// Whether nothing moves and nothing waits.
+    pub fn is_done(&self) -> bool {
+        self.due.is_none() && self.segments.is_empty()
+    }
+
+    /// The same, and nothing is loaded.
+    pub fn is_idle(&self) -> bool {
+        self.is_done() && self.stepper.is_idle()
+    }
+
+    /// Segments begun since power-up.
+    pub fn segments_begun(&self) -> u32 {
+        self.stepper.segments_begun()
+    }
+
+    /// Slow outputs, as written last.
+    pub fn outputs(&self) -> Option<SlowOutputs> {
+        self.outputs
+    }
+
+    /// Spindle or laser power now.
+    pub fn power(&self) -> u16 {
+        self.power
+    }
+
+    /// The next report to the control task.
+    pub fn next_event(&mut self) -> Option<StepEvent<AXES>> {
+        self.events.pop_front()
+    }
+
+    /// Takes over what concerns it of the wiring.
+    pub fn wire(&mut self, wiring: &Wiring) {
+        self.probe_invert = wiring.probe_invert;
+    }
+
+    /// Takes over the slow outputs; the power of a moving laser comes with the segments.
+    pub fn show(&mut self, outputs: SlowOutputs, world: &mut World) {
+        self.outputs = Some(outputs);
+        if !outputs.power_from_segments || self.due.is_none() {
+            self.power = outputs.power;
+        }
+        world.trace.outputs(&outputs, self.power);
+    }
+
+    /// A message comes into the queue.
+    pub fn queue(&mut self, message: ToStep, clock: &Clock, world: &mut World) {
+        self.segments.push_back(message);
+        self.load(clock, world);
+    }
+
+    /// Fills the stepper from the queue and starts the timer when it has work.
+    fn load(&mut self, clock: &Clock, world: &mut World) {
+        while self.stepper.wants()
+            && let Some(message) = self.segments.pop_front()
+        {
+            match message {
+                ToStep::Resume { stops } if self.shut == Some(stops) => self.shut = None,
+                _ if self.shut.is_some() => {}
+                _ => world.meter.loaded(&message),
+            }
+            self.stepper.load(message);
+        }
+        if self.due.is_none() && !self.stepper.is_idle() {
+            self.due = Some(clock.now());
+        }
+    }
+
+    /// The step timer expires, now. `true` if the control task should look at once.
+    #[inline]
+    pub fn tick(&mut self, clock: &Clock, world: &mut World, inputs: &mut InputTask) -> bool {
+        let due = clock.now();
+        let tick = self.stepper.tick();
+        if tick.steps != 0 {
+            world.machine.step(tick.steps, self.directions);
+            if world.fittings.moved(&world.machine, clock.instant().ticks()) {
+                inputs.sample_at(due);
+            }
+            world.trace.step(StepRecord {
+                at: due,
+                busy: self.busy,
+                steps: tick.steps,
+                directions: self.directions,
+                position: world.machine.position(),
+            });
+        }
+        self.directions = tick.directions;
+        self.busy += u64::from(tick.interval);
+        self.due = (tick.interval != 0).then(|| due + u64::from(tick.interval));
+        let begun = self.stepper.segments_begun();
+        if begun != self.begun {
+            self.begun = begun;
+            world.trace.segment(due);
+            world.meter.begin(clock.seconds(due), world.machine.position());
+            self.segment_power(world);
+        }
+        let probed = self.stepper.is_watching() && self.look_at_probe(world, inputs);
+        if tick.underrun {
+            let event = self.stepper.underrun_event();
+            self.stopped(event, clock, world);
+            return true;
+        }
+        if !self.segments.is_empty() {
+            self.load(clock, world);
+        }
+        if self.due.is_none() {
+            world.meter.at_rest(clock.seconds(due));
+            return true;
+        }
+        probed
+    }
+
+    fn segment_power(&mut self, world: &mut World) {
+        let power = self.stepper.power();
+        if let Some(outputs) = self.outputs
+            && outputs.power_from_segments
+            && power != self.power
+        {
+            self.power = power;
+            world.trace.outputs(&outputs, power);
+        }
+    }
+
+    fn look_at_probe(&mut self, world: &World, inputs: &InputTask) -> bool {
+        // The step task looks at the pin itself and not at what the filter has let pass.
+        let touched = (inputs.hand().probe || world.fittings.touches()) != self.probe_invert;
+        let first = self.stepper.probe(touched);
+        if first {
+            self.events.push_back(self.stepper.probed_event());
+        }
+        first
+    }
+
+    /// Stops at once.
+    pub fn stop(&mut self, clock: &Clock, world: &mut World) {
+        let event = self.stepper.stop();
+        self.stopped(event, clock, world);
+        // What is queued is void, and a full queue would have no room for `Resume`.
+        self.load(clock, world);
+    }
+
+    fn stopped(&mut self, event: StepEvent<AXES>, clock: &Clock, world: &mut World) {
+        if let StepEvent::Stopped { stops, .. } | StepEvent::Underrun { stops, .. } = event {
+            self.shut = Some(stops);
+        }
+        self.events.push_back(event);
+        self.due = None;
+        world.meter.stopped(clock.seconds(clock.now()));
+    }
+}

@@ -1,0 +1,302 @@
+//! The shape of the code: how many fields a part has, how long a function is, which files of a room call each other, and
+//! which names and words there are.
+//!
+//! What is beyond a limit today is listed with its figure, which can only fall: the test also fails when an entry is not
+//! needed any more.
+
+use crate::source::{self, Item, Token};
+use crate::{module_of, root, sources};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Fields of a struct that has `&mut self` methods.
+const MOST_FIELDS: usize = 20;
+const MANY_FIELDS: &[(&str, usize)] =
+    &[("src/controller/gcode/parse.rs Parsed", 37), ("src/firmware/step_timer.rs Step", 24)];
+
+/// Lines of a function of the controller, from its signature to its closing brace.
+const MOST_LINES: usize = 60;
+const LONG_FUNCTIONS: &[(&str, usize)] = &[("motion/intake.rs append", 114), ("motion/smooth.rs go_on", 78)];
+
+/// Files of a room that lie on a circle of `self.method()` calls across `impl` blocks: how many.
+const CALL_CIRCLES: &[(&str, usize)] = &[("gcode", 3), ("motion", 5)];
+
+/// The same by imports from each other.
+const IMPORT_CIRCLES: &[(&str, usize)] = &[("gcode", 9), ("motion", 2)];
+
+/// Types of one name in a crate: how many.
+const SAME_NAMES: &[(&str, usize)] = &[
+    ("src/controller Computed", 2),
+    ("src/controller Direction", 2),
+    ("src/controller Feed", 2),
+    ("src/controller Flow", 2),
+    ("src/controller Held", 2),
+    ("src/controller Kind", 2),
+    ("src/controller Order", 2),
+    ("src/controller Overrides", 2),
+    ("src/controller Phase", 2),
+    ("src/controller Piece", 3),
+    ("src/controller Place", 2),
+    ("src/controller Record", 2),
+    ("src/controller Reference", 2),
+    ("src/controller State", 2),
+];
+
+/// Words that keep out of comments, for they tell a reader who searches nothing: how often they occur today.
+const WORDS: &[(&str, usize)] = &[
+    ("anew", 24),
+    ("at a stretch", 1),
+    ("crumb", 0),
+    ("crumbs", 0),
+    ("goes on", 30),
+    ("hair's breadth", 1),
+    ("midst", 11),
+    ("minds", 3),
+    ("nobody", 27),
+    ("stands", 36),
+];
+
+/// The crates that make an image or the simulator.
+const CRATES: [&str; 6] = ["boards", "src/controller", "src/firmware", "src/root", "src/simulator", "src/store"];
+
+/// Compares what is found with a limit and with the list of what is beyond it.
+fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
+    let mut faults = Vec::new();
+    for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
+        match listed.iter().find(|(listed, _)| listed == name) {
+            None => faults.push(format!("{name}: {figure} {what}, of {limit} at most")),
+            Some((_, before)) if figure > before => faults.push(format!("{name}: {figure} {what}, {before} before")),
+            Some(_) => {}
+        }
+    }
+    for (name, _) in listed {
+        if found.get(*name).is_none_or(|figure| *figure <= limit) {
+            faults.push(format!("{name} is within {limit} {what}: take it out of the list"));
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// Items of all files of a folder.
+fn items(folder: &str) -> Vec<(String, Vec<Item>)> {
+    let read = |(file, text): &(std::path::PathBuf, String)| {
+        (file.to_string_lossy().into_owned(), source::items(&source::lex(&source::bare(text))))
+    };
+    sources(&root().join(folder)).iter().map(read).collect()
+}
+
+#[test]
+fn parts_have_few_fields() {
+    let mut found = BTreeMap::new();
+    for folder in CRATES {
+        let all = items(folder);
+        let mutated: BTreeSet<&String> = all
+            .iter()
+            .flat_map(|(_, items)| items)
+            .filter(|item| item.kind == "impl" && source::has_mut_self(&item.body))
+            .map(|item| &item.name)
+            .collect();
+        for (file, items) in &all {
+            for item in items.iter().filter(|item| item.kind == "struct" && mutated.contains(&item.name)) {
+                found.insert(format!("{folder}/{file} {}", item.name), source::fields(&item.body));
+            }
+        }
+    }
+    assert!(found.len() > 40, "{} structs", found.len());
+    judge("fields", &found, MOST_FIELDS, MANY_FIELDS);
+}
+
+#[test]
+fn functions_of_the_controller_are_short() {
+    let mut found: BTreeMap<String, usize> = BTreeMap::new();
+    for (file, items) in items("src/controller") {
+        for (name, lines) in items.iter().flat_map(Item::functions) {
+            let longest = found.entry(format!("{file} {name}")).or_default();
+            *longest = lines.max(*longest);
+        }
+    }
+    assert!(found.len() > 400, "{} functions", found.len());
+    judge("lines", &found, MOST_LINES, LONG_FUNCTIONS);
+}
+
+/// Files of the rooms of the controller, by room; a file at the root is a room of its own.
+fn rooms() -> BTreeMap<String, Vec<(String, String)>> {
+    let mut rooms: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
+    for (file, text) in sources(&root().join("src/controller")) {
+        let Some(room) = module_of(&file).first().cloned() else { continue };
+        rooms.entry(room).or_default().push((file.to_string_lossy().into_owned(), text));
+    }
+    rooms
+}
+
+/// How many nodes of a graph lie on a circle.
+fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
+    let reach = |from: &String| {
+        let mut seen = BTreeSet::new();
+        let mut next: Vec<&String> = graph.get(from).into_iter().flatten().collect();
+        while let Some(file) = next.pop() {
+            if seen.insert(file.clone()) {
+                next.extend(graph.get(file).into_iter().flatten());
+            }
+        }
+        seen
+    };
+    let reached: BTreeMap<&String, BTreeSet<String>> = graph.keys().map(|file| (file, reach(file))).collect();
+    reached.iter().filter(|(file, there)| there.contains(**file)).count()
+}
+
+#[test]
+fn calls_between_the_files_of_a_room_go_one_way() {
+    let mut found = BTreeMap::new();
+    for (room, files) in rooms() {
+        let mut methods: BTreeMap<(String, String), String> = BTreeMap::new();
+        let read: Vec<(&String, Vec<Item>)> =
+            files.iter().map(|(file, text)| (file, source::items(&source::lex(&source::bare(text))))).collect();
+        for (file, items) in &read {
+            for item in items.iter().filter(|item| item.kind == "impl") {
+                for (name, _) in item.functions() {
+                    methods.insert((item.name.clone(), name), (*file).clone());
+                }
+            }
+        }
+        let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (file, items) in &read {
+            for item in items.iter().filter(|item| item.kind == "impl") {
+                for call in source::calls_of_self(&item.body) {
+                    if let Some(other) = methods.get(&(item.name.clone(), call)).filter(|other| other != file) {
+                        graph.entry((*file).clone()).or_default().insert(other.clone());
+                    }
+                }
+            }
+        }
+        found.insert(room, circles(&graph));
+    }
+    judge("files on a circle of calls", &found, 0, CALL_CIRCLES);
+}
+
+#[test]
+fn imports_between_the_files_of_a_room_go_one_way() {
+    let mut found = BTreeMap::new();
+    for (room, files) in rooms() {
+        let by_module: BTreeMap<Vec<String>, &String> =
+            files.iter().map(|(file, _)| (module_of(Path::new(file)), file)).collect();
+        let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (file, text) in &files {
+            let module = module_of(Path::new(file));
+            for path in source::paths(&source::bare(text)) {
+                let Some(full) = full_path(&path, &module) else { continue };
+                // The longest module that the path begins with. What a room's root has is for all its files.
+                let target = (2..=full.len()).rev().find_map(|n| by_module.get(&full[..n]));
+                if let Some(other) = target.filter(|other| **other != file) {
+                    graph.entry(file.clone()).or_default().insert((*other).clone());
+                }
+            }
+        }
+        assert!(room != "motion" || graph.len() > 5, "imports are found");
+        found.insert(room, circles(&graph));
+    }
+    judge("files on a circle of imports", &found, 0, IMPORT_CIRCLES);
+}
+
+/// A path from the root of the crate.
+fn full_path(path: &[String], module: &[String]) -> Option<Vec<String>> {
+    let mut base = module.to_vec();
+    let mut rest = path;
+    match rest.first()?.as_str() {
+        "crate" => base.clear(),
+        "super" | "self" => {}
+        _ => return None,
+    }
+    while let Some(first) = rest.first().filter(|word| ["super", "crate", "self"].contains(&word.as_str())) {
+        if first == "super" {
+            base.pop();
+        }
+        rest = &rest[1..];
+    }
+    base.extend(rest.iter().cloned());
+    Some(base)
+}
+
+#[test]
+fn a_crate_has_each_type_name_once() {
+    let mut found: BTreeMap<String, usize> = BTreeMap::new();
+    // What the boards' contract names, each board has.
+    for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
+        for (_, items) in items(folder) {
+            for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
+                *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
+            }
+        }
+    }
+    assert!(found.len() > 100);
+    judge("types of this name", &found, 1, SAME_NAMES);
+}
+
+#[test]
+fn comments_are_plain() {
+    let mut found: BTreeMap<String, usize> = BTreeMap::new();
+    for folder in CRATES {
+        for (_, text) in sources(&root().join(folder)) {
+            let comments = source::comments(&text).to_lowercase();
+            let words: Vec<&str> = comments.split(|c: char| !c.is_alphanumeric() && c != '\'').collect();
+            let words = format!(" {} ", words.iter().filter(|w| !w.is_empty()).copied().collect::<Vec<_>>().join(" "));
+            for (word, _) in WORDS {
+                *found.entry((*word).to_owned()).or_default() += words.matches(&format!(" {word} ")).count();
+            }
+        }
+    }
+    let left: Vec<(&str, usize)> = WORDS.iter().copied().filter(|(_, before)| *before > 0).collect();
+    judge("times", &found, 0, &left);
+}
+
+mod the_shape_itself {
+    use super::*;
+
+    fn tokens(text: &str) -> Vec<Token> {
+        source::lex(&source::bare(text))
+    }
+
+    #[test]
+    fn finds_items_fields_and_lengths() {
+        let text = "pub struct A<const N: usize> {\n  #[allow(x)]\n  pub a: [u8; N],\n  b: fn(x: u8) -> B<C>,\n}\n\
+                    impl<const N: usize> A<N> {\n  pub const fn f(&self, a: [u8; 2])\n  -> u8 {\n    0\n  }\n  fn g(&mut self) { self.f(); }\n}\n\
+                    impl Trait for B {}\nfn free() {}\nstruct Unit;\nenum E { A { x: u8 } }";
+        let items = source::items(&tokens(text));
+        let kinds: Vec<(&str, &str)> = items.iter().map(|item| (item.kind.as_str(), item.name.as_str())).collect();
+        assert_eq!(
+            kinds,
+            [("struct", "A"), ("impl", "A"), ("impl", "B"), ("fn", "free"), ("struct", "Unit"), ("enum", "E")]
+        );
+        assert_eq!(source::fields(&items[0].body), 2);
+        assert_eq!(items[1].functions(), [("f".to_owned(), 4), ("g".to_owned(), 1)]);
+        assert!(source::has_mut_self(&items[1].body) && !source::has_mut_self(&items[2].body));
+        assert_eq!(source::calls_of_self(&items[1].body), ["f"]);
+    }
+
+    #[test]
+    fn finds_circles() {
+        let edge = |from: &str, to: &str| (from.to_owned(), BTreeSet::from([to.to_owned()]));
+        let graph = BTreeMap::from([edge("a", "b"), edge("b", "c"), edge("c", "b"), edge("d", "a")]);
+        assert_eq!(circles(&graph), 2);
+    }
+
+    #[test]
+    fn reads_comments_only() {
+        let text = "let a = \"// no\"; // yes\n/* and this */ fn f() {}\n/// too";
+        let comments = source::comments(text);
+        for word in ["yes", "and this", "too"] {
+            assert!(comments.contains(word), "{comments}");
+        }
+        assert!(!comments.contains("no") && !comments.contains("fn"));
+    }
+
+    #[test]
+    fn judges_in_both_directions() {
+        let found = BTreeMap::from([("a".to_owned(), 5)]);
+        judge("x", &found, 5, &[]);
+        judge("x", &found, 3, &[("a", 5)]);
+        for (limit, listed) in [(3, &[][..]), (3, &[("a", 4)][..]), (5, &[("a", 5)][..]), (9, &[("gone", 5)][..])] {
+            assert!(std::panic::catch_unwind(|| judge("x", &found, limit, listed)).is_err());
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The walls between crates: who builds on whom, and that no file is compiled into two crates.
+
+use crate::{dependencies, root, source, sources};
+use std::fs;
+
+/// Crates of this workspace that each crate may build on. What comes from outside is each crate's own affair.
+const CRATES: &[(&str, &[&str])] = &[
+    ("boards", &["oxmill-controller", "oxmill-store"]),
+    ("boards/images", &[]),
+    ("src/controller", &["oxmill-root"]),
+    ("src/firmware", &["oxmill-boards", "oxmill-controller", "oxmill-store"]),
+    ("src/root", &[]),
+    ("src/simulator", &["oxmill-boards", "oxmill-controller", "oxmill-store"]),
+    ("src/store", &["oxmill-controller"]),
+];
+
+#[test]
+fn crates_build_on_those_below_them() {
+    for (folder, allowed) in CRATES {
+        let manifest = fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap();
+        let found = dependencies(&manifest);
+        for name in found.iter().filter(|name| name.starts_with("oxmill")) {
+            assert!(allowed.contains(&name.as_str()), "{folder} builds on `{name}`");
+        }
+        for name in *allowed {
+            assert!(found.iter().any(|n| n == name), "{folder} does not build on `{name}` any more");
+        }
+    }
+}
+
+/// What differs between boards is behind their contract: features belong to the crate of the boards.
+#[test]
+fn no_condition_of_the_firmware_names_a_board() {
+    let mut read = 0;
+    for (file, text) in sources(&root().join("src/firmware")) {
+        read += 1;
+        let text = source::bare(&text);
+        let conditions = ["cfg(feature", "cfg(any", "cfg(all", "cfg(not", "cfg!(", "cfg_attr("];
+        let dense: String = text.split_whitespace().collect();
+        for condition in conditions {
+            assert!(!dense.contains(condition), "src/firmware/{}: {condition}", file.display());
+        }
+    }
+    assert!(read > 10);
+}
+
+/// Files that are compiled where they do not lie, and why.
+const INCLUDED: &[(&str, &str, &str)] = &[
+    ("src/store/tests.rs", "damage_tests.rs", "tests of one module in two files"),
+    ("tests/bench/motion.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
+    ("tests/machine/examples.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
+    ("tests/on_target/src/count.rs", "../../../src/firmware/crossing.rs", "the step task for registers in memory"),
+    ("tests/on_target/src/count.rs", "../../../src/firmware/step_timer.rs", "the step task for registers in memory"),
+    ("xtask/src/recordings.rs", "../../tests/recordings/differences.rs", "one list of differences for both runs"),
+    ("xtask/src/recordings.rs", "../../tests/recordings/record.rs", "one reader of the recordings"),
+    ("xtask/src/recordings.rs", "../../tests/recordings/rules.rs", "one list of rules for both runs"),
+];
+
+#[test]
+fn files_are_compiled_where_they_lie() {
+    let mut found = Vec::new();
+    for folder in ["boards", "src", "tests", "xtask"] {
+        for (file, text) in source::all(&root().join(folder)) {
+            let paths = text.lines().filter_map(|line| line.trim().strip_prefix("#[path = \"")?.strip_suffix("\"]"));
+            found.extend(paths.map(|path| (format!("{folder}/{}", file.display()), path.to_owned())));
+        }
+    }
+    for (file, path) in &found {
+        let known = INCLUDED.iter().any(|(f, p, _)| f == file && p == path);
+        assert!(known, "{file} includes {path}: let the crate be used instead, or give the reason in INCLUDED");
+    }
+    for (file, path, why) in INCLUDED {
+        let exists = found.iter().any(|(f, p)| f == file && p == path);
+        assert!(exists, "{file} does not include {path} any more ({why}): take it out of INCLUDED");
+    }
+}

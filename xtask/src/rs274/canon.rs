@@ -1,0 +1,110 @@
+//! What `rs274` prints: calls of canonical machining functions, in the unit of the program, without the offsets.
+
+use super::{Event, NO_MOVE, Outcome};
+use crate::Failure;
+use std::path::Path;
+use std::process::Command;
+
+/// The offsets in force, mm.
+#[derive(Default)]
+struct Reader {
+    inches: bool,
+    /// First, second and third axis of the plane.
+    plane: [usize; 3],
+    system: [f64; 3],
+    g92: [f64; 3],
+    tool: [f64; 3],
+    /// Where the machine is, without offsets.
+    machine: [f64; 3],
+    events: Vec<Event>,
+}
+
+/// Runs a file. Each process needs a home of its own, in which it keeps a tool table.
+pub fn interpret(home: &Path, file: &Path) -> Result<Outcome, Failure> {
+    let home = std::path::absolute(home).map_err(|e| e.to_string())?;
+    // It refuses a tool that has no pocket.
+    std::fs::write(home.join("tools.tbl"), "T1 P1\nT2 P2\nT7 P7\n").map_err(|e| e.to_string())?;
+    let output = Command::new("rs274")
+        .args(["-g", "-t", "tools.tbl"])
+        .arg(std::path::absolute(file).map_err(|e| e.to_string())?)
+        .env("HOME", &home)
+        .current_dir(&home)
+        .output()
+        .map_err(|e| format!("rs274: {e}"))?;
+    let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        if let Some((_, call)) = line.split_once("N..... ") {
+            reader.call(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
+        }
+    }
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let mut refused: Vec<&str> = errors.lines().filter(|line| *line != "executing" && !line.is_empty()).collect();
+    Ok(Outcome { events: reader.events, of: Vec::new(), refused: refused.pop().map(str::to_string) })
+}
+
+impl Reader {
+    /// The numbers of a call, in mm.
+    fn lengths(&self, arguments: &str) -> Option<Vec<f64>> {
+        let unit = if self.inches { 25.4 } else { 1.0 };
+        arguments
+            .split([',', ' '])
+            .filter(|word| !word.is_empty())
+            .map(|word| word.parse::<f64>().ok().map(|value| value * unit))
+            .collect()
+    }
+
+    fn call(&mut self, call: &str) -> Option<()> {
+        let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
+        let place = |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?]);
+        match name {
+            "USE_LENGTH_UNITS" => self.inches = arguments == "CANON_UNITS_INCHES",
+            "SELECT_PLANE" => {
+                self.plane = match arguments {
+                    "CANON_PLANE_XZ" => [2, 0, 1],
+                    "CANON_PLANE_YZ" => [1, 2, 0],
+                    _ => [0, 1, 2],
+                }
+            }
+            "SET_G5X_OFFSET" => self.system = place(self.lengths(arguments)?.get(1..)?)?,
+            "SET_G92_OFFSET" => self.g92 = place(&self.lengths(arguments)?)?,
+            "USE_TOOL_LENGTH_OFFSET" => self.tool = place(&self.lengths(arguments)?)?,
+            "STRAIGHT_TRAVERSE" => {
+                let to = place(&self.lengths(arguments)?)?;
+                self.go(to, Event::Rapid(to));
+            }
+            "STRAIGHT_FEED" => {
+                let to = place(&self.lengths(arguments)?)?;
+                self.go(to, Event::Feed(to));
+            }
+            "ARC_FEED" => self.arc(arguments)?,
+            "DWELL" => self.events.push(Event::Dwell(arguments.parse().ok()?)),
+            _ => {}
+        }
+        Some(())
+    }
+
+    fn machine(&self, work: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|a| work[a] + self.system[a] + self.g92[a] + self.tool[a])
+    }
+
+    fn go(&mut self, to: [f64; 3], event: Event) {
+        let machine = self.machine(to);
+        if machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE) {
+            self.events.push(event);
+        }
+        self.machine = machine;
+    }
+
+    fn arc(&mut self, arguments: &str) -> Option<()> {
+        let numbers = self.lengths(arguments)?;
+        let [first, second, centre_first, centre_second, _, third, ..] = numbers[..] else { return None };
+        let turns = arguments.split(',').nth(4)?.trim().parse().ok()?;
+        let mut end = [0.0; 3];
+        for (axis, value) in self.plane.into_iter().zip([first, second, third]) {
+            end[axis] = value;
+        }
+        self.events.push(Event::Arc(end, [centre_first, centre_second], turns));
+        self.machine = self.machine(end);
+        Some(())
+    }
+}

@@ -1,0 +1,383 @@
+//! Random programs over the words that Oxmill and LinuxCNC share.
+//!
+//! Lines that Oxmill refuses are left out, but for the last line of a batch, which may be one: `rs274` has to refuse it too.
+//! Left out is what the book names as a difference: G88; a change of offsets, of the plane or of G98 and G99 within a series of
+//! cycles; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
+//! offset.
+
+use super::Outcome;
+use super::ours::Mill;
+
+/// What every program begins with, so that nothing of the one before is left.
+const BEGIN: &[&str] = &[
+    "G49",
+    "G21 G90 G17 G94 G98 G40 G80 G61",
+    "G54 G92.1 F300 S1000",
+    "G10 L2 P1 X0 Y0 Z0",
+    "G10 L2 P2 X0 Y0 Z0",
+    "G10 L2 P6 X0 Y0 Z0",
+    "G10 L2 P9 X0 Y0 Z0",
+    "G10 L1 P1 X0 Y0 Z0",
+    "G10 L1 P2 X0 Y0 Z0",
+    "G10 L1 P7 X0 Y0 Z0",
+    "T1 M6 M3",
+    "G53 G0 X0 Y0 Z0",
+    "G28.1",
+    "G30.1",
+    "M70",
+];
+
+/// Statements more at the end, until one is refused.
+const MORE: usize = 60;
+
+pub struct Batch {
+    pub lines: Vec<String>,
+    pub outcome: Outcome,
+}
+
+struct Writer {
+    random: u64,
+    mill: Mill,
+    inches: bool,
+    incremental: bool,
+    plane: usize,
+    /// Of the state that M70 keeps.
+    kept: (bool, bool, usize),
+    batch: Batch,
+    refused: Option<String>,
+}
+
+/// Programs one after the other, and perhaps a last line that is refused.
+pub fn batch(seed: u64, programs: usize) -> Batch {
+    let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
+    let mut writer = Writer {
+        random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1,
+        mill: Mill::new(),
+        inches: false,
+        incremental: false,
+        plane: 0,
+        kept: (false, false, 0),
+        batch: Batch { lines: Vec::new(), outcome },
+        refused: None,
+    };
+    for _ in 0..programs {
+        for line in BEGIN {
+            writer.put((*line).into());
+        }
+        (writer.inches, writer.incremental, writer.plane, writer.kept) = (false, false, 0, (false, false, 0));
+        for _ in 0..8 + writer.below(25) {
+            writer.statement();
+        }
+    }
+    for _ in 0..MORE {
+        if writer.refused.is_some() {
+            break;
+        }
+        writer.statement();
+    }
+    let mut batch = writer.batch;
+    match writer.refused {
+        Some(line) => {
+            batch.lines.push(line.clone());
+            batch.outcome.refused = Some(line);
+        }
+        None => batch.lines.push("M2".into()),
+    }
+    batch
+}
+
+impl Writer {
+    fn next(&mut self) -> u64 {
+        // xorshift64*
+        self.random ^= self.random >> 12;
+        self.random ^= self.random << 25;
+        self.random ^= self.random >> 27;
+        self.random.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11
+    }
+
+    fn below(&mut self, n: u64) -> u64 {
+        self.next() % n
+    }
+
+    fn percent(&mut self, share: u64) -> bool {
+        self.below(100) < share
+    }
+
+    fn one_of<'a>(&mut self, all: &[&'a str]) -> &'a str {
+        all[self.below(all.len() as u64) as usize]
+    }
+
+    /// From `least` to `most` mm, as a word's number.
+    fn length(&mut self, least: f64, most: f64) -> String {
+        let share = self.below(2001) as f64 / 2000.0;
+        let mm = least + (most - least) * share;
+        if self.inches { format!("{:.3}", mm / 25.4) } else { format!("{mm:.2}") }
+    }
+
+    fn coordinate(&mut self) -> String {
+        if self.incremental { self.length(-10.0, 10.0) } else { self.length(-40.0, 40.0) }
+    }
+
+    /// Words of some of the axes, of at least one.
+    fn axes(&mut self) -> String {
+        let mut words = String::new();
+        while words.is_empty() {
+            for axis in ["X", "Y", "Z"] {
+                if self.percent(45) {
+                    words += &format!(" {axis}{}", self.coordinate());
+                }
+            }
+        }
+        words
+    }
+
+    /// Takes a line over; whether Oxmill does.
+    fn put(&mut self, line: String) -> bool {
+        match self.mill.run(&line) {
+            Ok(events) => {
+                let at = self.batch.lines.len();
+                self.batch.outcome.of.extend(events.iter().map(|_| at));
+                self.batch.outcome.events.extend(events);
+                self.batch.lines.push(line);
+                self.refused = None;
+                true
+            }
+            Err(_) => {
+                self.refused = Some(line);
+                false
+            }
+        }
+    }
+
+    fn statement(&mut self) {
+        match self.below(100) {
+            0..=19 => {
+                let (modal, word, axes) = (self.modal(), self.one_of(&["G0", "G1"]), self.axes());
+                self.put(format!("{modal}{word}{axes}"));
+            }
+            20..=27 => {
+                let axes = self.axes();
+                self.put(axes.trim().into());
+            }
+            28..=43 => self.arc(),
+            44..=63 => self.cycle(),
+            64..=67 => {
+                let plane = self.below(3) as usize;
+                if self.put(format!("G{}", 17 + plane)) {
+                    self.plane = plane;
+                }
+            }
+            68..=70 => {
+                let inches = self.percent(50);
+                self.put("G49".into());
+                if self.put(if inches { "G20" } else { "G21" }.into()) {
+                    self.inches = inches;
+                }
+            }
+            71..=74 => {
+                let incremental = self.percent(50);
+                if self.put(if incremental { "G91" } else { "G90" }.into()) {
+                    self.incremental = incremental;
+                }
+            }
+            75..=76 => {
+                let time = self.below(2000) as f64 / 1000.0;
+                self.put(format!("G4 P{time}"));
+            }
+            77..=84 => self.offsets(),
+            85..=88 => self.places(),
+            89..=94 => self.tools(),
+            95..=96 => self.keep(),
+            _ => {
+                let line = self.one_of(&[
+                    "G80", "G61", "G64", "G64 P0.1", "G61.1", "M48", "M49", "M50 P0", "M51", "M8", "M9", "F500", "S200",
+                ]);
+                self.put(line.into());
+            }
+        }
+    }
+
+    /// A modal word that a motion may have before it.
+    fn modal(&mut self) -> String {
+        match self.below(20) {
+            0 => "G54 ".into(),
+            1 => "G55 ".into(),
+            2 => "G59.3 ".into(),
+            3 => "G49 ".into(),
+            4 => "G43 H1 ".into(),
+            5 => "G80 ".into(),
+            6 => "G64 ".into(),
+            _ => String::new(),
+        }
+    }
+
+    fn plane_axes(&self) -> [usize; 3] {
+        [[0, 1, 2], [2, 0, 1], [1, 2, 0]][self.plane]
+    }
+
+    fn arc(&mut self) {
+        const AXES: [char; 3] = ['X', 'Y', 'Z'];
+        const CENTRES: [char; 3] = ['I', 'J', 'K'];
+        let [first, second, third] = self.plane_axes();
+        let word = self.one_of(&["G2", "G3"]);
+        let unit = if self.inches { 25.4 } else { 1.0 };
+        let work = self.mill.work().map(|mm| mm / unit);
+        let angle = self.below(6283) as f64 / 1000.0;
+        let radius = (1.0 + self.below(1500) as f64 / 100.0) / unit;
+        let (i, j) = (radius * angle.cos(), radius * angle.sin());
+        let helix = if self.percent(30) { format!(" {}{}", AXES[third], self.coordinate()) } else { String::new() };
+        let turns = if self.percent(15) { format!(" P{}", 1 + self.below(4)) } else { String::new() };
+        let to = |axis: usize, by: f64, incremental: bool| if incremental { by } else { work[axis] + by };
+        let incremental = self.incremental;
+        let line = match self.below(4) {
+            0 => format!("{word}{helix} {}{i:.5} {}{j:.5}{turns}", CENTRES[first], CENTRES[second]),
+            1 => {
+                // The longer the chord for its radius the more the centre depends on the last digit.
+                let share = 0.1 + self.below(80) as f64 / 100.0;
+                let (a, b) = (2.0 * radius * share * angle.cos(), 2.0 * radius * share * angle.sin());
+                let sign = if self.percent(30) { "-" } else { "" };
+                format!(
+                    "{word} {}{:.5} {}{:.5}{helix} R{sign}{radius:.5}",
+                    AXES[first],
+                    to(first, a, incremental),
+                    AXES[second],
+                    to(second, b, incremental)
+                )
+            }
+            _ => {
+                let turned = 0.1 + self.below(6000) as f64 / 1000.0;
+                // From the centre: the start lies at -(i, j).
+                let (a, b) = (i - i * turned.cos() + j * turned.sin(), j - i * turned.sin() - j * turned.cos());
+                format!(
+                    "{word} {}{:.5} {}{:.5}{helix} {}{i:.5} {}{j:.5}{turns}",
+                    AXES[first],
+                    to(first, a, incremental),
+                    AXES[second],
+                    to(second, b, incremental),
+                    CENTRES[first],
+                    CENTRES[second]
+                )
+            }
+        };
+        self.put(line);
+    }
+
+    /// A series of cycles, and a motion that ends it.
+    fn cycle(&mut self) {
+        const AXES: [char; 3] = ['X', 'Y', 'Z'];
+        let [first, second, third] = self.plane_axes();
+        let unit = if self.inches { 25.4 } else { 1.0 };
+        let word = self.one_of(&["G73", "G81", "G82", "G83", "G85", "G86", "G89"]);
+        let pecks = matches!(word, "G73" | "G83");
+        let dwells = matches!(word, "G82" | "G86" | "G89");
+        let here = if self.incremental { 0.0 } else { self.mill.work()[third] };
+        let r = here + self.below(200) as f64 / 10.0 - 15.0;
+        let depth = self.below(100) as f64 / 10.0;
+        let z = if self.incremental { -depth } else { r - depth };
+        let number = |mm: f64| if unit == 1.0 { format!("{mm:.2}") } else { format!("{:.4}", mm / unit) };
+        let retract = self.one_of(&["G98 ", "G99 ", ""]);
+        for at in 0..1 + self.below(5) {
+            let begins = at == 0;
+            let mut line = if begins { format!("{retract}{word}") } else { String::new() };
+            if begins && self.percent(20) {
+                line = format!("G80 {line}");
+            }
+            for axis in [first, second] {
+                if self.percent(60) {
+                    line += &format!(" {}{}", AXES[axis], self.coordinate());
+                }
+            }
+            if begins && self.percent(97) || self.percent(15) {
+                line += &format!(" {}{}", AXES[third], number(z));
+            }
+            if begins && self.percent(97) || self.percent(10) {
+                line += &format!(" R{}", number(r));
+            }
+            if pecks && (begins && self.percent(97) || self.percent(10)) {
+                // No whole number of pecks: `rs274` adds one of no depth where it rounds.
+                line += &format!(" Q{}37", self.length(0.5, 5.0));
+            }
+            if dwells && (begins && self.percent(97) || self.percent(10)) {
+                line += &format!(" P{}", self.below(100) as f64 / 100.0);
+            }
+            if self.percent(20) {
+                line += &format!(" L{}", 1 + self.below(4));
+            }
+            if !self.put(line.trim().into()) && begins {
+                return;
+            }
+        }
+        let end = self.one_of(&["G80", "G0", "G1"]);
+        let axes = self.axes();
+        self.put(if end == "G80" { "G80".into() } else { format!("{end}{axes}") });
+    }
+
+    fn offsets(&mut self) {
+        let axes = self.axes();
+        let system = self.one_of(&["P1", "P2", "P6", "P9", "P0"]);
+        let line = match self.below(9) {
+            0 => self.one_of(&["G54", "G55", "G59", "G59.3"]).into(),
+            1 => format!("G10 L2 {system}{axes}"),
+            2 => format!("G10 L20 {system}{axes}"),
+            3 => format!("G92{axes}"),
+            4 => "G92.1".into(),
+            5 => "G92.2".into(),
+            6 => "G92.3".into(),
+            7 => format!("G52{axes}"),
+            _ => "G92".into(),
+        };
+        self.put(line);
+    }
+
+    fn places(&mut self) {
+        let axes = self.axes();
+        let line = match self.below(8) {
+            0 => "G28".into(),
+            1 => format!("G28{axes}"),
+            2 => "G30".into(),
+            3 => format!("G30{axes}"),
+            4 => "G28.1".into(),
+            5 => "G30.1".into(),
+            _ if self.incremental => "G28".into(),
+            6 => format!("G53 G0{axes}"),
+            _ => format!("G53 G1{axes}"),
+        };
+        self.put(line);
+    }
+
+    fn tools(&mut self) {
+        let axes = self.axes();
+        let tool = self.one_of(&["1", "2", "7"]);
+        let l = self.one_of(&["L1", "L10", "L11"]);
+        let which = self.below(10);
+        if matches!(which, 3 | 8) {
+            let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
+            // The machine that `rs274` has instead of a real one forgets at M6 what offsets have changed since the last move.
+            self.put(format!("G0 X{x} Y{y} Z{z}"));
+        }
+        let line = match which {
+            0 | 1 => format!("G10 {l} P{tool}{axes}"),
+            2 => format!("T{tool}"),
+            3 => format!("T{tool} M6 M3"),
+            4 => "G43".into(),
+            5 => format!("G43 H{tool}"),
+            6 => format!("G43.2 H{tool}"),
+            7 => format!("G43.1{axes}"),
+            8 => format!("T{tool} M6 M3 G43 G0{axes}"),
+            _ => "G49".into(),
+        };
+        self.put(line);
+    }
+
+    fn keep(&mut self) {
+        self.put("G49".into());
+        let now = (self.inches, self.incremental, self.plane);
+        if self.percent(50) {
+            if self.put("M70".into()) {
+                self.kept = now;
+            }
+        } else if self.kept.0 == self.inches && self.put("M72".into()) {
+            (self.inches, self.incremental, self.plane) = self.kept;
+        }
+    }
+}
