@@ -479,7 +479,7 @@ impl Step {
     }
 
     /// If the next edge is near, calls again where there is time: after the end of this pulse, or after the next tick.
-    #[inline(never)]
+    #[inline(always)]
     fn wait(&mut self) -> bool {
         let now = self.timer.now();
         // Another call meanwhile is for the same.

@@ -496,10 +496,15 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        let course = *self.course(false);
-        let Course { threshold, entered, directions, .. } = course;
-        (self.left, self.threshold, self.directions) = (course.first(), threshold, directions);
-        if entered != 0 {
+        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times, and
+        // the end of the pulse waits for it.
+        let course = self.courses.get(usize::from(self.odd)).unwrap_or(&Course::NOWHERE);
+        let Course { beyond, threshold, entered, directions, .. } = course;
+        for (left, beyond) in self.left.iter_mut().zip(beyond) {
+            *left = (threshold / 2).wrapping_sub(*beyond);
+        }
+        (self.threshold, self.directions) = (*threshold, *directions);
+        if *entered != 0 {
             self.enter_midst();
         }
     }
