@@ -76,7 +76,7 @@ pub trait Port {
     fn call_when_free(&mut self, wanted: bool);
 }
 
-/// A link that a board does not have: nobody ever comes.
+/// A link that a board does not have: no byte ever comes.
 pub struct NoPort;
 
 impl Port for NoPort {
@@ -141,9 +141,9 @@ pub struct SecondMotor {
     pub axis: u8,
     /// It turns the other way.
     pub inverted: bool,
-    /// It stands still while its axis moves.
+    /// It holds still while its axis moves.
     pub stands: bool,
-    /// The axis' own motor stands still.
+    /// The axis' own motor holds still.
     pub first_stands: bool,
 }
 

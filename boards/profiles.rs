@@ -1,4 +1,4 @@
-//! What the boards are to a program: numbers only, shared by the firmware and by the simulator that stands in for a board.
+//! What the boards are to a program: numbers only, shared by the firmware and by the simulator of a board.
 //!
 //! Pins, clocks and memory belong to each board's own folder.
 

@@ -203,7 +203,7 @@ impl StepTimer {
                 due |= flag.0;
             }
         }
-        // After a tick comes the next one, which sets the timer anew.
+        // After a tick comes the next one, which sets the timer again.
         if due & Due::TICK.0 == 0 {
             self.arm();
         }
@@ -439,7 +439,7 @@ fn preloaded(mark: u32) -> Option<&'static [u8]> {
 /// Whether PSRAM begins with this mark.
 fn is_marked(mark: u32) -> bool {
     // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
-    // the program, and nobody writes to it after the reset.
+    // the program, and nothing writes to it after the reset.
     unsafe { (JOB as *const u32).read_volatile() == mark }
 }
 
@@ -546,7 +546,7 @@ impl Watchdog {
     }
 }
 
-/// What QEMU does not say: a reset that nobody asked for is the watchdog's. Start-up code leaves this word alone.
+/// What QEMU does not say: a reset that no task asked for is the watchdog's. Start-up code leaves this word alone.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -558,7 +558,7 @@ fn set_alive(word: u32) {
     unsafe { (&raw mut ALIVE).cast::<u32>().write_volatile(word) }
 }
 
-/// Why the processor began anew.
+/// Why the processor was reset.
 pub fn reset_cause() -> ResetCause {
     // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as a number.
     let word = unsafe { (&raw const ALIVE).cast::<u32>().read_volatile() };

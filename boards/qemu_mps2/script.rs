@@ -129,7 +129,7 @@ impl Script {
         Script { text, next: 0, wait: Wait::Nothing, answers_before: 0, questions: 0 }
     }
 
-    /// Goes on as far as it can, at most to the end of a record.
+    /// Advances as far as it can, at most to the end of a record.
     pub fn go_on(&mut self) -> Wanted {
         loop {
             let (bytes, answers, reports, idle) = critical_section::with(|cs| {

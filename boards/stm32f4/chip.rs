@@ -288,7 +288,7 @@ fn set_pull(place: Place, pull: u32) {
     const PUPDR: usize = 0x0C;
     let register = (step::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
     // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the port
-    // is one that has been set up, and after the set-up nobody else writes it.
+    // is one that has been set up, and after the set-up nothing else writes it.
     unsafe {
         let others = register.read_volatile() & !(0b11 << (2 * place.pin));
         register.write_volatile(others | pull << (2 * place.pin));
@@ -346,7 +346,7 @@ pub fn settings_flash<U: Sheltered>(flash: pac::FLASH, rcc: &mut Rcc) -> Setting
     SettingsFlash::new(flash, shelter::<U>)
 }
 
-/// Nobody puts a job into the RAM of a board.
+/// No debugger puts a job into the RAM of a board.
 pub fn preloaded_job() -> Option<&'static [u8]> {
     None
 }
@@ -365,7 +365,7 @@ pub fn idle() {
 pub struct Watchdog(IndependentWatchdog);
 
 impl Watchdog {
-    /// Not started yet. It stands still while a probe has halted the processor.
+    /// Not started yet. It holds while a debug probe has halted the processor.
     pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
         let watchdog = IndependentWatchdog::new(device);
         watchdog.stop_on_debug(debug, true);
@@ -384,9 +384,9 @@ impl Watchdog {
     }
 }
 
-/// Why the processor began anew (RCC_CSR), and forgets it. Every reset also pulls the reset pin, so the pin comes last.
+/// Why the processor was reset (RCC_CSR), and clears it. Every reset also pulls the reset pin, so the pin comes last.
 pub fn reset_cause() -> ResetCause {
-    // SAFETY: unsafe because the clock control is by-passed; safe because nobody else uses this register.
+    // SAFETY: unsafe because the clock control is by-passed; safe because nothing else uses this register.
     let csr = unsafe { (*pac::RCC::ptr()).csr() };
     let flags = csr.read();
     csr.modify(|_, w| w.rmvf().set_bit());

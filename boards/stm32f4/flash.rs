@@ -1,7 +1,7 @@
 //! The settings sectors of an STM32F4: two of its 16 KiB sectors, words written at parallelism 32 (2.7 V and more).
 //!
 //! Promises that only these two sectors are ever touched. While the memory works, every fetch from flash stalls, so the
-//! whole program stands: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
+//! whole program is stalled: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
 //! table "Flash memory programming"). Each operation therefore runs in the hands of a guard that the board gives, which
 //! sees to what must not stand still; when to begin one is left to the caller.
 

@@ -1,4 +1,4 @@
-//! Received bytes while the processor stands: DMA keeps them in RAM, whatever the flash memory is doing.
+//! Received bytes while the processor is stalled: DMA keeps them in RAM, whatever the flash memory is doing.
 //!
 //! ```text
 //!  USART ──byte──▶ interrupt ──▶ serial task           always

@@ -199,7 +199,7 @@ impl<const GPIO: usize, const PWM: usize, const S: usize, const D: usize, O> Ste
         self.direction.write(directions);
     }
 
-    /// Sets the frequency of the PWM, 1 Hz and more, and the power that goes on.
+    /// Sets the frequency of the PWM, 1 Hz and more, and the power that stays in force.
     pub fn set_pwm(&mut self, hz: u32, power: u16) {
         let counts = self.pwm_clock_hz / hz.max(1);
         // The timer has 16 bits; a period of 65536 would be one too many for `set_power`.
@@ -208,7 +208,7 @@ impl<const GPIO: usize, const PWM: usize, const S: usize, const D: usize, O> Ste
         write(PWM + PSC, prescaler);
         write(PWM + ARR, self.pwm_period - 1);
         self.set_power(power);
-        // Begins anew: the prescaler is taken over, and the counter cannot be beyond its end.
+        // Restarts the counter: the prescaler is taken over, and the counter cannot be beyond its end.
         write(PWM + EGR, 1);
     }
 

@@ -89,7 +89,7 @@ extern "C" fn voltage_low() {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()
 }
 
-/// The firmware has failed: logs why and begins anew, as soon as the supply is good.
+/// The firmware has failed: logs why and resets, as soon as the supply is good.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     defmt::error!("{}", defmt::Display2Format(&why));
     while voltage_is_low() {}

@@ -5,12 +5,12 @@
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
 //! Back-pressure: the hardware answers NAK from the end of one packet until software enables the endpoint again. The driver
-//! would do that by itself, and a packet that nobody fetches would then sit in the FIFO, call the interrupt for ever and
+//! would do that by itself, and a packet that is not fetched would then sit in the FIFO, call the interrupt for ever and
 //! keep the control endpoint behind it from being heard. So the entry that ends a packet is taken out of the FIFO here, and
 //! the endpoint is enabled when a whole packet fits: what is in the FIFO can always be fetched at once, and DTR, suspend
 //! and reset are heard while the host is told to wait.
 //!
-//! While flash is written the processor stands; the FIFO keeps one packet, and the host is told to wait.
+//! While flash is written the processor is stalled; the FIFO keeps one packet, and the host is told to wait.
 
 use cortex_m::singleton;
 use stm32f4xx_hal::{
@@ -32,7 +32,7 @@ const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;
 
-/// The test id of pid.codes: for development only, nobody may sell a device with it.
+/// The test id of pid.codes: for development only, no device may be sold with it.
 const ID: UsbVidPid = UsbVidPid(0x1209, 0x0001);
 
 /// OTG_FS registers as offsets from its base (RM0383, 22.16.2 to 22.16.4).
@@ -276,7 +276,7 @@ impl Port for UsbPort {
 
     fn send(&mut self, byte: u8) -> bool {
         if !self.is_configured() || !(self.dtr || self.spoken) {
-            // Nobody listens: as on a UART whose cable is not plugged in.
+            // No host reads: as on a UART whose cable is not plugged in.
             return true;
         }
         if self.outgoing.is_full() {

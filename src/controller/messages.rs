@@ -5,7 +5,7 @@
 //!  serial ──lines─────▶ control ◀──events──── step
 //!  inputs ──signals───▶ control ──replies───▶ serial      (armed inputs raise it, too)
 //! ```
-//! What happens when a queue is full stands at its depth.
+//! What happens when a queue is full is written at its depth.
 
 use crate::axes::PerAxis;
 
@@ -100,7 +100,7 @@ pub enum ToStep {
         /// Bit set = axis moves to negative; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent is entered in its midst, at this many units: it was left for a detour.
+    /// The block just sent is entered at this many units and not at its start: it was left for a detour.
     Reenter {
         /// Units of the block that have been done.
         units: u32,
@@ -516,7 +516,7 @@ pub enum GangedMotors {
     Second,
 }
 
-/// Why the processor began anew.
+/// Why the processor was reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
     /// Power came on.

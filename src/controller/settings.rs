@@ -192,7 +192,7 @@ impl AxisKey {
     }
 }
 
-/// Where a setting stands.
+/// The index of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Scalar(usize),

@@ -12,7 +12,7 @@
 pub struct StepRates {
     /// Greatest rate with the shortest pulse, steps/s.
     pub safe_hz: u32,
-    /// What the step task needs at a stretch for half a message, nanoseconds. A pulse at least as long leaves it that time.
+    /// What the step task needs without interruption for half a message, nanoseconds. A pulse at least as long leaves it that time.
     pub attention_ns: u32,
 }
 

@@ -255,7 +255,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The step nearest to a coordinate, by the division that the fast way stands for.
+    /// The step nearest to a coordinate, by the division that the fast code replaces.
     fn divided(scale: StepsPerMm, coordinate: Coordinate) -> i32 {
         let product = coordinate.0.saturating_mul(i64::from(scale.mantissa));
         let divisor = DECIMAL_ONE << scale.shift;

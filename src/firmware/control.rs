@@ -145,7 +145,7 @@ impl Control {
         LAST_LINE.store(self.controller.line_number(), Ordering::Relaxed);
     }
 
-    /// Erases flash when nothing moves, turns or waits: the processor stands for a quarter of a second. What the host
+    /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host
     /// sends in that time is kept (see the board).
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();

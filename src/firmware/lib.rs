@@ -8,7 +8,7 @@
 //!  priority 0  idle                    sleeps
 //! ```
 //! The tasks are bound to their vectors in `main.rs`; what they do is here. Nothing shares the priority of `step`. Each channel has one sender
-//! and one receiver; what happens when one is full stands with its depth in `oxmill_controller::messages`. A channel
+//! and one receiver; what happens when one is full is written at its depth in `oxmill_controller::messages`. A channel
 //! call takes 50 to 130 instructions and masks interrupts for 25 cycles of them at most (`cargo xtask count`).
 #![no_std]
 

@@ -19,7 +19,7 @@ fn panic(info: &PanicInfo<'_>) -> ! {
 /// Bus, usage and memory faults, a stack that has run out of RAM among them.
 ///
 /// A fault of the stack leaves the stack pointer below RAM, where any push or load would be a second fault and lock the
-/// processor up with its outputs on. So the stack begins anew before anything else; what was on it is not needed any more.
+/// processor up with its outputs on. So the stack pointer is set back first; what was on the stack is not needed any more.
 // SAFETY: unsafe because it replaces the handler of cortex-m-rt by its name and moves the stack pointer; safe because
 // nothing returns from here, and the body it branches to takes the old pointer as a number.
 #[unsafe(no_mangle)]

@@ -215,7 +215,7 @@ impl Step {
             self.settle();
             is_called = true;
         }
-        // The end of a pulse or a turn may have put the tick off: then it calls anew, even if its moment has come again.
+        // The end of a pulse or a turn may have put the tick off: then it calls again, even if its moment has come again.
         if due.has(Due::TICK) && self.timer.next_tick() == tick_was_at {
             self.tick();
             if is_called {
@@ -328,7 +328,7 @@ impl Step {
     }
 
     /// The pulse before has ended: time for another direction. Or it has not, for the moment was set for something else and
-    /// has passed before it was set anew.
+    /// has passed before it was set again.
     #[inline(always)]
     fn settle(&mut self) {
         let turns = self.running && self.stepper.directions() != self.directions_shown;

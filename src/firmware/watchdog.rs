@@ -8,7 +8,7 @@
 //! ```
 //! A task that hangs in an endless loop keeps those of lower priority from running: `control` is caught here, the others
 //! by the hardware, after its own time. Time is counted in samples of `inputs`, so that a processor that stood still (an
-//! erase of flash) blames nobody.
+//! erase of flash) blames no task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::crossing::{CONTROL_ASKED, SERIAL_ASKED, STEP_ASKED, STEP_WANTS, Wake};

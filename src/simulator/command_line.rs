@@ -4,7 +4,7 @@ use crate::boards::{self, Board};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
-/// Oxmill on a desk: runs G-code through the controller of the board, or stands in for the board on a port.
+/// Oxmill on a desk: runs G-code through the controller of the board, or takes the place of the board on a port.
 #[derive(Debug, Parser)]
 #[command(name = "oxmill", version)]
 pub struct CommandLine {

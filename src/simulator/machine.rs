@@ -91,7 +91,7 @@ impl Machine {
         self.pulses
     }
 
-    /// Counts extents and pulses anew from the present position.
+    /// Restarts the count of extents and pulses at the present position.
     pub fn restart(&mut self) {
         self.restart_extents();
         self.pulses = [0; AXES];

@@ -252,7 +252,7 @@ impl Meter {
         self.measured
     }
 
-    /// Measures anew.
+    /// Restarts the measurement.
     pub fn restart(&mut self) {
         self.measured = Measured::default();
     }

@@ -134,7 +134,7 @@ impl Drawing {
         self.end = self.end.max(sample.seconds + sample.time);
     }
 
-    /// The machine stands still from `seconds` on.
+    /// The machine is at rest from `seconds` on.
     pub fn rest(&mut self, seconds: f64) {
         self.mark(seconds, Column { feed: Some((0.0, 0.0)), rapid: None });
         self.end = self.end.max(seconds);

@@ -170,7 +170,7 @@ fn heading(area: &Area, summary: &Summary) -> Drawn {
     );
     area.draw_text(&text, &font(15), (px(24), px(50)))?;
 
-    // The legend stands at the right, away from the path.
+    // The legend is at the right, away from the path.
     let row = px(58);
     let mut x = px(SIZE.0 as i32 - 470);
     area.draw(&Circle::new((x, row), px(6), line(START, 25)))?;

@@ -316,7 +316,7 @@ impl Device {
     fn connected(&mut self, client: Client) {
         self.client = Some(client);
         self.kept = None;
-        // What was said to nobody is lost, as on a port that nobody has open.
+        // Without a client the answers are lost, as on a port that is not open.
         self.simulator.take_output();
         self.simulator.connect();
         if self.reset_on_connect {
@@ -364,7 +364,7 @@ impl Device {
     /// Gives the client what was said, as far as it has room. `false` if it takes no answers any more.
     fn answer(&mut self) -> bool {
         let Some(client) = &self.client else {
-            // Nobody listens.
+            // No client is connected.
             self.simulator.take_output();
             return true;
         };
@@ -404,11 +404,11 @@ fn pass_bytes(reader: &mut impl Read, inbox: &Inbox, sender: &SyncSender<Happene
         }
     }
     inbox.end();
-    // Without a loop there is nobody to be told.
+    // Without a loop there is no receiver.
     let _ = sender.send(Happened::Heard);
 }
 
-/// A thread that writes answers until nobody can give it any, or nobody takes them.
+/// A thread that writes answers until its channel is closed or its client is gone.
 fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
@@ -511,7 +511,7 @@ mod pty {
     use std::thread;
     use std::time::Duration;
 
-    /// How often a port that nobody has open is looked at.
+    /// How often a port that is not open is polled.
     const CLOSED: Duration = Duration::from_millis(2);
 
     pub fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<()> {
@@ -521,7 +521,7 @@ mod pty {
         make_raw(&master).context("cannot set up the pseudo terminal")?;
         // A client that does not read must not hold the writer for ever.
         fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-        // Once nobody has the other end open, the first client to open it can be noticed.
+        // Once the other end is closed, the first client to open it can be noticed.
         drop(ends.slave);
         if let Some(link) = link {
             match fs::symlink_metadata(link) {

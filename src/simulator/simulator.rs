@@ -34,7 +34,7 @@ pub(crate) const OUTGOING: usize = 1 << 16;
 /// What a simulator is made of.
 #[derive(Debug)]
 pub struct Options {
-    /// The board it stands in for.
+    /// The board that is simulated.
     pub board: Board,
     /// The flash image.
     pub store: Store,
@@ -50,7 +50,7 @@ impl Default for Options {
     }
 }
 
-/// A controller, a step task and a machine in virtual time. A copy goes on as this one would, but without its job and its
+/// A controller, a step task and a machine in virtual time. A copy continues as this one would, but without its job and its
 /// CSV file.
 #[derive(Clone)]
 pub struct Simulator {
@@ -234,7 +234,7 @@ impl Simulator {
         }
     }
 
-    /// Goes on to the next thing that happens, at most to `limit`. `false` if nothing will happen by itself.
+    /// Advances to the next event, at most to `limit`. `false` if nothing will happen by itself.
     pub fn advance_once(&mut self, limit: u64) -> bool {
         if self.power_is_gone() {
             return false;
@@ -378,7 +378,7 @@ impl Simulator {
         self.controller.work_position().0.map(millimetres)
     }
 
-    /// Digests, trace, extents and measurements begin anew: what follows is a job of its own.
+    /// Digests, trace, extents and measurements restart: what follows is a job of its own.
     pub fn begin_job(&mut self) {
         self.step.restart();
         self.world.restart();

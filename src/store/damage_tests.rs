@@ -141,7 +141,7 @@ fn a_lost_header_is_told() {
     assert_eq!(contents(&mut Log::open(log.flash).unwrap()), without(&spans, &[]));
 }
 
-/// Lengths and values that would lead a reader into the midst of other records.
+/// Lengths and values that would lead a reader into the middle of other records.
 #[test]
 fn damage_leads_nowhere() {
     let (log, spans) = image(Spare::Erased);

@@ -111,7 +111,7 @@ const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
 /// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
 const HEADER: u32 = 12;
-/// Where the mark stands, and what it is.
+/// The address of the mark, and its value.
 const MARK_AT: u32 = 8;
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
 /// Bytes of the longest value, and words of its record.
@@ -180,7 +180,7 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     None
 }
 
-/// A record as it stands in flash.
+/// A record as it is in flash.
 #[derive(Clone, Debug)]
 struct Entry {
     kind: u8,
@@ -437,7 +437,7 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Makes a change durable. A record that stands there already is not written again.
+    /// Makes a change durable. A record that is there already is not written again.
     ///
     /// # Errors
     /// [`StoreError::Full`] when there is no room and the spare sector is not erased; [`StoreError::Flash`] when the
@@ -458,7 +458,7 @@ impl<F: Flash> Log<F> {
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.move_to_spare(&entry);
         }
-        // If the memory fails in the midst of the record, what it has written stays behind the end.
+        // If the memory fails within the record, what it has written stays behind the end.
         self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
         self.appendable = true;
@@ -581,7 +581,7 @@ impl<F: Flash> Log<F> {
         Ok(entry)
     }
 
-    /// The record at an address, if a whole one stands there.
+    /// The record at an address, if there is a whole one.
     fn checked_entry(&mut self, address: u32) -> Result<Option<Entry>, F::Error> {
         let size = self.flash.sector_size();
         if address + 8 > size {

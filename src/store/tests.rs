@@ -217,7 +217,7 @@ proptest! {
     }
 
     /// The power goes after every single operation of the series, with any part of the last word written: what is found
-    /// afterwards is the state before or after the change under way, and the log goes on working.
+    /// afterwards is the state before or after the change under way, and the log keeps working.
     #[test]
     fn a_power_cut_loses_nothing(changes in changes(), torn_bits: u32) {
         let whole = {

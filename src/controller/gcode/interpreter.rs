@@ -91,7 +91,7 @@ impl<const N: usize> Interpreter<N> {
         check::check(self, &parsed, dialect, Purpose::Program, checked)
     }
 
-    /// Checks what stands behind `$J=`. The motion of the result is a jog; of the state its commit changes the position
+    /// Checks what follows `$J=`. The motion of the result is a jog; of the state its commit changes the position
     /// only.
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
         let mut checked = Checked::NOTHING;

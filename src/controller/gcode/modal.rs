@@ -110,7 +110,7 @@ pub struct PlaneAxes {
     pub first: Axis,
     /// Second axis of the plane.
     pub second: Axis,
-    /// The axis that stands on the plane.
+    /// The axis normal to the plane.
     pub linear: Axis,
 }
 

@@ -9,8 +9,8 @@
 //! Motion stops dead at a switch (as the rates of homing allow; a ramp would run into the switch's end). Axes of a cycle
 //! that have not reached theirs go on. The place of an axis is then the pull-off away from its switch.
 //!
-//! An axis with two motors and two switches is squared: the motor whose switch closes first stands still while the other
-//! goes on alone, in each seek and each locate.
+//! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
+//! moves alone, in each seek and each locate.
 
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;
@@ -350,7 +350,7 @@ mod tests {
         assert_eq!(h.next(Z), wait);
         expect_move(h.next(Z), [0.0, 0.0, -2.0], AxisMask::NONE);
         assert_eq!(h.next(AxisMask::NONE), wait);
-        // X and Y together; Y reaches its switch first and X goes on alone.
+        // X and Y together; Y reaches its switch first and X moves on alone.
         expect_move(h.next(AxisMask::NONE), [300.0, -300.0, 0.0], AxisMask(3));
         expect_move(h.next(Y), [300.0, 0.0, 0.0], X);
         assert_eq!(h.next(AxisMask(3)), wait);
@@ -410,7 +410,7 @@ mod tests {
             assert!(matches!(order, Order::Move { motors: m, .. } if m == motors), "{order:?}");
         };
         expect(h.begin(AxisMask::NONE), [300.0, 300.0, 0.0], both, GangedMotors::Both);
-        // The second motor is ahead: the first goes on alone, then X.
+        // The second motor is ahead: the first moves on alone, then X.
         expect(h.next(second), [0.0, 5.0, 0.0], Y, GangedMotors::First);
         expect(h.next(AxisMask(second.0 | Y.0)), [300.0, 0.0, 0.0], X, GangedMotors::Both);
         assert!(matches!(h.next(both), Order::Wait(_)));

@@ -42,7 +42,7 @@ impl SpindleRange {
         self.output(self.speed_of(power), percent).0
     }
 
-    /// The speed (rpm) that a power stands for: the way back of [`SpindleRange::output`].
+    /// The speed (rpm) of a power: the inverse of [`SpindleRange::output`].
     pub fn speed_of(&self, power: u16) -> f32 {
         if power == 0 {
             0.0

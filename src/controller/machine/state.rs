@@ -29,7 +29,7 @@ pub enum Mode<const N: usize> {
         /// Braking because of 0x85 or `!`.
         cancelling: bool,
     },
-    /// Feed hold: braking or at rest; only `~` goes on.
+    /// Feed hold: braking or at rest; only `~` resumes.
     Hold,
     /// The homing cycle runs.
     Home(HomingRun<N>),
@@ -69,7 +69,7 @@ pub enum Door {
     Returning,
     /// The spindle runs up until the given time, then the coolant starts.
     SpindleRestoring(Instant),
-    /// The coolant builds up until the given time, then motion goes on.
+    /// The coolant builds up until the given time, then motion resumes.
     CoolantRestoring(Instant),
     /// Slowly back into the cut.
     Plunging,

@@ -12,7 +12,7 @@
 //! whole file in without counting is told to wait, and then what it sends behind that waits too, commands as well.
 //!
 //! A line is read as a whole or not at all: of one that was refused, or cut because another host took the floor or made
-//! the machine begin anew, the rest is refused too, whenever it comes and whoever has the floor then.
+//! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
 
 use crate::messages::{CUT, LineByte, Realtime};
 use crate::protocol::realtime::Received;
@@ -45,7 +45,7 @@ pub struct Entrance {
 }
 
 impl Entrance {
-    /// Nobody has said anything.
+    /// No host has sent anything.
     pub const fn new() -> Self {
         Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
     }
@@ -167,7 +167,7 @@ impl<const HELD: usize> Link<HELD> {
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     other.void_line(entrance);
                 }
-                // A bare command cuts nobody short: the answer to a `?` goes to who is in the midst of a line.
+                // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
                 if !other.mid_line || other.refusing {
                     let free = queues.is_free();
                     entrance.turn_to(other, |floor| floor.claim(self.number, free, false));
@@ -212,7 +212,7 @@ impl<const HELD: usize> Link<HELD> {
         queued
     }
 
-    /// There may be room in the queues: what waits goes on. Gives whether something was queued.
+    /// There may be room in the queues: what waits is queued. Gives whether something was queued.
     pub fn pass_on(&mut self, entrance: &mut Entrance, queues: &mut impl Queues) -> bool {
         let mut any = false;
         if let Some(command) = self.stuck
@@ -230,7 +230,7 @@ impl<const HELD: usize> Link<HELD> {
         any
     }
 
-    /// The other host has made the machine begin anew: of the line that has begun here nothing may be read.
+    /// The other host has reset the machine: of the line that has begun here nothing may be read.
     fn void_line(&mut self, entrance: &mut Entrance) {
         if !self.mid_line || self.refusing {
             return;
@@ -247,8 +247,8 @@ impl<const HELD: usize> Link<HELD> {
         self.lost = true;
     }
 
-    /// A host has opened its port. Gives whether it has the floor: another host's job goes on, and this one is not greeted
-    /// in its midst. A [`CUT`] goes before its first byte of a line: it ends what was there before.
+    /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
+    /// within it. A [`CUT`] goes before its first byte of a line: it ends what was there before.
     pub fn came<const OTHER: usize>(
         &mut self,
         entrance: &mut Entrance,
@@ -336,7 +336,7 @@ impl Owed {
 #[derive(Clone, Debug)]
 struct Floor {
     holder: usize,
-    /// The holder has gone or has only asked for a report; or nobody has said anything yet.
+    /// The holder has gone or has only asked for a report; or no host has sent anything yet.
     weak: bool,
 }
 
@@ -352,7 +352,7 @@ impl Floor {
     }
 
     /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.
-    /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps nobody out.
+    /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps no other host out.
     fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.holder = link;
@@ -649,7 +649,7 @@ mod tests {
         both.uart(b"0 Z-9\n");
         both.uart(b"G4\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
-        // A question takes the floor of an idle machine as well, but cuts nobody short.
+        // A question takes the floor of an idle machine as well, but cuts no line.
         both.uart(b"G1 X1");
         both.usb(b"?");
         both.uart(b"0\nG5\n");

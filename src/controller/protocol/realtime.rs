@@ -14,7 +14,7 @@ pub enum Received {
 }
 
 impl Received {
-    /// What a byte is, wherever it stands.
+    /// What a byte is, wherever in a line it comes.
     pub fn of(byte: u8) -> Received {
         match command(byte) {
             Some(command) => Received::Realtime(command),

@@ -165,7 +165,7 @@ pub fn restart(out: &mut Text, restart: &Restart) {
     }
 }
 
-/// A place in micrometres, always in mm: nobody knows yet which unit this host wants.
+/// A place in micrometres, always in mm: which unit this host wants is not known yet.
 fn last_place(out: &mut Text, place: &[i32; 3]) {
     for (i, micrometres) in place.iter().enumerate() {
         if i > 0 {

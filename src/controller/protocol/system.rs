@@ -81,7 +81,7 @@ pub fn allowed(line: &[u8]) -> Allowed {
 /// Reads a `$` line (filtered; begins with `$`).
 ///
 /// # Errors
-/// [`Error::InvalidStatement`] for a known command that goes on wrongly, [`Error::BadNumber`] for an unknown one.
+/// [`Error::InvalidStatement`] for a known command with a wrong rest, [`Error::BadNumber`] for an unknown one.
 pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     let rest = line.get(2..).unwrap_or(&[]);
     let alone = |command| if rest.is_empty() { Ok(command) } else { Err(Error::InvalidStatement) };

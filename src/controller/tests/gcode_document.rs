@@ -180,7 +180,7 @@ fn arcs_by_radius() {
         // One coordinate may be left out; a full circle cannot be had by radius.
         assert_eq!(centre(&program.check("G02 X20 R10 F50").unwrap()), [10.0, 0.0]);
         assert_eq!(program.error("G02 X0 Y0 R10 F50"), 33);
-        // Radius format goes on from where the arc before it ended.
+        // Radius format continues from where the arc before it ended.
         let mut program = program;
         program.run("G2 X20 Y0 R30 F50");
         assert_eq!(target(&program.run("X40 Y10 R30")), [40.0, 10.0, 0.0]);
@@ -263,7 +263,7 @@ fn g10() {
     }
 }
 
-/// G28.1 is said to store the given values. It stores where the machine stands; axis words then move as always.
+/// G28.1 is said to store the given values. It stores the machine's position; axis words then move as always.
 #[test]
 fn g28() {
     for dialect in DIALECTS {
@@ -271,7 +271,7 @@ fn g28() {
         program.run("G10 L2 P1 Z1");
         assert_eq!(program.run("G28.1").store, Some(StoredOffset::G28));
         program.run("G53 G0 X0 Y0 Z0");
-        // 1: from where it stands, Z goes home.
+        // 1: from its present position, Z goes home.
         let home = program.check("G91 G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 0.0]), [0.0, 0.0, 30.0]));
         // 2: without G91, by way of work Z0, which is where the table may be.
@@ -364,7 +364,7 @@ fn local_coordinates() {
         program.run("G92 X5 Y5");
         assert_eq!(g92(&program), [5.0, 5.0, 0.0]);
         assert_eq!(program.work(), [5.0, 5.0, 0.0]);
-        // G92 goes on under a new WCS.
+        // G92 stays in force under a new WCS.
         program.run("G10 L2 P1 X3.5 Y17.2");
         assert_eq!(system(&program, CoordinateSystem::G54), [3.5, 17.2, 0.0]);
         assert_eq!(program.work(), [-98.5, -82.2, 0.0]);
@@ -547,7 +547,7 @@ fn g80_beside_a_motion_word() {
     }
 }
 
-/// After G80 the drilling program goes on with a bare `X-7 Y-4`.
+/// After G80 the drilling program continues with a bare `X-7 Y-4`.
 #[test]
 fn axis_words_after_g80() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {

@@ -208,7 +208,7 @@ fn probing_moves() {
             }
             assert_eq!(target(&checked), [0.0, 0.0, -5.0]);
         }
-        // The probe stopped on the way: the program goes on from there.
+        // The probe stopped on the way: the program continues from there.
         program.run("G38.2 Z-5");
         let mut stopped = *program.interpreter.position();
         stopped.0[2].0 = -12_345_678;

@@ -226,11 +226,11 @@ impl<const BASE: usize> WatchdogTimer<BASE> {
     pub const RESET_ENABLE: u32 = 2;
 
     registers! {
-        /// Value to count down from; writing it begins anew.
+        /// Value to count down from; writing it restarts the count.
         reload set_reload 0x0;
         /// Control.
         control set_control 0x8;
-        /// A write clears the interrupt and begins anew.
+        /// A write clears the interrupt and restarts the count.
         cleared clear 0xC;
     }
 }
