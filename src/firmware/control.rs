@@ -3,12 +3,9 @@
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
-use crate::crossing::{
-    self, CONTROL_ASKED, HEARD, HOSTS_CAME, HOSTS_WENT, INPUTS_FITTED, INPUTS_LOW, LAST_LINE, LAST_PLACE,
-    LINE_BYTES_IN, LINE_BYTES_RECEIVED, NOISE, Power, RX_HELD, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS,
-};
 use crate::flash::Settings;
 use crate::outputs::Outputs;
+use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
@@ -55,7 +52,7 @@ pub struct Control {
     clock: Clock,
     /// Bytes taken out of the line queue since power-up (wrapping).
     line_bytes_out: u32,
-    /// [`HOSTS_CAME`] and [`HOSTS_WENT`] as they were.
+    /// `hosts_came` and `hosts_went` of [`SERIAL`] as they were.
     hosts_came: u8,
     hosts_went: u16,
     job: Option<Job>,
@@ -111,7 +108,7 @@ impl Control {
     /// board can put an endless loop in its place.
     #[inline(never)]
     pub fn turn(&mut self) {
-        let heard = HEARD.load(Ordering::Relaxed);
+        let heard = SERIAL.heard.load(Ordering::Relaxed);
         while round(self) {}
         self.note_place();
         if self.erase_ahead() {
@@ -121,7 +118,7 @@ impl Control {
         let observed = self.observe();
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         let answered = self.controller.is_idle() && self.ends.replies.is_empty();
-        crossing::set_free(heard, nothing_waits && answered && observed.step_idle);
+        shared::set_free(heard, nothing_waits && answered && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observe().step_idle
@@ -139,10 +136,10 @@ impl Control {
     /// Leaves place and line where a handler that ends the program finds them.
     fn note_place(&mut self) {
         // 0.1 nm to micrometres: targets lie within 50 m.
-        for (slot, place) in LAST_PLACE.iter().zip(self.controller.machine_position().iter()) {
+        for (slot, place) in CONTROL.position.iter().zip(self.controller.machine_position().iter()) {
             slot.store((place.0 / 10_000) as i32, Ordering::Relaxed);
         }
-        LAST_LINE.store(self.controller.line_number(), Ordering::Relaxed);
+        CONTROL.line.store(self.controller.line_number(), Ordering::Relaxed);
     }
 
     /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host
@@ -175,14 +172,14 @@ impl Control {
     fn observe(&self) -> Observed {
         // The order matters: what leaves the queue shows up in the step task in the same handler.
         let queue_empty = self.ends.segments.is_empty();
-        let step_idle = queue_empty && STEP_AT_REST.load(Ordering::Relaxed);
-        let used = LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
+        let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
+        let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
         // A job has its next bytes ready until its end.
-        let received = LINE_BYTES_RECEIVED.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
+        let received = SERIAL.bytes_received.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
         Observed {
-            segments_begun: SEGMENTS_BEGUN.load(Ordering::Relaxed),
+            segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
             step_idle,
             rx_free: LINES_DEPTH.saturating_sub(used) as u16,
             received: received as u16,
@@ -192,7 +189,7 @@ impl Control {
     /// A host that has gone or come since the last call.
     fn next_of_hosts(&mut self) -> Option<Event<AXES>> {
         // In this order, for one may go and another come between the two: then it comes with the next round.
-        let (came, went) = (HOSTS_CAME.load(Ordering::Relaxed), HOSTS_WENT.load(Ordering::Relaxed));
+        let (came, went) = (SERIAL.hosts_came.load(Ordering::Relaxed), SERIAL.hosts_went.load(Ordering::Relaxed));
         if went != self.hosts_went {
             self.hosts_went = went;
             return Some(Event::Disconnected(went));
@@ -210,17 +207,17 @@ impl Control {
             return Some(command);
         }
         if core::mem::take(&mut self.owes) {
-            self.owed = crossing::take_owed();
+            self.owed = shared::take_owed();
         }
         self.owed.pop()
     }
 
     fn view_of_pins(&self) -> PinView {
         PinView {
-            fitted: INPUTS_FITTED.load(Ordering::Relaxed),
-            low: INPUTS_LOW.load(Ordering::Relaxed),
+            fitted: INPUTS.fitted.load(Ordering::Relaxed),
+            low: INPUTS.low.load(Ordering::Relaxed),
             noise: core::array::from_fn::<_, { input::COUNT }, _>(|bit| {
-                NOISE.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
+                INPUTS.noise.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
             }),
         }
     }
@@ -236,9 +233,9 @@ impl Pump<AXES, BLOCKS> for Control {
 
     #[inline(always)]
     fn begin(&mut self) -> Instant {
-        CONTROL_ASKED.store(false, Ordering::Relaxed);
-        self.lines_in = LINE_BYTES_IN.load(Ordering::Relaxed);
-        self.owes = crossing::owes();
+        ASKED.control.store(false, Ordering::Relaxed);
+        self.lines_in = SERIAL.bytes_queued.load(Ordering::Relaxed);
+        self.owes = shared::owes();
         self.clock.now()
     }
 
@@ -283,7 +280,7 @@ impl Pump<AXES, BLOCKS> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        if took && RX_HELD.load(Ordering::Relaxed) {
+        if took && SERIAL.holds_byte.load(Ordering::Relaxed) {
             boards::call_serial();
         }
         self.send_wiring();
@@ -302,7 +299,7 @@ impl Pump<AXES, BLOCKS> for Control {
             Output::Step(message) => {
                 // There is room, and no other task sends.
                 let _ = self.ends.segments.try_send(message);
-                if STEP_WANTS.load(Ordering::Relaxed) != 0 {
+                if STEP.wants.load(Ordering::Relaxed) != 0 {
                     boards::ask_step();
                 }
             }
@@ -321,11 +318,11 @@ impl Pump<AXES, BLOCKS> for Control {
                 self.send_wiring();
             }
             Output::Stop => {
-                crossing::ask_for_stop();
+                shared::ask_for_stop();
                 boards::call_step();
             }
             Output::ReadPins { clear_noise: true } => {
-                for count in &NOISE {
+                for count in &INPUTS.noise {
                     count.store(0, Ordering::Relaxed);
                 }
             }

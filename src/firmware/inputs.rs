@@ -6,7 +6,7 @@
 
 use crate::boards::{self, InputPins, input_bits};
 use crate::clock;
-use crate::crossing::{self, INPUTS_LOW, NOISE, Wake};
+use crate::shared::{self, INPUTS, Wake};
 use crate::watchdog::Supervisor;
 use core::sync::atomic::Ordering;
 use oxmill_controller::machine::signals;
@@ -46,7 +46,7 @@ impl Inputs {
         wake: Wake,
         supervisor: Supervisor,
     ) -> Inputs {
-        crossing::INPUTS_FITTED.store(pins.fitted(), Ordering::Relaxed);
+        INPUTS.fitted.store(pins.fitted(), Ordering::Relaxed);
         Inputs { pins, inputs: signals::Inputs::new(), wiring, signals, sent: None, wake, supervisor }
     }
 
@@ -58,10 +58,10 @@ impl Inputs {
         }
         let low = self.pins.read();
         if self.inputs.sample(low) {
-            crossing::ask_for_stop();
+            shared::ask_for_stop();
             boards::call_step();
         }
-        INPUTS_LOW.store(low, Ordering::Relaxed);
+        INPUTS.low.store(low, Ordering::Relaxed);
         self.count_noise();
         // Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
         let sensed = self.inputs.sensed();
@@ -84,7 +84,7 @@ impl Inputs {
     fn count_noise(&mut self) {
         let mut rejected = self.inputs.rejected();
         while rejected != 0 {
-            if let Some(count) = NOISE.get(rejected.trailing_zeros() as usize) {
+            if let Some(count) = INPUTS.noise.get(rejected.trailing_zeros() as usize) {
                 count.store(count.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
             }
             rejected &= rejected - 1;

@@ -8,7 +8,7 @@
 //!
 //! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
 
-use crate::crossing::{LAST_LINE, LAST_PLACE};
+use crate::shared::CONTROL;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
@@ -81,11 +81,11 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     let _ = line.write_fmt(why);
     let kind = KINDS.iter().position(|k| *k == kind).unwrap_or(0) as u32;
     let mut place = [0; 3];
-    for (slot, last) in place.iter_mut().zip(&LAST_PLACE) {
+    for (slot, last) in place.iter_mut().zip(&CONTROL.position) {
         *slot = last.load(Ordering::Relaxed);
     }
     let (length, text) = (line.length as u32, line.text);
-    let line = LAST_LINE.load(Ordering::Relaxed);
+    let line = CONTROL.line.load(Ordering::Relaxed);
     let mut kept = Kept { mark: MARK, kind, length, text, place, line, sum: 0 };
     kept.sum = kept.sum();
     // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.

@@ -10,9 +10,7 @@
 //! from here, before anyone has queued or decided anything.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
-use crate::crossing::{
-    self, HEARD, HOSTS_CAME, HOSTS_WENT, LINE_BYTES_IN, LINE_BYTES_RECEIVED, RX_HELD, SERIAL_ASKED, Wake,
-};
+use crate::shared::{self, ASKED, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{Entrance, Link, Queues};
@@ -44,9 +42,9 @@ fn count(counter: &AtomicU32) {
 
 impl Queues for ToControl {
     fn realtime(&mut self, command: Realtime) -> bool {
-        count(&HEARD);
-        let queued = !crossing::owes() && self.realtime.try_send(command).is_ok();
-        let owed = !queued && self.may_owe && crossing::owe(command);
+        count(&SERIAL.heard);
+        let queued = !shared::owes() && self.realtime.try_send(command).is_ok();
+        let owed = !queued && self.may_owe && shared::owe(command);
         if owed {
             boards::call_step();
         }
@@ -56,8 +54,8 @@ impl Queues for ToControl {
     fn line(&mut self, byte: LineByte) -> bool {
         let queued = self.lines.try_send(byte).is_ok();
         if queued {
-            count(&HEARD);
-            count(&LINE_BYTES_IN);
+            count(&SERIAL.heard);
+            count(&SERIAL.bytes_queued);
         }
         queued
     }
@@ -67,11 +65,11 @@ impl Queues for ToControl {
     }
 
     fn is_free(&self) -> bool {
-        self.flushed && crossing::is_free()
+        self.flushed && shared::is_free()
     }
 
     fn stop(&mut self) {
-        crossing::ask_for_stop();
+        shared::ask_for_stop();
         boards::call_step();
     }
 }
@@ -100,10 +98,10 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             news = true;
             if open {
                 if self.link.came(entrance, other, queues) {
-                    HOSTS_CAME.fetch_add(1, Ordering::Relaxed);
+                    SERIAL.hosts_came.fetch_add(1, Ordering::Relaxed);
                 }
             } else if self.link.went(entrance) {
-                HOSTS_WENT.store(entrance.gone(), Ordering::Relaxed);
+                SERIAL.hosts_went.store(entrance.gone(), Ordering::Relaxed);
             }
         }
         news
@@ -176,16 +174,16 @@ impl Serial {
     /// Called for a received byte or packet, for a sender that has become free, and by `control` (an answer to send; room
     /// in the queues).
     pub fn run(&mut self) {
-        SERIAL_ASKED.store(false, Ordering::Relaxed);
+        ASKED.serial.store(false, Ordering::Relaxed);
         let Serial { entrance, uart, usb, queues, .. } = self;
         queues.flushed = self.sent >= self.sending.as_bytes().len();
         let mut news = uart.receive(entrance, &mut usb.link, queues);
         news |= usb.look(entrance, &mut uart.link, queues);
         news |= usb.receive(entrance, &mut uart.link, queues);
-        RX_HELD.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
+        SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
         let held = (held + usize::from(held > 0 && entrance.owes_cut())) as u32;
-        LINE_BYTES_RECEIVED.store(LINE_BYTES_IN.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
+        SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {
             self.wake.write(());

@@ -1,7 +1,7 @@
 //! Watches how deep the stack has been.
 
 use crate::boards::{self, stack};
-use crate::crossing::STEP_AT_REST;
+use crate::shared::STEP;
 use core::sync::atomic::Ordering;
 
 /// Logs each new depth, but not more often than once in a second: looking takes a hundred microseconds.
@@ -19,7 +19,7 @@ impl Watch {
     /// To be called when there is nothing else to do.
     pub fn look(&mut self) {
         // A line of the log masks interrupts for as long as it takes: not while motors turn.
-        if !STEP_AT_REST.load(Ordering::Relaxed) {
+        if !STEP.at_rest.load(Ordering::Relaxed) {
             return;
         }
         let now = boards::clock_ticks();

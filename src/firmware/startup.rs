@@ -2,13 +2,13 @@
 
 use crate::boards::{self, AXES};
 use crate::control::{BoardController, Control, Ends};
-use crate::crossing::Wake;
 use crate::failure;
 use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
 use crate::record;
 use crate::serial::Serial;
+use crate::shared::Wake;
 use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};

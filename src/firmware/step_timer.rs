@@ -18,7 +18,7 @@
 //! `oxmill_controller::StepRates`). So that this is not long, a message is received in one entry and taken in in another.
 
 use crate::boards::{AXES, CORE_HZ, Due, PROFILE, SecondMotor, StepPins, StepTimer};
-use crate::crossing::{self, Power, SEGMENTS_BEGUN, STEP_AT_REST, STEP_WANTS, Wake};
+use crate::shared::{self, Power, STEP, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
 use oxmill_controller::{Stepper, Tick};
@@ -193,7 +193,7 @@ impl Step {
         if due == Due::SETTLED {
             self.settle();
             self.attend();
-        } else if due == Due::CALLED && crossing::stops_asked() == self.stops_done {
+        } else if due == Due::CALLED && shared::stops_asked() == self.stops_done {
             self.attend();
         } else {
             self.several(due);
@@ -203,7 +203,7 @@ impl Step {
     /// More than one thing at a time, or a stop. A call may be one for a stop, so it comes first.
     #[inline(never)]
     fn several(&mut self, due: Due) {
-        if due.has(Due::CALLED) && crossing::stops_asked() != self.stops_done {
+        if due.has(Due::CALLED) && shared::stops_asked() != self.stops_done {
             self.stop();
         }
         let tick_was_at = self.timer.next_tick();
@@ -437,7 +437,7 @@ impl Step {
         let received = self.receive();
         if received {
             // What has left the queue is not at rest.
-            STEP_AT_REST.store(false, Ordering::Relaxed);
+            STEP.at_rest.store(false, Ordering::Relaxed);
         }
         received
     }
@@ -448,14 +448,14 @@ impl Step {
         if !self.running && !self.settling {
             self.start();
         }
-        SEGMENTS_BEGUN.store(self.stepper.segments_begun(), Ordering::Relaxed);
+        STEP.segments_begun.store(self.stepper.segments_begun(), Ordering::Relaxed);
         self.show_power();
         let at_rest = !self.running && !self.settling && self.held.is_none();
-        if at_rest && !STEP_AT_REST.load(Ordering::Relaxed) {
+        if at_rest && !STEP.at_rest.load(Ordering::Relaxed) {
             self.wake.write(());
         }
-        STEP_AT_REST.store(at_rest, Ordering::Relaxed);
-        STEP_WANTS.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
+        STEP.at_rest.store(at_rest, Ordering::Relaxed);
+        STEP.wants.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
         if self.unsent.any() {
             self.send_all();
             if self.unsent.any() && at_rest {
@@ -575,7 +575,7 @@ impl Step {
         if power.from_segments {
             Power { level: 0, ..power }.want();
         }
-        while crossing::stops_asked() != self.stops_done {
+        while shared::stops_asked() != self.stops_done {
             self.stops_done = self.stops_done.wrapping_add(1);
             let mut event = self.stepper.stop();
             // The newest counts; that something was moving at an older one must not be forgotten.

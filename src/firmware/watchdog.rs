@@ -11,8 +11,8 @@
 //! erase of flash) blames no task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
-use crate::crossing::{CONTROL_ASKED, SERIAL_ASKED, STEP_ASKED, STEP_WANTS, Wake};
 use crate::failure;
+use crate::shared::{ASKED, STEP, STEP_ASKED, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::CrashKind;
 
@@ -46,11 +46,11 @@ impl Supervisor {
     }
 
     fn ask(&mut self, wake: &mut Wake) {
-        let stuck = if STEP_WANTS.load(Ordering::Relaxed) == STEP_ASKED {
+        let stuck = if STEP.wants.load(Ordering::Relaxed) == STEP_ASKED {
             Some("step")
-        } else if SERIAL_ASKED.load(Ordering::Relaxed) {
+        } else if ASKED.serial.load(Ordering::Relaxed) {
             Some("serial")
-        } else if CONTROL_ASKED.load(Ordering::Relaxed) {
+        } else if ASKED.control.load(Ordering::Relaxed) {
             Some("control")
         } else {
             None
@@ -67,11 +67,11 @@ impl Supervisor {
                 }
             }
         }
-        STEP_WANTS.store(STEP_ASKED, Ordering::Relaxed);
+        STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
         boards::ask_step();
-        SERIAL_ASKED.store(true, Ordering::Relaxed);
+        ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
-        CONTROL_ASKED.store(true, Ordering::Relaxed);
+        ASKED.control.store(true, Ordering::Relaxed);
         wake.write(());
     }
 }

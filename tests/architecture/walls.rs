@@ -49,7 +49,7 @@ const INCLUDED: &[(&str, &str, &str)] = &[
     ("src/store/tests.rs", "damage_tests.rs", "tests of one module in two files"),
     ("tests/bench/motion.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
     ("tests/machine/examples.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
-    ("tests/on_target/src/count.rs", "../../../src/firmware/crossing.rs", "the step task for registers in memory"),
+    ("tests/on_target/src/count.rs", "../../../src/firmware/shared.rs", "the step task for registers in memory"),
     ("tests/on_target/src/count.rs", "../../../src/firmware/step_timer.rs", "the step task for registers in memory"),
     ("xtask/src/recordings.rs", "../../tests/recordings/differences.rs", "one list of differences for both runs"),
     ("xtask/src/recordings.rs", "../../tests/recordings/record.rs", "one reader of the recordings"),

@@ -25,8 +25,8 @@ use step_timer::Step;
 
 // The step task is compiled once more, for the board below: it takes its timer and its pins as types of `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
-#[path = "../../../src/firmware/crossing.rs"]
-mod crossing;
+#[path = "../../../src/firmware/shared.rs"]
+mod shared;
 #[path = "../../../src/firmware/step_timer.rs"]
 mod step_timer;
 
@@ -193,7 +193,7 @@ fn step_task() {
     let mut registers = Registers;
     row_none();
     let all = [1000; 3];
-    let power = crossing::Power { level: 100, from_segments: true };
+    let power = shared::Power { level: 100, from_segments: true };
     power.want();
 
     // Steady ticks of one segment each; the first begins to move and the last comes to rest.
@@ -235,7 +235,7 @@ fn step_task() {
         }
         row_none();
         registers.tick(row_none);
-        crossing::Power { level: 100, from_segments: turn & 1 == 0 }.want();
+        shared::Power { level: 100, from_segments: turn & 1 == 0 }.want();
         registers.write(probe_port, 0);
         registers.tick(row_worst_tick);
         power.want();
@@ -254,7 +254,7 @@ fn step_task() {
         for _ in 0..50 {
             registers.tick(row_none);
         }
-        crossing::ask_for_stop();
+        shared::ask_for_stop();
         row_stop();
         registers.interrupt(Registers::CALLED | Registers::TICK, registers.read(Registers::CCR1));
         row_none();

@@ -21,7 +21,7 @@ use oxmill_controller::messages::{
     EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, Leg, SEGMENTS_DEPTH, Segment, StepEvent, ToStep,
     Wiring,
 };
-use oxmill_firmware::crossing;
+use oxmill_firmware::shared;
 use oxmill_firmware::step_timer::Step;
 use oxmill_on_target::capture::{Capture, Edges};
 use rtic_sync::channel::{Channel, Receiver, Sender};
@@ -142,8 +142,8 @@ impl Bench {
         let begin = boards::clock_ticks();
         let longest_us = ticks * (interval >> INTERVAL_FRACTION_BITS) / TICKS_PER_US as u32 * 2 + 10_000;
         boards::call_step();
-        while crossing::SEGMENTS_BEGUN.load(Ordering::Relaxed) != self.segments_sent
-            || !crossing::STEP_AT_REST.load(Ordering::Relaxed)
+        while shared::STEP.segments_begun.load(Ordering::Relaxed) != self.segments_sent
+            || !shared::STEP.at_rest.load(Ordering::Relaxed)
         {
             let waited = boards::clock_ticks().wrapping_sub(begin) / boards::CLOCK_TICKS_PER_US;
             defmt::assert!(waited < longest_us, "the step task is not done after {} us", waited);
