@@ -2,6 +2,7 @@
 
 use super::oracle::AXES;
 use super::rig::Rig;
+use oxmill_test_support::numbers;
 
 /// Virtual seconds after which an answer is missed.
 const PATIENCE: f64 = 3600.0;
@@ -104,13 +105,6 @@ impl Rig {
 /// Whether a text contains an `ok` or an `error` as a whole line.
 fn is_answered(text: &str) -> bool {
     text.ends_with('\n') && text.lines().any(|line| line == "ok" || line.starts_with("error:"))
-}
-
-/// The numbers of a field of a report.
-pub fn numbers(report: &str, name: &str) -> Option<[f64; AXES]> {
-    let field = report.trim_matches(['<', '>']).split('|').find_map(|f| f.strip_prefix(name)?.strip_prefix(':'))?;
-    let mut values = field.split(',').map(|n| n.parse().expect("a number"));
-    Some(std::array::from_fn(|_| values.next().expect("three numbers")))
 }
 
 /// Asserts that places agree within half of the last digit of a report, or `slack`.

@@ -8,9 +8,9 @@
 //! times that of one.
 
 use super::estimator::TOLERANCE;
-use super::host::numbers;
 use super::oracle::AXES;
 use oxmill_simulator::{Fittings, Options, Simulator, boards};
+use oxmill_test_support::numbers;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
@@ -323,7 +323,7 @@ fn a_hold_with_jerk_limit_begins_within_25_ms() {
         let course: Vec<(f64, f64)> = places(&mill).iter().map(|(time, place)| (*time, place[0])).collect();
         let (end, place) = course[course.len() - 1];
         assert_eq!(
-            numbers(report.lines().find(|l| l.starts_with('<')).unwrap(), "MPos").unwrap()[0],
+            numbers::<3>(report.lines().find(|l| l.starts_with('<')).unwrap(), "MPos").unwrap()[0],
             (place * 1000.0).round() / 1000.0
         );
         let ramp = if speed * JERK > ACCELERATION * ACCELERATION {

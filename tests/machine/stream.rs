@@ -1,156 +1,136 @@
 //! Long and hostile streams: every line is answered, and every pulse is accounted for.
 
-use super::host::{CARVER, CARVER_STEPS, numbers};
+use super::host::{CARVER, CARVER_STEPS};
 use super::rig::Rig;
+use oxmill_test_support::{Random, numbers};
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-/// A small generator of pseudo-random numbers (xorshift, Marsaglia 2003), so that a stream can be had again.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
+fn number(random: &mut Random) -> String {
+    match random.below(12) {
+        0 => "0".into(),
+        1 => format!("-{}", random.below(3)),
+        2 => format!(".{}", random.below(1000)),
+        3 => format!("{}.", random.below(4)),
+        4 => format!("+{}.{}", random.below(2), random.below(100_000_000)),
+        5 => random.of(&["1.2.3", "", "-", "1e3", "99999999999999999999", "--1", "0x10", "#1", "nan"]).into(),
+        _ => format!("{}{}.{:03}", random.of(&["", "-"]), random.below(3), random.below(1000)),
     }
+}
 
-    /// 0 to `end` - 1.
-    fn below(&mut self, end: u64) -> u64 {
-        (self.next() >> 11) % end
-    }
-
-    fn of<'a>(&mut self, choices: &[&'a str]) -> &'a str {
-        choices[self.below(choices.len() as u64) as usize]
-    }
-
-    fn number(&mut self) -> String {
-        match self.below(12) {
-            0 => "0".into(),
-            1 => format!("-{}", self.below(3)),
-            2 => format!(".{}", self.below(1000)),
-            3 => format!("{}.", self.below(4)),
-            4 => format!("+{}.{}", self.below(2), self.below(100_000_000)),
-            5 => self.of(&["1.2.3", "", "-", "1e3", "99999999999999999999", "--1", "0x10", "#1", "nan"]).into(),
-            _ => format!("{}{}.{:03}", self.of(&["", "-"]), self.below(3), self.below(1000)),
+/// A line, without its end.
+fn line(random: &mut Random) -> String {
+    let mut line = String::new();
+    match random.below(20) {
+        // Short moves and arcs: most of a job.
+        0..=7 => {
+            line += random.of(&["G0", "G1", "", "G1", "g1", "N7G1", "G53 G0", "G90 G0", "G91 G1"]);
+            for letter in ["X", "Y", "Z"] {
+                if random.below(2) == 0 {
+                    write!(line, " {letter}{}.{:02}", random.below(2), random.below(100)).unwrap();
+                }
+            }
+            if random.below(3) == 0 {
+                write!(line, "F{}", 600 + random.below(9000)).unwrap();
+            }
         }
-    }
-
-    /// A line, without its end.
-    fn line(&mut self) -> String {
-        let mut line = String::new();
-        match self.below(20) {
-            // Short moves and arcs: most of a job.
-            0..=7 => {
-                line += self.of(&["G0", "G1", "", "G1", "g1", "N7G1", "G53 G0", "G90 G0", "G91 G1"]);
-                for letter in ["X", "Y", "Z"] {
-                    if self.below(2) == 0 {
-                        write!(line, " {letter}{}.{:02}", self.below(2), self.below(100)).unwrap();
-                    }
-                }
-                if self.below(3) == 0 {
-                    write!(line, "F{}", 600 + self.below(9000)).unwrap();
-                }
-            }
-            8 | 9 => {
-                line += self.of(&["G2", "G3", "G17 G2", "G18 G3", "G19 G2"]);
-                for letter in ["X", "Y", "Z", "I", "J", "K", "R"] {
-                    if self.below(3) == 0 {
-                        write!(line, "{letter}{}.{}", self.below(2), self.below(10)).unwrap();
-                    }
-                }
-            }
-            10 => {
-                line += self.of(&[
-                    "G4 P0.01",
-                    "G4 P0",
-                    "G21",
-                    "G90",
-                    "G91",
-                    "G17",
-                    "G54",
-                    "G55",
-                    "G94",
-                    "G93",
-                    "M3 S500",
-                    "M4 S100",
-                    "M5",
-                    "M8",
-                    "M9",
-                    "G40",
-                    "G49",
-                    "G61",
-                    "G80",
-                    "G92 X0 Y0",
-                    "G92.1",
-                    "G10 L2 P1 X0 Y0 Z0",
-                    "G10 L20 P2 X1",
-                    "G28.1",
-                    "G30.1",
-                    "M1",
-                    "T3",
-                    "S1000",
-                    "G43.1 Z0.1",
-                    "M30",
-                    "M2",
-                    "",
-                    "(remark)",
-                    "F-1",
-                    "F",
-                    "F1.2.3",
-                    "F1e3",
-                    "F 900",
-                    "G1F",
-                    "F0",
-                ]);
-            }
-            11 => {
-                line += self.of(&[
-                    "$",
-                    "$$",
-                    "$#",
-                    "$G",
-                    "$I",
-                    "$N",
-                    "$X",
-                    "$C",
-                    "$10=1",
-                    "$11=0.01",
-                    "$900=1",
-                    "$1=25",
-                    "$H",
-                    "$J=G91X0.1F1000",
-                    "$J=G91 X-0.1 Y.05 F2000",
-                    "$J=X",
-                    "$999=1",
-                    "$N1=",
-                    "$RST=",
-                    "$10=",
-                    "$X=1",
-                ]);
-            }
-            12 => {
-                for _ in 0..self.below(120) {
-                    // Printable, without ! ~ ? which act at once.
-                    let byte = b' ' + self.below(94) as u8;
-                    line.push(if matches!(byte, b'!' | b'?') { '.' } else { char::from(byte) });
-                }
-            }
-            13 => {
-                let length = self.below(400) as usize;
-                line += &"X1".repeat(length / 2);
-            }
-            _ => {
-                // No F: at a feed of a hundredth the stream would take days of virtual time.
-                for _ in 0..1 + self.below(6) {
-                    line += self.of(&["G", "M", "X", "Y", "Z", "S", "P", "L", "I", "J", "K", "N", "R", "T", "(", ")"]);
-                    line += &self.number();
+        8 | 9 => {
+            line += random.of(&["G2", "G3", "G17 G2", "G18 G3", "G19 G2"]);
+            for letter in ["X", "Y", "Z", "I", "J", "K", "R"] {
+                if random.below(3) == 0 {
+                    write!(line, "{letter}{}.{}", random.below(2), random.below(10)).unwrap();
                 }
             }
         }
-        line
+        10 => {
+            line += random.of(&[
+                "G4 P0.01",
+                "G4 P0",
+                "G21",
+                "G90",
+                "G91",
+                "G17",
+                "G54",
+                "G55",
+                "G94",
+                "G93",
+                "M3 S500",
+                "M4 S100",
+                "M5",
+                "M8",
+                "M9",
+                "G40",
+                "G49",
+                "G61",
+                "G80",
+                "G92 X0 Y0",
+                "G92.1",
+                "G10 L2 P1 X0 Y0 Z0",
+                "G10 L20 P2 X1",
+                "G28.1",
+                "G30.1",
+                "M1",
+                "T3",
+                "S1000",
+                "G43.1 Z0.1",
+                "M30",
+                "M2",
+                "",
+                "(remark)",
+                "F-1",
+                "F",
+                "F1.2.3",
+                "F1e3",
+                "F 900",
+                "G1F",
+                "F0",
+            ]);
+        }
+        11 => {
+            line += random.of(&[
+                "$",
+                "$$",
+                "$#",
+                "$G",
+                "$I",
+                "$N",
+                "$X",
+                "$C",
+                "$10=1",
+                "$11=0.01",
+                "$900=1",
+                "$1=25",
+                "$H",
+                "$J=G91X0.1F1000",
+                "$J=G91 X-0.1 Y.05 F2000",
+                "$J=X",
+                "$999=1",
+                "$N1=",
+                "$RST=",
+                "$10=",
+                "$X=1",
+            ]);
+        }
+        12 => {
+            for _ in 0..random.below(120) {
+                // Printable, without ! ~ ? which act at once.
+                let byte = b' ' + random.below(94) as u8;
+                line.push(if matches!(byte, b'!' | b'?') { '.' } else { char::from(byte) });
+            }
+        }
+        13 => {
+            let length = random.below(400) as usize;
+            line += &"X1".repeat(length / 2);
+        }
+        _ => {
+            // No F: at a feed of a hundredth the stream would take days of virtual time.
+            for _ in 0..1 + random.below(6) {
+                line += random.of(&["G", "M", "X", "Y", "Z", "S", "P", "L", "I", "J", "K", "N", "R", "T", "(", ")"]);
+                line += &number(random);
+            }
+        }
     }
+    line
 }
 
 /// Bytes that a host may have on the way: the line queue holds 255, and what does not fit would keep a realtime command
@@ -266,7 +246,7 @@ fn any_stream_is_answered_line_by_line() {
         Stream { rig, open: VecDeque::new(), answered: 0, dropped: 0, errors: 0, alarms: 0, unread: String::new() };
     let mut resets = 0;
     for number in 0..LINES {
-        let mut bytes = random.line().into_bytes();
+        let mut bytes = line(&mut random).into_bytes();
         bytes.push(b'\n');
         // A realtime byte at any place of the line; its end included.
         if bytes.len() < ON_THE_WAY && random.below(8) == 0 {

@@ -3,7 +3,8 @@
 //!
 //! `OXMILL_FUZZ=N` plays N sessions instead of the few of every run; `OXMILL_FUZZ_SEED` begins elsewhere.
 
-use super::bench::{AXES, Bench, Random};
+use super::bench::{AXES, Bench};
+use oxmill_test_support::Random;
 use std::fmt::Write;
 
 /// Actions of a session.
@@ -22,18 +23,14 @@ const MACHINE: &str = r#"
 const SETTINGS: &str =
     "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
 
-fn of<'a>(random: &mut Random, from: &[&'a str]) -> &'a str {
-    from[random.below(from.len() as u64) as usize]
-}
-
 fn number(random: &mut Random) -> String {
-    let sign = of(random, &["", "", "-", "+"]);
+    let sign = random.of(&["", "", "-", "+"]);
     match random.below(8) {
         0 => format!("{sign}{}", random.below(3)),
         1..=3 => format!("{sign}{}.{:03}", random.below(4), random.below(1000)),
         4 => format!("{sign}.{}", random.below(100)),
         5 => format!("{sign}{}", random.below(1000)),
-        6 => of(random, &["1e3", "..", "--1", "", "999999999999999", "0.00000001", "4294967296", "-0", "1.2.3"]).into(),
+        6 => random.of(&["1e3", "..", "--1", "", "999999999999999", "0.00000001", "4294967296", "-0", "1.2.3"]).into(),
         _ => format!("{sign}{}.", random.below(100)),
     }
 }
@@ -42,10 +39,9 @@ fn line(random: &mut Random) -> String {
     let mut line = String::new();
     match random.below(16) {
         0..=5 => {
-            line += of(
-                random,
-                &["G0", "G1", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.2", "G38.3", "G38.4", "G18G2", "G93G1"],
-            );
+            line += random.of(&[
+                "G0", "G1", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.2", "G38.3", "G38.4", "G18G2", "G93G1",
+            ]);
             for letter in ["X", "Y", "Z", "I", "J", "K", "R", "P"] {
                 if random.below(3) == 0 {
                     let value = random.below(2400) as i64 - 1200;
@@ -57,79 +53,73 @@ fn line(random: &mut Random) -> String {
             }
         }
         6 => {
-            line += of(
-                random,
-                &[
-                    "G4P0.02",
-                    "M0",
-                    "M2",
-                    "M30",
-                    "M3S500",
-                    "M4S300",
-                    "M5",
-                    "M8",
-                    "M9",
-                    "M7",
-                    "M56",
-                    "M56P0",
-                    "G28",
-                    "G30",
-                    "G28.1",
-                    "G92X0Z1",
-                    "G92.1",
-                    "G10L2P1X0.5",
-                    "G10L20P0Z0",
-                    "G54",
-                    "G59",
-                    "G59.3",
-                    "G20",
-                    "G21",
-                    "G90",
-                    "G91",
-                    "G43.1Z0.2",
-                    "G49",
-                    "G80",
-                    "T2",
-                    "F1000",
-                    "S800",
-                    "%",
-                    "/G1X1",
-                    "(a remark",
-                    "; another",
-                ],
-            );
+            line += random.of(&[
+                "G4P0.02",
+                "M0",
+                "M2",
+                "M30",
+                "M3S500",
+                "M4S300",
+                "M5",
+                "M8",
+                "M9",
+                "M7",
+                "M56",
+                "M56P0",
+                "G28",
+                "G30",
+                "G28.1",
+                "G92X0Z1",
+                "G92.1",
+                "G10L2P1X0.5",
+                "G10L20P0Z0",
+                "G54",
+                "G59",
+                "G59.3",
+                "G20",
+                "G21",
+                "G90",
+                "G91",
+                "G43.1Z0.2",
+                "G49",
+                "G80",
+                "T2",
+                "F1000",
+                "S800",
+                "%",
+                "/G1X1",
+                "(a remark",
+                "; another",
+            ]);
         }
         7 | 8 => {
-            line += of(
-                random,
-                &[
-                    "$",
-                    "$$",
-                    "$#",
-                    "$G",
-                    "$I",
-                    "$N",
-                    "$X",
-                    "$X",
-                    "$X",
-                    "$C",
-                    "$H",
-                    "$HZ",
-                    "$SLP",
-                    "$RST=#",
-                    "$N0=G20",
-                    "$N1=",
-                    "$I=A",
-                    "$N0=G1X1F100",
-                    "$N0=",
-                ],
-            );
+            line += random.of(&[
+                "$",
+                "$$",
+                "$#",
+                "$G",
+                "$I",
+                "$N",
+                "$X",
+                "$X",
+                "$X",
+                "$C",
+                "$H",
+                "$HZ",
+                "$SLP",
+                "$RST=#",
+                "$N0=G20",
+                "$N1=",
+                "$I=A",
+                "$N0=G1X1F100",
+                "$N0=",
+            ]);
         }
         9 => {
             write!(
                 line,
                 "$J=G91{}{}F{}",
-                of(random, &["X", "Y", "Z", "A", ""]),
+                random.of(&["X", "Y", "Z", "A", ""]),
                 number(random),
                 100 + random.below(3000)
             )
@@ -137,14 +127,10 @@ fn line(random: &mut Random) -> String {
         }
         10 | 11 => {
             // Resolution stays what the machine has; and rates and accelerations that a session can wait for.
-            let setting = of(
-                random,
-                &[
-                    "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27",
-                    "30", "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903",
-                    "999",
-                ],
-            );
+            let setting = random.of(&[
+                "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27", "30",
+                "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903", "999",
+            ]);
             write!(line, "${setting}={}", number(random)).unwrap();
         }
         12 => {
@@ -158,7 +144,7 @@ fn line(random: &mut Random) -> String {
         _ => {
             for _ in 0..1 + random.below(5) {
                 line +=
-                    of(random, &["G", "M", "X", "Y", "Z", "S", "L", "I", "J", "K", "N", "R", "T", "(", ")", "/", "*"]);
+                    random.of(&["G", "M", "X", "Y", "Z", "S", "L", "I", "J", "K", "N", "R", "T", "(", ")", "/", "*"]);
                 line += &number(random);
             }
         }

@@ -136,15 +136,8 @@ impl Bench {
     /// The machine position as reported, in steps.
     pub fn reported(&mut self) -> [f64; AXES] {
         let status = self.status();
-        numbers(&status, "MPos:").unwrap_or_else(|| panic!("no MPos in {status}")).map(|mm| mm * STEPS)
+        numbers(&status, "MPos").unwrap_or_else(|| panic!("no MPos in {status}")).map(|mm| mm * STEPS)
     }
-}
-
-/// The numbers after a word, up to the next `|`, `:`, `>` or `]`.
-pub fn numbers(text: &str, word: &str) -> Option<[f64; AXES]> {
-    let (_, rest) = text.split_once(word)?;
-    let mut values = rest.split(['|', ':', '>', ']']).next()?.split(',').map(|n| n.parse().expect("a number"));
-    Some(std::array::from_fn(|_| values.next().expect("a number for each axis")))
 }
 
 /// Whether places in steps are the same; a report of three decimals shows a step of 0.004 mm exactly.
@@ -152,22 +145,5 @@ pub fn numbers(text: &str, word: &str) -> Option<[f64; AXES]> {
 pub fn assert_place(reported: [f64; AXES], steps: [i32; AXES], what: &str) {
     for axis in 0..AXES {
         assert!((reported[axis] - f64::from(steps[axis])).abs() < 0.01, "{what}: reported {reported:?}, is {steps:?}");
-    }
-}
-
-/// Xorshift: random numbers that are the same every time.
-pub struct Random(pub u64);
-
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    /// A number below `end`.
-    pub fn below(&mut self, end: u64) -> u64 {
-        (self.bits() >> 11) % end
     }
 }

@@ -1,6 +1,7 @@
 //! Probing against a plate of the machine: where it closed is read off the trace, not off what the controller says.
 
-use super::bench::{AXES, Bench, HZ, STEPS, assert_place, numbers};
+use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
+use oxmill_test_support::numbers;
 
 const SETTINGS: &str = "$110=2000 $111=2000 $112=2000";
 
@@ -62,7 +63,7 @@ fn assert_latched(bench: &mut Bench, said: &[String], contact: Option<[i32; AXES
     let contact = contact.unwrap_or_else(|| panic!("{what}: the plate never changed"));
     let report = said.iter().find(|l| l.starts_with("[PRB:")).unwrap_or_else(|| panic!("{what}: {said:?}"));
     assert!(report.ends_with(":1]"), "{what}: {report}");
-    assert_place(numbers(report, "[PRB:").unwrap().map(|mm| mm * STEPS), contact, what);
+    assert_place(numbers(report, "PRB").unwrap().map(|mm| mm * STEPS), contact, what);
     let (place, reported) = (bench.place(), bench.reported());
     assert_place(reported, place, what);
     assert_eq!(bench.state(), "Idle", "{what}");

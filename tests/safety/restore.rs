@@ -1,7 +1,8 @@
 //! Settings that cannot be run lock motion and name the one at fault, and a sender may restore a whole set in any order.
 
-use super::bench::{Bench, Random, locking};
+use super::bench::{Bench, locking};
 use oxmill_controller::settings::{Kind, PER_AXIS, SCALARS};
+use oxmill_test_support::Random;
 use std::collections::BTreeMap;
 
 /// Values of all settings that `$$` lists, in thousandths.

@@ -1,0 +1,34 @@
+//! What several suites of tests share: random numbers that can be had again, and the numbers of a report.
+
+/// A generator of pseudo-random numbers (xorshift, Marsaglia 2003): a seed other than 0 always gives the same ones.
+pub struct Random(pub u64);
+
+impl Random {
+    fn bits(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    /// 0 to `end` - 1.
+    pub fn below(&mut self, end: u64) -> u64 {
+        (self.bits() >> 11) % end
+    }
+
+    /// One of them.
+    pub fn of<'a>(&mut self, choices: &[&'a str]) -> &'a str {
+        choices[self.below(choices.len() as u64) as usize]
+    }
+}
+
+/// The numbers behind `name:` in a report, one for each axis; `None` if there is no such field.
+///
+/// # Panics
+/// On anything but numbers there, and if there are fewer.
+pub fn numbers<const N: usize>(report: &str, name: &str) -> Option<[f64; N]> {
+    let field =
+        report.split(['<', '>', '[', ']', '|']).find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))?;
+    let mut values = field.split([':', ',']).map(|n| n.parse().expect("a number"));
+    Some(std::array::from_fn(|_| values.next().expect("a number for each axis")))
+}
