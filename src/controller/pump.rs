@@ -32,10 +32,6 @@ pub enum Source {
     Store,
 }
 
-/// The order of the sources. A command is told after the step task's reports of what came before it, and a host that has
-/// gone before the commands of the next one.
-const ORDER: [Source; 6] = [Source::Step, Source::Hosts, Source::Commands, Source::Inputs, Source::Pins, Source::Store];
-
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
 pub trait Pump<const N: usize, const BLOCKS: usize> {
     /// Whether something wakes the pump when more comes in or room is made while a round lasts. If not, a round in which
@@ -66,15 +62,15 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
 pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
-    let (mut events, mut lines) = (false, false);
-    for source in ORDER {
-        while let Some(event) = pump.next_event(source) {
-            // What has been received before an event is taken, has come before it.
-            observe(pump);
-            pump.controller().event(now, event);
-            events = true;
-        }
-    }
+    // A command is told after the step task's reports of what came before it, and a host that has gone before the commands
+    // of the next one. One after the other and not in a loop, which costs a third more: a round is made for each segment.
+    let mut events = tell(pump, now, Source::Step);
+    events |= tell(pump, now, Source::Hosts);
+    events |= tell(pump, now, Source::Commands);
+    events |= tell(pump, now, Source::Inputs);
+    events |= tell(pump, now, Source::Pins);
+    events |= tell(pump, now, Source::Store);
+    let mut lines = false;
     while pump.controller().wants_line()
         && let Some(byte) = pump.next_line_byte()
     {
@@ -98,6 +94,19 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
         }
         again |= !P::IS_WOKEN;
     }
+}
+
+/// Tells the events of a source; whether there were any.
+#[inline(always)]
+fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant, source: Source) -> bool {
+    let mut told = false;
+    while let Some(event) = pump.next_event(source) {
+        // What has been received before an event is taken, has come before it.
+        observe(pump);
+        pump.controller().event(now, event);
+        told = true;
+    }
+    told
 }
 
 #[inline]

@@ -5,7 +5,9 @@ use crate::axes::PerAxis;
 use crate::messages::SEGMENTS_DEPTH;
 
 /// The queue to the step task, its prefetched segment, and some for messages on their way.
-const RING: usize = SEGMENTS_DEPTH + 4;
+const MOST: usize = SEGMENTS_DEPTH + 4;
+/// The same, the segment begun last and the one before it.
+const RING: usize = MOST + 2;
 
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +24,9 @@ pub(super) struct Record<const N: usize> {
 }
 
 impl<const N: usize> Record<N> {
+    /// Where an index would be out of the ring, which none is.
+    const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
+
     const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
         Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0 }
     }
@@ -35,6 +40,7 @@ impl<const N: usize> Record<N> {
 /// The records of segments not begun, and that of the one begun last.
 #[derive(Clone, Debug)]
 pub(super) struct Flight<const N: usize> {
+    /// A ring buffer. In the two slots before `first` are the segment begun last and the one before it.
     ring: [Record<N>; RING],
     first: usize,
     len: usize,
@@ -42,20 +48,16 @@ pub(super) struct Flight<const N: usize> {
     queued: u32,
     /// Count of the step task at which the first record of the ring is still to begin.
     begun: u32,
-    current: Record<N>,
-    /// The one before it.
-    before: Record<N>,
 }
 
 impl<const N: usize> Flight<N> {
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
-        let record = Record::still(position, [0; N]);
-        Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record, before: record }
+        Self { ring: [Record::still(position, [0; N]); RING], first: 0, len: 0, queued: 0, begun: 0 }
     }
 
     #[inline]
     pub(super) fn is_full(&self) -> bool {
-        self.len >= RING
+        self.len >= MOST
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -68,13 +70,24 @@ impl<const N: usize> Flight<N> {
         self.queued
     }
 
+    /// The segment begun last.
     pub(super) fn current(&self) -> &Record<N> {
-        &self.current
+        self.begun_before(1)
     }
 
     /// What had been done before the segment begun last.
     pub(super) fn before(&self) -> &Record<N> {
-        &self.before
+        self.begun_before(2)
+    }
+
+    fn begun_before(&self, many: usize) -> &Record<N> {
+        self.ring.get(self.slot(many)).unwrap_or(&Record::NONE)
+    }
+
+    /// The slot so many before the first.
+    #[inline]
+    fn slot(&self, many: usize) -> usize {
+        if self.first >= many { self.first - many } else { self.first + RING - many }
     }
 
     pub(super) fn push(&mut self, record: Record<N>) {
@@ -90,11 +103,8 @@ impl<const N: usize> Flight<N> {
     /// Takes over how many segments have begun.
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {
-            if let Some(record) = self.ring.get(self.first) {
-                self.before = self.current;
-                self.current = *record;
-            }
-            self.queued = self.queued.saturating_sub(self.current.clocks);
+            let clocks = self.ring.get(self.first).map_or(0, |record| record.clocks);
+            self.queued = self.queued.saturating_sub(clocks);
             self.first = if self.first + 1 >= RING { 0 } else { self.first + 1 };
             self.len -= 1;
             self.begun = self.begun.wrapping_add(1);
@@ -102,10 +112,11 @@ impl<const N: usize> Flight<N> {
         if self.len == 0 {
             // After a stop the step task begins nothing before the gate is opened, so the count cannot be too old here.
             self.begun = begun;
-            if idle {
-                self.current.speed = 0.0;
-                self.current.power = 0;
-                self.current.line_number = 0;
+            let last = self.slot(1);
+            if idle && let Some(current) = self.ring.get_mut(last) {
+                current.speed = 0.0;
+                current.power = 0;
+                current.line_number = 0;
             }
         }
     }
@@ -114,7 +125,10 @@ impl<const N: usize> Flight<N> {
     pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;
-        self.current = Record::still(position, lead);
-        self.before = self.current;
+        for slot in [self.slot(1), self.slot(2)] {
+            if let Some(begun) = self.ring.get_mut(slot) {
+                *begun = Record::still(position, lead);
+            }
+        }
     }
 }

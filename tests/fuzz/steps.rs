@@ -1,0 +1,192 @@
+//! Messages to the step generator: blocks of any legs, cut into any segments that a planner may make of them, loaded
+//! early or late, with stops between.
+//!
+//! Promises: no axis makes more than a step in a tick; the position that it reports is that of the steps it has made; a
+//! block that is run to its end makes just its steps; after a stop or an underrun nothing moves until it is resumed.
+
+use arbitrary::{Arbitrary, Unstructured};
+use oxmill_controller::Stepper;
+use oxmill_controller::messages::{Leg, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use std::collections::VecDeque;
+
+const AXES: usize = 3;
+/// Ticks that a run may take.
+const MOST_TICKS: u32 = 20_000;
+
+#[derive(Arbitrary)]
+enum Action {
+    Block { steps: [u16; AXES], ends: [u8; AXES], directions: u8, cuts: Vec<Cut> },
+    Load(u8),
+    Tick(u8),
+    Stop,
+}
+
+/// How a segment is cut off what is left of a block.
+#[derive(Arbitrary)]
+struct Cut {
+    level: u8,
+    ticks: u8,
+    interval: u32,
+    ramp: i16,
+    wait: bool,
+    last: bool,
+}
+
+struct Run {
+    stepper: Stepper<AXES>,
+    queue: VecDeque<ToStep>,
+    /// Steps that have come out.
+    counted: [i32; AXES],
+    /// Where the blocks that are queued end.
+    planned: [i32; AXES],
+    ticks: u32,
+    shut: bool,
+}
+
+/// The target.
+pub fn run(data: &[u8]) {
+    let mut run = Run {
+        stepper: Stepper::new(),
+        queue: VecDeque::new(),
+        counted: [0; AXES],
+        planned: [0; AXES],
+        ticks: 0,
+        shut: false,
+    };
+    let mut input = Unstructured::new(data);
+    while !input.is_empty() && run.ticks < MOST_TICKS {
+        match input.arbitrary() {
+            Ok(Action::Block { steps, ends, directions, cuts }) => run.block(steps, ends, directions, cuts),
+            Ok(Action::Load(count)) => (0..count).for_each(|_| run.load()),
+            Ok(Action::Tick(count)) => (0..=count).for_each(|_| run.tick()),
+            Ok(Action::Stop) => run.stop(),
+            Err(_) => break,
+        }
+    }
+    run.to_the_end();
+}
+
+impl Run {
+    fn block(&mut self, steps: [u16; AXES], ends: [u8; AXES], directions: u8, cuts: Vec<Cut>) {
+        if self.shut {
+            return;
+        }
+        let steps = steps.map(|steps| u32::from(steps % 600));
+        let dominant = steps.into_iter().max().unwrap_or(0);
+        if dominant == 0 {
+            return;
+        }
+        let part = |bits: u8| i32::from(bits % 7) - Leg::FARTHEST;
+        let mut legs = [Leg::on_steps(0); AXES];
+        for ((leg, steps), ends) in legs.iter_mut().zip(steps).zip(ends) {
+            *leg = if ends & 1 == 0 { Leg::on_steps(steps) } else { Leg::with_ends(steps, part(ends >> 1), part(ends >> 4)) };
+        }
+        let directions = directions & 7;
+        for axis in 0..AXES {
+            let sign = if directions >> axis & 1 != 0 { -1 } else { 1 };
+            self.planned[axis] += sign * steps[axis] as i32;
+        }
+        self.queue.push_back(ToStep::Block { legs, directions });
+        let total = dominant * UNITS_PER_STEP;
+        let mut units = 0;
+        let mut flags = Segment::FLAG_NEW_BLOCK;
+        for cut in &cuts {
+            let per_tick = self.units_per_tick(units, cut.level);
+            let most = (total - units) / per_tick;
+            if cut.wait {
+                self.segment(cut, 4, u16::from(cut.ticks) + 1, flags | Segment::FLAG_WAIT);
+            } else if most > 0 {
+                let ticks = (u32::from(cut.ticks) + 1).min(most);
+                units += ticks * per_tick;
+                self.segment(cut, level_of(per_tick), ticks as u16, flags);
+            } else {
+                break;
+            }
+            flags = 0;
+        }
+        // The rest of the block, as coarse as may be.
+        let rest = Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len() % 2 == 0 };
+        while units < total {
+            let per_tick = self.units_per_tick(units, 0);
+            let next = if per_tick == UNITS_PER_STEP { total } else { units + per_tick };
+            self.segment(&rest, level_of(per_tick), ((next - units) / per_tick) as u16, flags);
+            units = next;
+            flags = 0;
+        }
+    }
+
+    /// What a tick may advance from here: it begins at a multiple of that.
+    fn units_per_tick(&self, units: u32, level: u8) -> u32 {
+        let mut per_tick = UNITS_PER_STEP >> (level % 5);
+        while !units.is_multiple_of(per_tick) {
+            per_tick /= 2;
+        }
+        per_tick
+    }
+
+    fn segment(&mut self, cut: &Cut, level: u8, ticks: u16, flags: u8) {
+        let last = if cut.last { Segment::FLAG_LAST } else { 0 };
+        let (interval, ramp) = (cut.interval | 1 << 12, i32::from(cut.ramp));
+        self.queue.push_back(ToStep::Segment(Segment { interval, ramp, ticks, power: 0, level, flags: flags | last }));
+    }
+
+    fn load(&mut self) {
+        if self.stepper.wants()
+            && let Some(message) = self.queue.pop_front()
+        {
+            self.stepper.load(message);
+        }
+    }
+
+    fn tick(&mut self) {
+        self.ticks += 1;
+        let directions = self.stepper.directions();
+        let tick = self.stepper.tick();
+        assert!(tick.steps < 1 << AXES, "steps of axes that are not there");
+        assert!(!self.shut || tick.steps == 0, "a step behind a shut gate");
+        for axis in 0..AXES {
+            if tick.steps >> axis & 1 != 0 {
+                self.counted[axis] += if directions >> axis & 1 != 0 { -1 } else { 1 };
+            }
+        }
+        if tick.underrun {
+            let StepEvent::Underrun { stops, position } = self.stepper.underrun_event() else { unreachable!() };
+            assert_eq!(position.0, self.counted, "the position of an underrun");
+            self.resume(stops);
+        }
+    }
+
+    fn stop(&mut self) {
+        let StepEvent::Stopped { stops, position, .. } = self.stepper.stop() else { unreachable!() };
+        assert_eq!(position.0, self.counted, "the position of a stop");
+        self.shut = true;
+        self.tick();
+        self.resume(stops);
+    }
+
+    /// What was queued is void; the next block begins where the steps have ended.
+    fn resume(&mut self, stops: u16) {
+        self.queue.clear();
+        self.planned = self.counted;
+        self.shut = true;
+        self.stepper.load(ToStep::Resume { stops });
+        self.shut = false;
+    }
+
+    /// All that is queued is run: a message before each tick that there is one for.
+    fn to_the_end(&mut self) {
+        while self.ticks < 4 * MOST_TICKS && (!self.queue.is_empty() || !self.stepper.is_idle()) {
+            for _ in 0..4 {
+                self.load();
+            }
+            self.tick();
+        }
+        if self.queue.is_empty() && self.stepper.is_idle() {
+            assert_eq!(self.counted, self.planned, "a block makes just its steps");
+        }
+    }
+}
+
+fn level_of(per_tick: u32) -> u8 {
+    (UNITS_PER_STEP / per_tick).trailing_zeros() as u8
+}

@@ -1,0 +1,147 @@
+//! What a board finds in its flash memory, whatever has been written there, and changes to it of which the power may
+//! cut any.
+//!
+//! Promises: opening never fails for what it finds; a key counts once; only erased words are written; what was stored is
+//! found, also after another power-up; of a change that a power cut ends, all is there or nothing, and of the rest all.
+
+use arbitrary::{Arbitrary, Unstructured};
+use oxmill_controller::messages::{Record, STORE_DAMAGED, Store};
+use oxmill_store::{Flash, Log, Sector};
+use std::collections::BTreeMap;
+
+const WORDS: usize = 128;
+const ERASED: u32 = u32::MAX;
+
+#[derive(Clone)]
+struct Memory {
+    sectors: [[u32; WORDS]; 2],
+    /// Operations until the power goes.
+    power: Option<u32>,
+}
+
+struct PowerCut;
+
+impl Memory {
+    fn spend(&mut self) -> bool {
+        match &mut self.power {
+            None => true,
+            Some(0) => false,
+            Some(left) => {
+                *left -= 1;
+                true
+            }
+        }
+    }
+}
+
+impl Flash for Memory {
+    type Error = PowerCut;
+    fn sector_size(&self) -> u32 {
+        4 * WORDS as u32
+    }
+    fn read(&mut self, sector: Sector, address: u32) -> Result<u32, PowerCut> {
+        Ok(self.sectors[sector as usize][address as usize / 4])
+    }
+    fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), PowerCut> {
+        let powered = self.spend();
+        let slot = &mut self.sectors[sector as usize][address as usize / 4];
+        assert_eq!(*slot, ERASED, "only erased words are programmed");
+        // Half of the bits are still ones when the power goes.
+        *slot = if powered { word } else { word | 0xFFFF };
+        if powered { Ok(()) } else { Err(PowerCut) }
+    }
+    fn erase(&mut self, sector: Sector) -> Result<(), PowerCut> {
+        let powered = self.spend();
+        let upto = if powered { WORDS } else { WORDS / 2 };
+        self.sectors[sector as usize][..upto].fill(ERASED);
+        if powered { Ok(()) } else { Err(PowerCut) }
+    }
+}
+
+#[derive(Arbitrary)]
+enum Action {
+    Put(u8, u8, u8),
+    Remove(u8),
+    Erase,
+    PowerUp,
+    PutAndCut(u8, u8, u8, u8),
+}
+
+type Contents = BTreeMap<u16, Vec<u8>>;
+
+fn contents(log: &mut Log<Memory>) -> Contents {
+    let mut all = Contents::new();
+    let read = log.for_each(|record| {
+        assert!(all.insert(record.key, record.value.to_vec()).is_none(), "a key counts once");
+    });
+    assert!(read.is_ok(), "nothing is cut while it is read");
+    all.remove(&STORE_DAMAGED);
+    all
+}
+
+fn put(key: u8, length: u8, filler: u8) -> (Store, Vec<u8>) {
+    let value = vec![filler; usize::from(length % 41)];
+    let record = Record { key: u16::from(key), value: heapless::Vec::from_slice(&value).unwrap_or_default() };
+    (Store::Put(record), value)
+}
+
+fn open(memory: Memory) -> Log<Memory> {
+    match Log::open(memory) {
+        Ok(log) => log,
+        Err(PowerCut) => panic!("opens with power"),
+    }
+}
+
+/// The target.
+pub fn run(data: &[u8]) {
+    let mut input = Unstructured::new(data);
+    let _ = all(&mut input);
+}
+
+fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
+    let mut memory = Memory { sectors: [[ERASED; WORDS]; 2], power: None };
+    // Either a memory that was in use, or words of any kind.
+    if input.ratio(1, 2)? {
+        for sector in &mut memory.sectors {
+            let used = input.int_in_range(0..=WORDS)?;
+            for word in &mut sector[..used] {
+                *word = input.arbitrary()?;
+            }
+        }
+    }
+    let mut log = open(memory);
+    let mut known = contents(&mut log);
+    while !input.is_empty() {
+        match input.arbitrary()? {
+            Action::Put(key, length, filler) => {
+                let (change, value) = put(key, length, filler);
+                if log.store(&change).is_ok() {
+                    known.insert(u16::from(key), value);
+                }
+            }
+            Action::Remove(key) => {
+                if log.store(&Store::Remove { from: u16::from(key), until: u16::from(key) + 1 }).is_ok() {
+                    known.remove(&u16::from(key));
+                }
+            }
+            Action::Erase => {
+                let _ = log.erase_spare();
+            }
+            Action::PowerUp => log = open(log.into_flash()),
+            Action::PutAndCut(key, length, filler, after) => {
+                let (change, value) = put(key, length, filler);
+                log.flash_mut().power = Some(u32::from(after % 64));
+                let _ = log.store(&change);
+                let mut memory = log.into_flash();
+                memory.power = None;
+                log = open(memory);
+                let found = contents(&mut log);
+                if found != known {
+                    known.insert(u16::from(key), value);
+                }
+            }
+        }
+        assert_eq!(contents(&mut log), known);
+    }
+    Ok(())
+}
