@@ -29,8 +29,7 @@ pub fn run(data: &[u8]) {
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };
-    let mut program =
-        Program { interpreter: Interpreter::new(), checked: Checked::NOTHING, dialect, lines: 0 };
+    let mut program = Program { interpreter: Interpreter::new(), checked: Checked::NOTHING, dialect, lines: 0 };
     let mut line = Line::new();
     for byte in text {
         match line.push(*byte, rules) {

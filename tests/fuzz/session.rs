@@ -54,10 +54,10 @@ enum Line {
 
 const MOTIONS: [&str; 10] = ["G0", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.3", "G81R1", "G28"];
 const COMMANDS: [&str; 16] = [
-    "$H", "$X", "$C", "$$", "$#", "$G", "$I", "$N", "$SLP", "$RST=#", "$N0=G20", "M0", "M6T1", "G4P.01", "M3S500", "M30",
+    "$H", "$X", "$C", "$$", "$#", "$G", "$I", "$N", "$SLP", "$RST=#", "$N0=G20", "M0", "M6T1", "G4P.01", "M3S500",
+    "M30",
 ];
-const PINS: [&str; 10] =
-    ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"];
+const PINS: [&str; 10] = ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"];
 
 impl Line {
     fn text(&self) -> String {
@@ -99,7 +99,11 @@ fn act(mill: &mut Simulator, action: &Action) {
         Action::Text(text) => send(mill, text.as_bytes()),
         Action::Line(line) => send(mill, line.text().as_bytes()),
         Action::Command(byte) => {
-            let byte = if *byte < 0x40 { [0x18, 0x19, b'!', b'~', 0x84, 0x85, b'?', b'!'][usize::from(byte % 8)] } else { byte | 0x80 };
+            let byte = if *byte < 0x40 {
+                [0x18, 0x19, b'!', b'~', 0x84, 0x85, b'?', b'!'][usize::from(byte % 8)]
+            } else {
+                byte | 0x80
+            };
             mill.send([byte]);
         }
         Action::Pin(which, active) => {
@@ -140,7 +144,9 @@ fn way_back(mill: &mut Simulator) {
         mill.run_for(Duration::from_millis(200));
     }
     assert!(!mill.is_stepping(), "a reset ends every motion: {}", status(mill));
-    mill.send("\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$908=0\n$912=0\n$913=0\n$N0=\n$N1=\n");
+    mill.send(
+        "\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$908=0\n$912=0\n$913=0\n$N0=\n$N1=\n",
+    );
     mill.run_for(Duration::from_secs(1));
     mill.send([0x18]);
     mill.run_for(Duration::from_millis(200));

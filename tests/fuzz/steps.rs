@@ -79,7 +79,11 @@ impl Run {
         let part = |bits: u8| i32::from(bits % 7) - Leg::FARTHEST;
         let mut legs = [Leg::on_steps(0); AXES];
         for ((leg, steps), ends) in legs.iter_mut().zip(steps).zip(ends) {
-            *leg = if ends & 1 == 0 { Leg::on_steps(steps) } else { Leg::with_ends(steps, part(ends >> 1), part(ends >> 4)) };
+            *leg = if ends & 1 == 0 {
+                Leg::on_steps(steps)
+            } else {
+                Leg::with_ends(steps, part(ends >> 1), part(ends >> 4))
+            };
         }
         let directions = directions & 7;
         for axis in 0..AXES {

@@ -32,3 +32,46 @@ pub fn numbers<const N: usize>(report: &str, name: &str) -> Option<[f64; N]> {
     let mut values = field.split([':', ',']).map(|n| n.parse().expect("a number"));
     Some(std::array::from_fn(|_| values.next().expect("a number for each axis")))
 }
+
+/// The inputs of a corpus: a line of a file for each, escaped as [`u8::escape_ascii`] does.
+///
+/// # Panics
+/// On an escape that is none.
+pub fn unpack(text: &str) -> Vec<Vec<u8>> {
+    text.lines()
+        .map(|line| unescape(line).unwrap_or_else(|| panic!("{line:?} is not escaped as it should be")))
+        .collect()
+}
+
+/// The reverse of [`unpack`].
+pub fn pack(inputs: &[Vec<u8>]) -> String {
+    inputs.iter().map(|input| format!("{}\n", input.escape_ascii())).collect()
+}
+
+fn unescape(line: &str) -> Option<Vec<u8>> {
+    let mut bytes = line.bytes();
+    let mut input = Vec::new();
+    while let Some(byte) = bytes.next() {
+        input.push(match byte {
+            b'\\' => match bytes.next()? {
+                b't' => b'\t',
+                b'r' => b'\r',
+                b'n' => b'\n',
+                b'x' => {
+                    let digits = [bytes.next()?, bytes.next()?];
+                    u8::from_str_radix(std::str::from_utf8(&digits).ok()?, 16).ok()?
+                }
+                escaped @ (b'\\' | b'\'' | b'"') => escaped,
+                _ => return None,
+            },
+            byte => byte,
+        });
+    }
+    Some(input)
+}
+
+#[test]
+fn any_input_is_packed_and_unpacked() {
+    let inputs = vec![Vec::new(), (0..=255).collect(), b"G1 X1\n".to_vec()];
+    assert_eq!(unpack(&pack(&inputs)), inputs);
+}

@@ -5,6 +5,7 @@
 mod count;
 mod elf;
 mod flashable;
+mod fuzz;
 mod image;
 mod jobs;
 mod live;
@@ -46,6 +47,8 @@ usage:
   cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
+  cargo xtask fuzz [--seconds N|--hours N] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets together;
+                             `fuzz minimise` keeps in the tree what reaches most (needs a C++ compiler)
   cargo xtask rs274 [N [SEED]]  N random programs (10,000) through Oxmill's interpreter and LinuxCNC's, compared
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
@@ -74,6 +77,7 @@ fn main() -> ExitCode {
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
         ["mutants", ref names @ ..] => mutants::run(names),
+        ["fuzz", ref arguments @ ..] => fuzz::fuzz(arguments),
         ["rs274", ref arguments @ ..] => rs274::run(arguments),
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),

@@ -1,0 +1,200 @@
+//! Coverage-guided fuzzing with libFuzzer: `tests/fuzz` built with the compiler's coverage counters, which any compiler has.
+//!
+//! Inputs that reach something new are kept in `target/fuzz/corpus`, those that break a promise in `target/fuzz/found`.
+
+use crate::{Failure, cargo, root, run};
+use oxmill_test_support::{pack, unpack};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+
+const TARGETS: [&str; 5] = ["lines", "session", "stored", "steps", "hosts"];
+const HOST: &str = "x86_64-unknown-linux-gnu";
+/// What libFuzzer needs of the compiler: a pass that counts edges, and what is compared.
+const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+    -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1";
+/// Bytes of the longest input.
+const LONGEST: &str = "-max_len=2048";
+
+/// `cargo xtask fuzz [--seconds N|--hours N] [TARGET..]`, or `minimise`.
+pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
+    let (seconds, targets) = match arguments {
+        ["minimise"] => return minimise(),
+        ["--hours", hours, targets @ ..] => (number(hours)? * 3600, targets),
+        ["--seconds", seconds, targets @ ..] => (number(seconds)?, targets),
+        targets => (300, targets),
+    };
+    let targets = if targets.is_empty() { &TARGETS[..] } else { targets };
+    if let Some(unknown) = targets.iter().find(|target| !TARGETS.contains(target)) {
+        return Err(format!("there is no target `{unknown}`; there are {}", TARGETS.join(", ")));
+    }
+    let program = build()?;
+    let workers = std::thread::available_parallelism().map_or(1, usize::from).min(targets.len());
+    let each = (seconds * workers as u64 / targets.len() as u64).max(1);
+    let left = Mutex::new(targets.iter());
+    let rows = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                while let Some(target) = next(&left) {
+                    let row = one(&program, target, each);
+                    rows.lock().expect("no thread panics").push((*target, row));
+                }
+            });
+        }
+    });
+    report(rows.into_inner().expect("no thread panics"))
+}
+
+fn next<'a>(left: &Mutex<std::slice::Iter<'a, &'a str>>) -> Option<&'a &'a str> {
+    left.lock().expect("no thread panics").next()
+}
+
+fn number(text: &str) -> Result<u64, Failure> {
+    text.parse().map_err(|_| format!("`{text}` is not a whole number"))
+}
+
+/// What came of a target.
+struct Row {
+    executions: u64,
+    /// libFuzzer's counts of edges and of features.
+    edges: u64,
+    features: u64,
+    found: Vec<PathBuf>,
+    /// The end of what it said.
+    said: String,
+}
+
+fn report(rows: Vec<(&str, Result<Row, Failure>)>) -> Result<(), Failure> {
+    println!("| target | executions | edges | features | finds |\n|---|---|---|---|---|");
+    let (mut executions, mut failures) = (0, Vec::new());
+    for (target, row) in rows {
+        let row = row?;
+        executions += row.executions;
+        println!("| {target} | {} | {} | {} | {} |", row.executions, row.edges, row.features, row.found.len());
+        for path in row.found {
+            failures.push(format!("{target}: {}\n{}", path.display(), row.said));
+        }
+    }
+    println!("{executions} executions");
+    if failures.is_empty() { Ok(()) } else { Err(failures.join("\n")) }
+}
+
+fn folder(name: &str, target: &str) -> Result<PathBuf, Failure> {
+    let path = root().join("target/fuzz").join(name).join(target);
+    fs::create_dir_all(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    Ok(path)
+}
+
+fn kept(target: &str) -> PathBuf {
+    root().join("tests/fuzz/corpus").join(format!("{target}.txt"))
+}
+
+/// The program with all targets.
+fn build() -> Result<PathBuf, Failure> {
+    let folder = root().join("target/fuzz/build");
+    run(cargo()
+        .args([
+            "build",
+            "--quiet",
+            "--release",
+            "--package",
+            "oxmill-fuzz",
+            "--features",
+            "libfuzzer",
+            "--target",
+            HOST,
+        ])
+        .env("CARGO_TARGET_DIR", &folder)
+        .env("CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS", "true")
+        .env("CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS", "true")
+        .env("RUSTFLAGS", COVERAGE))?;
+    Ok(folder.join(HOST).join("release/fuzz"))
+}
+
+/// The corpus of the tree as files.
+fn seeds(target: &str) -> Result<PathBuf, Failure> {
+    let folder = folder("seeds", target)?;
+    let text = fs::read_to_string(kept(target)).unwrap_or_default();
+    for (number, input) in unpack(&text).iter().enumerate() {
+        fs::write(folder.join(number.to_string()), input).map_err(|error| error.to_string())?;
+    }
+    Ok(folder)
+}
+
+fn one(program: &Path, target: &str, seconds: u64) -> Result<Row, Failure> {
+    let found = folder("found", target)?;
+    let before = files(&found)?;
+    let mut command = Command::new(program);
+    command.env("OXMILL_FUZZ_TARGET", target).args([
+        LONGEST,
+        "-print_final_stats=1",
+        "-timeout=20",
+        "-use_value_profile=1",
+    ]);
+    command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
+    if matches!(target, "lines" | "session") {
+        command.arg(format!("-dict={}", root().join("tests/fuzz/gcode.dict").display()));
+    }
+    let output =
+        command.arg(folder("corpus", target)?).arg(seeds(target)?).output().map_err(|error| error.to_string())?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    let executions = text.lines().find_map(|line| line.strip_prefix("stat::number_of_executed_units:"));
+    let found: Vec<PathBuf> = files(&found)?.into_iter().filter(|path| !before.contains(path)).collect();
+    let said: Vec<&str> = text.lines().filter(|line| line.contains("panicked") || line.starts_with("==")).collect();
+    if !output.status.success() && found.is_empty() {
+        return Err(format!("{target} ended without a find: {text}"));
+    }
+    Ok(Row {
+        executions: executions.and_then(|count| count.trim().parse().ok()).unwrap_or(0),
+        edges: last_of(&text, "cov:"),
+        features: last_of(&text, "ft:"),
+        found,
+        said: said.join("\n"),
+    })
+}
+
+/// The last number behind a word of libFuzzer's progress.
+fn last_of(text: &str, word: &str) -> u64 {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    words.windows(2).rev().find(|pair| pair[0] == word).and_then(|pair| pair[1].parse().ok()).unwrap_or(0)
+}
+
+fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let entries = fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    Ok(entries.filter_map(|entry| Some(entry.ok()?.path())).collect())
+}
+
+/// Writes the smallest set that reaches as much as all that has been kept into the tree.
+fn minimise() -> Result<(), Failure> {
+    let program = build()?;
+    for target in TARGETS {
+        let small = folder("small", target)?;
+        for path in files(&small)? {
+            fs::remove_file(path).map_err(|error| error.to_string())?;
+        }
+        run(Command::new(&program)
+            .env("OXMILL_FUZZ_TARGET", target)
+            .args(["-set_cover_merge=1", "-max_len=512"])
+            .stderr(Stdio::null())
+            .args([&small, &folder("corpus", target)?, &seeds(target)?]))?;
+        let mut inputs: Vec<Vec<u8>> = files(&small)?.iter().filter_map(|path| fs::read(path).ok()).collect();
+        inputs.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));
+        fs::write(kept(target), pack(&inputs)).map_err(|error| error.to_string())?;
+        println!("{target}: {} inputs", inputs.len());
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_what_libfuzzer_says() {
+        let text = "#2\tINITED cov: 5 ft: 6\n#99\tNEW    cov: 1200 ft: 3400 corp: 7/9b\nstat::x: 1";
+        assert_eq!((last_of(text, "cov:"), last_of(text, "ft:"), last_of(text, "absent:")), (1200, 3400, 0));
+    }
+}
