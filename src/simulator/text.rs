@@ -44,6 +44,19 @@ pub struct JobText {
     consumed: u64,
     reply: Vec<u8>,
     said: Vec<Said>,
+    /// Lines that the controller had read before the first of these.
+    lines_before: u32,
+    /// Answered lines that may have begun a block of O words.
+    openers: Vec<Opener>,
+}
+
+/// A line that may have begun a block.
+struct Opener {
+    /// Its place among the lines given out, from 1.
+    given: u64,
+    /// Its number in the file.
+    number: u64,
+    text: String,
 }
 
 impl JobText {
@@ -63,7 +76,25 @@ impl JobText {
             consumed: 0,
             reply: Vec::new(),
             said: Vec::new(),
+            lines_before: 0,
+            openers: Vec::new(),
         }
+    }
+
+    /// The controller has read so many lines (wrapping) before the first of these.
+    pub fn begin(&mut self, lines_before: u32) {
+        self.lines_before = lines_before;
+    }
+
+    /// The line of the file, and its number, which was this one to the controller; as far as it may have begun a block.
+    pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
+        let given = u64::from(line.wrapping_sub(self.lines_before));
+        self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
+    }
+
+    /// No block is open.
+    pub fn forget_openers(&mut self) {
+        self.openers.clear();
     }
 
     /// Lines read up to now, tape marks included.
@@ -201,7 +232,10 @@ impl JobText {
             self.answers += 1;
             let (line, text) = self.unanswered.pop_front().unwrap_or_default();
             if let Some(code) = code {
-                self.said.push(Said::Error { line, code, text });
+                self.said.push(Said::Error { line, code, text: text.clone() });
+            }
+            if text.contains(['o', 'O']) {
+                self.openers.push(Opener { given: self.answers, number: line, text });
             }
         } else if !reply.is_empty() {
             self.said.push(Said::Message(reply.to_owned()));

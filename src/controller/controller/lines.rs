@@ -88,10 +88,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Ok(())
             }
             // A tape mark; Grbl's dialect has none.
-            Some(b'%') if self.dialect() != Dialect::Grbl => {
-                self.say(report::ok);
-                Ok(())
-            }
+            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(),
             Some(b'$') => self.system(line),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             Some(_) => self.program_line(line),
@@ -104,12 +101,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Between two programs nothing may be open.
+    fn tape_mark(&mut self) -> Result<(), Error> {
+        self.interpreter.tape_mark()?;
+        self.say(report::ok);
+        Ok(())
+    }
+
     /// A line of the host's program: O words first, which Grbl's dialect has not.
     #[inline]
     fn program_line(&mut self, line: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
-            _ => self.interpreter.direct(line)?,
+            _ => self.interpreter.direct(line, self.lines.lines_read())?,
         };
         match direction {
             Direction::Check => return self.gcode(line, Answer::Host),

@@ -144,6 +144,23 @@ fn digits(text: &[u8]) -> usize {
     text.iter().take_while(|byte| byte.is_ascii_digit()).count()
 }
 
+/// Whether a line has the word M2 or M30, written with a plain number.
+fn ends_program(line: &[u8]) -> bool {
+    let mut in_name = false;
+    let mut rest = line;
+    while let Some((byte, behind)) = rest.split_first() {
+        in_name = *byte == b'<' || in_name && *byte != b'>';
+        let (number, after) = behind.split_at(digits(behind));
+        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+        let is_end = matches!(number.get(zeros..), Some(b"2" | b"30"));
+        if *byte == b'M' && !in_name && is_end && after.first() != Some(&b'.') {
+            return true;
+        }
+        rest = behind;
+    }
+    false
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Kind {
     /// A condition; whether one of its branches has been taken.
@@ -165,6 +182,8 @@ struct Frame {
     at: u16,
     /// The loop is being left.
     leaving: bool,
+    /// The line of the host with which it began.
+    begun: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,6 +210,14 @@ pub(super) struct Flow {
     below: u8,
     passes: u32,
     skipped: u32,
+    /// Number of the host's line that is read.
+    line: u32,
+    /// The one with which the text began that is being recorded.
+    recorded_from: u32,
+    /// The last line was an M2 or M30 that is skipped or recorded.
+    after_end: bool,
+    /// The line with which the block began that the end of the program has cut short.
+    cut: Option<u32>,
 }
 
 impl Flow {
@@ -205,12 +232,38 @@ impl Flow {
             below: 0,
             passes: 0,
             skipped: 0,
+            line: 0,
+            recorded_from: 0,
+            after_end: false,
+            cut: None,
         }
     }
 
     /// Forgets all.
     pub fn reset(&mut self) {
         *self = Self::new();
+    }
+
+    /// The program has ended: all but the block that it ended in is forgotten.
+    pub fn end_program(&mut self) {
+        let cut = self.open_since();
+        self.reset();
+        self.cut = cut;
+    }
+
+    /// The line of the host with which the outermost block began that has not come to its end.
+    fn open_since(&self) -> Option<u32> {
+        let of_stream = match self.state {
+            State::Running(_) => usize::from(self.below),
+            _ => self.frames.len(),
+        };
+        let recorded = matches!(self.state, State::Recording(..)).then_some(self.recorded_from);
+        self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
+    }
+
+    /// Whether lines of the host are skipped or recorded.
+    fn leaves_lines_out(&self) -> bool {
+        self.skipping || matches!(self.state, State::Recording(..))
     }
 
     /// The held line at a position.
@@ -259,7 +312,7 @@ impl Flow {
     }
 
     fn push(&mut self, kind: Kind, label: &[u8], at: u16) -> Result<(), Error> {
-        let frame = Frame { kind, label: label.len() as u8, at, leaving: false };
+        let frame = Frame { kind, label: label.len() as u8, at, leaving: false, begun: self.line };
         if self.labels.len() + label.len() > LABELS || self.frames.push(frame).is_err() {
             return Err(Error::TooDeep);
         }
@@ -318,11 +371,12 @@ impl Flow {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// How a line of the host is to be taken. After an error nothing of it has been done; of a condition whose value is an
-    /// error no branch will be.
+    /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
+    /// has been done; of a condition whose value is an error no branch will be.
     #[inline]
-    pub fn direct(&mut self, line: &[u8]) -> Result<Direction, Error> {
-        let flow = &self.computed.flow;
+    pub fn direct(&mut self, line: &[u8], number: u32) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        flow.line = number;
         let plain = flow.state == State::Streaming && !flow.skipping;
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
@@ -335,7 +389,39 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
+    /// The line of the host with which the outermost block (sub, loop, condition) began that has not come to its end, or
+    /// that the end of the program has cut short.
+    pub fn open_since(&self) -> Option<u32> {
+        let flow = &self.computed.flow;
+        flow.open_since().or(flow.cut)
+    }
+
+    /// A tape mark, between programs: what one of them has left open is an error, and forgotten.
+    pub fn tape_mark(&mut self) -> Result<(), Error> {
+        if self.computed.flow.open_since().is_none() {
+            return Ok(());
+        }
+        self.computed.end_program();
+        Err(Error::FlowSyntax)
+    }
+
+    /// Behind an M2 or M30 that is skipped or recorded no line of its program can follow but an O word: any other is one of
+    /// the next program.
+    fn look_for_end(&mut self, line: &[u8], order: Option<Order>) -> Result<(), Error> {
+        let flow = &mut self.computed.flow;
+        let left_out = flow.leaves_lines_out();
+        if order.is_some() {
+            flow.cut = None;
+        } else if left_out && flow.after_end {
+            self.computed.end_program();
+            return Err(Error::FlowSyntax);
+        }
+        flow.after_end = left_out && order.is_none() && ends_program(line);
+        Ok(())
+    }
+
     fn direct_order(&mut self, line: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+        self.look_for_end(line, order)?;
         if let State::Recording(from, error) = self.computed.flow.state {
             return self.record(line, order, from, error);
         }
@@ -363,6 +449,7 @@ impl<const N: usize> Interpreter<N> {
                     flow.hold(line.get(..length).unwrap_or(&[]), 0)?;
                 }
                 flow.state = State::Recording(from, held.err());
+                flow.recorded_from = flow.line;
                 held?;
             }
             _ => return Err(Error::FlowSyntax),

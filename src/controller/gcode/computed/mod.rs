@@ -76,7 +76,7 @@ impl<const N: usize> Computed<N> {
 
     /// M2, M30: forgets what is local to the program, its subroutines among it.
     pub fn end_program(&mut self) {
-        self.flow.reset();
+        self.flow.end_program();
         self.parameters.end_program();
     }
 }
