@@ -102,7 +102,7 @@ impl JobText {
         self.lines
     }
 
-    /// Lines that begin with `%`: marks of a punched tape's ends, not for the controller.
+    /// Lines of `%` and nothing but remarks: marks of a punched tape's ends, not for the controller.
     pub fn tape_marks(&self) -> u64 {
         self.tape_marks
     }
@@ -202,7 +202,7 @@ impl JobText {
         self.lines += 1;
         let text = String::from_utf8_lossy(line);
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
-        if text.starts_with('%') {
+        if is_tape_mark(text) {
             self.tape_marks += 1;
             return;
         }
@@ -239,6 +239,18 @@ impl JobText {
             }
         } else if !reply.is_empty() {
             self.said.push(Said::Message(reply.to_owned()));
+        }
+    }
+}
+
+/// Whether a line has a `%` and behind it nothing but remarks.
+fn is_tape_mark(text: &str) -> bool {
+    let Some(mut rest) = text.trim_start().strip_prefix('%') else { return false };
+    loop {
+        rest = rest.trim_start();
+        match rest.strip_prefix('(') {
+            Some(remark) => rest = remark.split_once(')').map_or("", |(_, behind)| behind),
+            None => return rest.is_empty() || rest.starts_with(';'),
         }
     }
 }
@@ -296,10 +308,18 @@ mod tests {
 
     #[test]
     fn text_is_text_and_tape_marks_are_left_out() {
-        let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n% end\n";
+        let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n % (end)(;) ;x\n";
         let mut job = JobText::new(text.as_bytes());
         assert_eq!(drain(&mut job), "G0 X1 (????? ! ~)\n G?\n");
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
+    }
+
+    /// Words behind the mark would be lost: the controller refuses them.
+    #[test]
+    fn a_tape_mark_has_its_line_for_itself() {
+        let mut job = JobText::new(&b"%G0X1\n%%\n% (a) X\n%(a\n%;\n"[..]);
+        assert_eq!(drain(&mut job), "%G0X1\n%%\n% (a) X\n");
+        assert_eq!((job.lines(), job.tape_marks()), (5, 2));
     }
 
     #[test]

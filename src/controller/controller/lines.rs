@@ -88,7 +88,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Ok(())
             }
             // A tape mark; Grbl's dialect has none.
-            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(),
+            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line),
             Some(b'$') => self.system(line),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             Some(_) => self.program_line(line),
@@ -101,8 +101,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Between two programs nothing may be open.
-    fn tape_mark(&mut self) -> Result<(), Error> {
+    /// Between two programs nothing may be open. A word on the line would be lost.
+    fn tape_mark(&mut self, line: &[u8]) -> Result<(), Error> {
+        if line.len() > 1 {
+            return Err(Error::ExpectedLetter);
+        }
         self.interpreter.tape_mark()?;
         self.say(report::ok);
         Ok(())

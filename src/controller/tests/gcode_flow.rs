@@ -113,6 +113,7 @@ fn conditions_that_do_not_fit() {
     fails("o1 if [1] X5\nX1", &[81], &[]);
     // Neither branch of a condition without a value.
     fails("o1 if [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
+    fails("o1 if [0]\no1 elseif [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
     fails("o1 break", &[81], &[]);
     fails("o1 endwhile\no1 endrepeat\no1 return\no1 endsub\no1 continue", &[81; 5], &[]);
     let deep: String = (0..17).map(|label| format!("o{label} if [1]\n")).collect();
@@ -182,6 +183,30 @@ fn subroutines_that_do_not_fit() {
     fails("o1 repeat [2]\no1 return\no1 endrepeat\nX1", &[81], &[1]);
     fails("o1 repeat [2]\no2 break\no1 endrepeat\nX1", &[81], &[1]);
     fails("o1 repeat [2]\no2 endwhile\no1 endrepeat\nX1", &[81], &[1]);
+}
+
+/// No word of a line with a keyword is lost without an error.
+#[test]
+fn words_behind_a_keyword() {
+    for condition in [0, 1] {
+        // The condition has come to its end all the same.
+        fails(&format!("o1 if [{condition}]\nX1\no1 endif X9\nX2"), &[81], [&[2][..], &[1, 2]][condition]);
+        // No branch holds.
+        let went = [&[3][..], &[1, 3]][condition];
+        fails(&format!("o1 if [{condition}]\nX1\no1 else X9\nX2\no1 endif\nX3"), &[81], went);
+    }
+    fails("o1 sub X9\nX1\no1 endsub\nX2\no1 call", &[81; 4], &[2]);
+    fails("o1 sub\nX1\no1 endsub X9\nX2\no1 call", &[81, 81], &[2]);
+    fails("o1 do X9\nX1\no1 while [0]\nX2", &[81; 3], &[2]);
+    fails("o1 do\nX1\no1 while X9\nX2", &[81], &[2]);
+    fails("o1 repeat X9\nX1\no1 endrepeat\nX2", &[81; 3], &[2]);
+    for end in
+        ["o1 endrepeat X9", "o2 endif X9\no1 endrepeat", "o1 break X9\no1 endrepeat", "o1 continue 1\no1 endrepeat"]
+    {
+        let errors = vec![81; end.lines().count()];
+        fails(&format!("o1 repeat [2]\nX1\n{end}\nX2"), &errors, &[2]);
+    }
+    fails("o1 sub\no1 return X9\no1 endsub\nX2", &[81, 81], &[2]);
 }
 
 /// 2 KiB of text. What does not fit is refused to its end: no line of it runs by itself.

@@ -133,6 +133,20 @@ impl<'a> Order<'a> {
         other.keyword == end && other.label == self.label
     }
 
+    /// Whether what is behind the keyword may be its own: values in brackets if it takes any, or nothing.
+    fn is_well_formed(&self) -> bool {
+        let bracket = self.arguments.first() == Some(&b'[');
+        match self.keyword {
+            Keyword::If | Keyword::ElseIf | Keyword::While | Keyword::Repeat => bracket,
+            Keyword::Call | Keyword::Return | Keyword::EndSub => bracket || self.arguments.is_empty(),
+            _ => self.arguments.is_empty(),
+        }
+    }
+
+    fn must_be_well_formed(&self) -> Result<(), Error> {
+        if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
+    }
+
     /// Whether skipped lines can come to an end with it.
     fn ends_skipping(&self) -> bool {
         use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
@@ -442,7 +456,7 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
-                let held = flow.hold(line, 0);
+                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, 0));
                 if held.is_err() {
                     // What is refused needs its label and kind.
                     let length = line.len() - order.arguments.len();
@@ -470,6 +484,7 @@ impl<const N: usize> Interpreter<N> {
         let of_sub = opening.keyword == Keyword::Sub;
         let ends = order.is_some_and(|order| opening.is_ended_by(&order));
         let strange = order.is_some_and(|order| matches!(order.keyword, Keyword::Sub | Keyword::EndSub)) && !ends;
+        let strange = strange || order.is_some_and(|order| !order.is_well_formed());
         let error = match error {
             None if strange => Some(Error::FlowSyntax),
             None => flow.hold(line, SPARE).err(),
@@ -579,18 +594,20 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::ElseIf => {
                 let taken = self.has_taken(order.label)?;
+                self.take_branch(order.label, true, false)?;
                 let holds = !taken && self.condition(order.arguments)?;
                 self.take_branch(order.label, taken || holds, holds)
             }
             Keyword::Else => {
                 let taken = self.has_taken(order.label)?;
-                self.take_branch(order.label, true, !taken)
+                self.take_branch(order.label, true, !taken && order.is_well_formed())?;
+                order.must_be_well_formed()
             }
             _ => {
                 self.has_taken(order.label)?;
                 self.computed.flow.pop();
                 self.computed.flow.skipping = false;
-                Ok(())
+                order.must_be_well_formed()
             }
         }
     }
