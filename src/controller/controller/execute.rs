@@ -75,7 +75,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
-            Task::Held => {
+            // Each line may have something to say.
+            Task::Held if self.replies.has_room() => {
                 self.task = Task::None;
                 self.run_held_line();
             }
@@ -86,7 +87,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 self.finish(answer);
             }
-            Task::Startup(..) | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
+            Task::Startup(..) | Task::Held | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
         }
         true
     }
@@ -328,22 +329,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn run_held_line(&mut self) {
         let mut line = HeldLine::new();
-        let held = match self.interpreter.next_held(&mut line) {
-            Ok(Held::Line) => self.gcode(&line, Answer::Held),
-            Ok(Held::Again) => {
+        let next = self.interpreter.next_held(&mut line);
+        let (words, remark) = gcode::split_remark(&line);
+        let carried_out = match next {
+            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held),
+            Ok(Held::Line | Held::Again) => {
                 self.task = Task::Held;
                 Ok(())
             }
-            Ok(Held::End) => {
-                self.say(report::ok);
-                Ok(())
-            }
+            Ok(Held::End) => Ok(()),
             Err(error) => Err(error),
         };
-        if let Err(error) = held {
-            self.interpreter.abandon_held();
-            self.refuse(error);
-            self.stop_at_error();
+        match carried_out {
+            Ok(()) => self.tell_remark(remark),
+            Err(error) => {
+                self.interpreter.abandon_held();
+                self.refuse(error);
+                self.stop_at_error();
+            }
+        }
+        if next == Ok(Held::End) {
+            self.say(report::ok);
         }
     }
 

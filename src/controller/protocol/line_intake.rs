@@ -156,8 +156,8 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// What a remark of the line has to say.
-    pub fn message(&self) -> Option<&[u8]> {
+    /// What a remark of the line has to say, and whether it shows values of parameters.
+    pub fn message(&self) -> Option<(bool, &[u8])> {
         self.line.message()
     }
 

@@ -40,12 +40,12 @@ impl Sender {
     fn send(&mut self, line: &str) {
         let line: String = line.split(';').next().unwrap().replace(' ', "").to_uppercase();
         self.sent += 1;
-        match self.interpreter.direct(line.as_bytes(), self.sent) {
+        match self.interpreter.direct(line.as_bytes(), &[], self.sent) {
             Ok(Direction::Check) => {
                 self.carry_out(line.as_bytes());
             }
-            Ok(Direction::Done) => {}
-            Ok(Direction::Run) => {
+            Ok(Direction::Done | Direction::LeftOut) => {}
+            Ok(Direction::Call | Direction::Run) => {
                 let mut held = HeldLine::new();
                 loop {
                     match self.interpreter.next_held(&mut held) {
@@ -301,7 +301,7 @@ fn the_next_program_is_none_of_an_open_block() {
 fn numbers_of_programs_are_left_to_the_check() {
     let mut interpreter = Interpreter::<3>::new();
     for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O<A>", b"O1X5"] {
-        assert_eq!(interpreter.direct(line, 1), Ok(Direction::Check), "{line:?}");
+        assert_eq!(interpreter.direct(line, &[], 1), Ok(Direction::Check), "{line:?}");
     }
 }
 

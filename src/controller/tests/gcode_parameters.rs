@@ -237,6 +237,13 @@ fn values_in_remarks() {
     assert_eq!(expand("#<a _b>#99 #2"), "-0.3333330.000000 0.000000");
     assert_eq!(expand("#<nothing> #0 # #<> #< 5#"), "###### ###### # #<> #< 5#");
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
+    // A line may set what it shows.
+    let mut program = program.clone();
+    let mut checked = Checked::NOTHING;
+    let check = program.interpreter.check_into(b"#1=3#1=4", Dialect::Oxmill, &mut checked);
+    let mut out = heapless::Vec::<u8, 64>::new();
+    program.interpreter.expand(b"#1 #2", &mut out);
+    assert_eq!((check, out.as_slice()), (Ok(()), &b"4.000000 0.000000"[..]));
     assert_eq!(expand(&format!("#<{}>", "n".repeat(200))), "######");
 }
 

@@ -13,7 +13,7 @@
 use super::Computed;
 use super::real::Real;
 use crate::error::Error;
-use crate::gcode::Interpreter;
+use crate::gcode::{Interpreter, split_remark};
 
 /// Bytes of held text, with one more for each line.
 const TEXT: usize = 2048;
@@ -30,7 +30,7 @@ const PASSES: u32 = 100_000;
 /// Where a call from the stream returns to.
 const STREAM: u16 = u16::MAX;
 
-/// A line of held text.
+/// A line of held text: words and message.
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 /// What a line of the host is.
@@ -38,9 +38,13 @@ pub type HeldLine = heapless::Vec<u8, 256>;
 pub enum Direction {
     /// To be checked and carried out.
     Check,
-    /// Done with: skipped, held, or a condition.
+    /// Done with: a condition.
     Done,
-    /// Held text is to be run: [`Interpreter::next_held`].
+    /// Skipped, or held: its message is not to be told now.
+    LeftOut,
+    /// Done with, and what it calls is to be run: [`Interpreter::next_held`].
+    Call,
+    /// Held, and a loop is to be run of which it is the last line.
     Run,
 }
 
@@ -102,8 +106,9 @@ struct Order<'a> {
 }
 
 impl<'a> Order<'a> {
-    /// `None` for every other line; a number without a keyword, such as `O1000`, is one of them.
+    /// `None` for every other line; a message is no part of it. A number without a keyword, such as `O1000`, is one of them.
     fn of(line: &'a [u8]) -> Option<Order<'a>> {
+        let (line, _) = split_remark(line);
         let line = match line.strip_prefix(b"N") {
             Some(numbered) => numbered.get(digits(numbered)..)?,
             None => line,
@@ -286,14 +291,16 @@ impl Flow {
         rest.get(..usize::from(*length))
     }
 
-    /// Keeps a line, with so many bytes to spare behind it.
-    fn hold(&mut self, line: &[u8], spare: usize) -> Result<(), Error> {
-        let length = u8::try_from(line.len()).map_err(|_| Error::OutOfMemory)?;
-        if self.text.len() + 1 + line.len() + spare > TEXT {
+    /// Keeps a line and its message, with so many bytes to spare behind it.
+    fn hold(&mut self, line: &[u8], remark: &[u8], spare: usize) -> Result<(), Error> {
+        let length = line.len() + remark.len();
+        let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
+        if self.text.len() + 1 + length + spare > TEXT {
             return Err(Error::OutOfMemory);
         }
-        let _ = self.text.push(length);
-        self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)
+        let _ = self.text.push(prefix);
+        self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)?;
+        self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
     }
 
     /// Where a subroutine begins, and where its second line does.
@@ -386,16 +393,18 @@ impl Flow {
 
 impl<const N: usize> Interpreter<N> {
     /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
-    /// has been done; of a condition whose value is an error no branch will be.
+    /// has been done; of a condition whose value is an error no branch will be. `remark` is its message, with its mark; a line
+    /// may have nothing else.
     #[inline]
-    pub fn direct(&mut self, line: &[u8], number: u32) -> Result<Direction, Error> {
+    pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
+        self.computed.begin();
         let flow = &mut self.computed.flow;
         flow.line = number;
         let plain = flow.state == State::Streaming && !flow.skipping;
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
         }
-        self.direct_order(line, Order::of(line))
+        self.direct_order(line, remark, Order::of(line))
     }
 
     /// Lines that a condition has left out.
@@ -424,6 +433,9 @@ impl<const N: usize> Interpreter<N> {
     fn look_for_end(&mut self, line: &[u8], order: Option<Order>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
+        if line.is_empty() {
+            return Ok(());
+        }
         if order.is_some() {
             flow.cut = None;
         } else if left_out && flow.after_end {
@@ -434,15 +446,15 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn direct_order(&mut self, line: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+    fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<Order>) -> Result<Direction, Error> {
         self.look_for_end(line, order)?;
         if let State::Recording(from, error) = self.computed.flow.state {
-            return self.record(line, order, from, error);
+            return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;
         if flow.skipping && !order.is_some_and(|order| order.ends_skipping() && flow.is_of_last(order.label)) {
             flow.skipped = flow.skipped.saturating_add(1);
-            return Ok(Direction::Done);
+            return Ok(Direction::LeftOut);
         }
         let Some(order) = order else { return Ok(Direction::Check) };
         match order.keyword {
@@ -452,19 +464,20 @@ impl<const N: usize> Interpreter<N> {
                 let arguments = self.arguments(order.arguments)?;
                 self.computed.flow.run(at, None);
                 self.call(order, STREAM, &arguments)?;
-                return Ok(Direction::Run);
+                return Ok(Direction::Call);
             }
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
-                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, 0));
+                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
                 if held.is_err() {
                     // What is refused needs its label and kind.
                     let length = line.len() - order.arguments.len();
-                    flow.hold(line.get(..length).unwrap_or(&[]), 0)?;
+                    flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
                 flow.state = State::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 held?;
+                return Ok(Direction::LeftOut);
             }
             _ => return Err(Error::FlowSyntax),
         }
@@ -475,6 +488,7 @@ impl<const N: usize> Interpreter<N> {
     fn record(
         &mut self,
         line: &[u8],
+        remark: &[u8],
         order: Option<Order>,
         from: u16,
         error: Option<Error>,
@@ -487,7 +501,7 @@ impl<const N: usize> Interpreter<N> {
         let strange = strange || order.is_some_and(|order| !order.is_well_formed());
         let error = match error {
             None if strange => Some(Error::FlowSyntax),
-            None => flow.hold(line, SPARE).err(),
+            None => flow.hold(line, remark, SPARE).err(),
             error => error,
         };
         flow.state = match ends {
@@ -506,18 +520,19 @@ impl<const N: usize> Interpreter<N> {
                 if flow.find(order.label).is_some_and(|(at, _)| at < from) {
                     flow.drop_sub(order.label);
                 }
-                Ok(Direction::Done)
+                Ok(Direction::LeftOut)
             }
             (None, _) if ends => {
                 flow.run(from, Some(from));
                 Ok(Direction::Run)
             }
-            _ => Ok(Direction::Done),
+            _ => Ok(Direction::LeftOut),
         }
     }
 
-    /// The next line of held text. An error ends it.
+    /// The next line of held text; empty if it is skipped. An error ends it.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        self.computed.begin();
         let next = self.next_line(line);
         if !matches!(next, Ok(Held::Line | Held::Again)) {
             self.abandon_held();
@@ -558,11 +573,16 @@ impl<const N: usize> Interpreter<N> {
         let at = flow.next;
         flow.next += 1 + text.len() as u16;
         let Some(order) = Order::of(line) else {
-            return Ok(if flow.skipping { Held::Again } else { Held::Line });
+            if !flow.skipping {
+                return Ok(Held::Line);
+            }
+            line.clear();
+            return Ok(Held::Again);
         };
         // The end of a subroutine is not skipped: behind it comes another.
         let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
         if flow.skipping && !ends {
+            line.clear();
             return Ok(Held::Again);
         }
         match order.keyword {
