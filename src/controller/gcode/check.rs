@@ -685,6 +685,9 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     fn unused_words(&mut self) -> Result<(), Error> {
+        if self.is_program_number() {
+            return Ok(());
+        }
         self.unused.remove(match self.purpose {
             Purpose::Program => Letters::of(b"FNST"),
             Purpose::Jog => Letters::of(b"FN"),
@@ -692,12 +695,14 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        let line = self.line;
-        if self.unused == Letters::of(b"O") && line.axes.is_empty() && line.groups == Groups::default() {
-            // The number of a program.
-            return Ok(());
-        }
         if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
+    }
+
+    /// O and a number, which are alone in their line but for its own number.
+    fn is_program_number(&self) -> bool {
+        let mut others = self.unused;
+        others.remove(Letters::of(b"N"));
+        others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
     fn finish(self) {
