@@ -430,38 +430,50 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     fn non_modal(&mut self) -> Result<(), Error> {
-        match self.line.non_modal {
-            Some(NonModal::SetSystem) => self.set_system(),
-            Some(NonModal::SetOffset) => self.set_offset(),
-            Some(NonModal::Go(which)) => self.go(which),
-            Some(NonModal::StorePosition(which)) => {
+        let Some(word) = self.line.non_modal else { return Ok(()) };
+        self.non_modal_word(word)?;
+        self.allow_offset(&self.checked.g92)?;
+        self.checked.stored.map_or(Ok(()), |stored| self.allow_offset(&stored))
+    }
+
+    /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
+    pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+        if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
+    }
+
+    fn non_modal_word(&mut self, word: NonModal) -> Result<(), Error> {
+        match word {
+            NonModal::SetSystem => self.set_system(),
+            NonModal::SetOffset => self.set_offset(),
+            NonModal::Go(which) => self.go(which),
+            NonModal::StorePosition(which) => {
                 self.checked.store = Some(which);
                 self.checked.stored = Some(self.state.position);
                 Ok(())
             }
-            Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
+            NonModal::ClearOffset | NonModal::SuspendOffset => {
                 self.checked.g92 = PerAxis::all(Coordinate::ZERO);
                 self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
                 self.checked.after.g92_acts = false;
                 Ok(())
             }
-            Some(NonModal::RestoreOffset) => {
+            NonModal::RestoreOffset => {
                 self.checked.g92 = self.state.offsets.g92_kept;
                 self.checked.after.g92_acts = true;
                 Ok(())
             }
-            Some(NonModal::LocalOffset) if self.line.axes.is_empty() => Err(Error::NoAxisWords),
-            Some(NonModal::LocalOffset) => {
+            NonModal::LocalOffset if self.line.axes.is_empty() => Err(Error::NoAxisWords),
+            NonModal::LocalOffset => {
                 self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
                 self.checked.after.keeps_g92 = true;
                 self.checked.after.g92_acts = true;
                 Ok(())
             }
-            Some(NonModal::MachineCoordinates) => match self.checked.modal.motion {
+            NonModal::MachineCoordinates => match self.checked.modal.motion {
                 MotionMode::Rapid | MotionMode::Linear => Ok(()),
                 _ => Err(Error::G53NeedsMotion),
             },
-            Some(NonModal::Dwell) | None => Ok(()),
+            NonModal::Dwell => Ok(()),
         }
     }
 
@@ -481,7 +493,7 @@ impl<'a, const N: usize> Check<'a, N> {
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
-            match line.l.truncate() {
+            match whole(line.l)? {
                 2 if line.values.has(b'R') => return Err(Error::NotSupported),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
@@ -489,6 +501,9 @@ impl<'a, const N: usize> Check<'a, N> {
             }
         }
         let system = self.system_of(line.p.truncate())?;
+        if self.dialect != Dialect::Grbl {
+            whole(line.p)?;
+        }
         let from_position = match line.l.truncate() {
             2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
             2 => false,
@@ -677,8 +692,8 @@ impl<'a, const N: usize> Check<'a, N> {
             return Ok(0);
         }
         self.unused.remove(Letters::of(b"P"));
-        let turns = self.line.p.truncate();
-        if Decimal::from_int(turns) != self.line.p || !(1..=TURNS_MAX).contains(&turns) {
+        let turns = whole(self.line.p)?;
+        if !(1..=TURNS_MAX).contains(&turns) {
             return Err(Error::IntegerRequired);
         }
         Ok(turns.unsigned_abs() - 1)
@@ -807,6 +822,12 @@ impl<'a, const N: usize> Check<'a, N> {
             FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
         }
     }
+}
+
+/// A number that selects something, which has no fraction.
+pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
+    let number = value.truncate();
+    if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
 }
 
 /// A time that a program gives in seconds.

@@ -1,9 +1,10 @@
 //! Tools: their lengths in a table, which of them the spindle holds, and the words that use both (T, M6, G43, G10 L1).
 
 use super::Dialect;
-use super::check::{Check, along};
+use super::check::{Check, along, whole};
 use super::modal::{CoordinateSystem, EXTENDED};
 use super::offsets::{StoredOffset, TOOL_AXIS};
+use super::parse::TOOL_MAX;
 use super::word::{Letters, ToolLength};
 use crate::axes::{AxisMask, PerAxis};
 use crate::error::Error;
@@ -88,7 +89,7 @@ impl<const N: usize> Check<'_, N> {
             ToolLength::Add => self.tool_of_h()?.zip(&self.checked.tool_length, |more, present| more + present),
         };
         self.checked.tool_length = offset;
-        Ok(())
+        self.allow_offset(&offset)
     }
 
     /// The offset that H names; that of the tool in the spindle without H or with H0.
@@ -96,7 +97,7 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = if self.take(b'H') { whole(self.line.h)? } else { 0 };
+        let number = if self.take(b'H') { whole(self.line.h)?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
         self.state.tools.offset(number).ok_or(Error::UnknownTool)
     }
@@ -106,9 +107,12 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = whole(self.line.p)?;
+        let number = whole(self.line.p)?.unsigned_abs();
         if !self.line.values.has(b'P') {
             return Err(Error::ValueWordMissing);
+        }
+        if self.line.p > Decimal::from_int(TOOL_MAX) {
+            return Err(Error::ToolNumberTooHigh);
         }
         let offsets = &self.state.offsets;
         if number == 0 || self.state.tools.slot(number).is_none() {
@@ -129,10 +133,4 @@ impl<const N: usize> Check<'_, N> {
         }));
         Ok(())
     }
-}
-
-/// The number of a tool.
-fn whole(value: Decimal) -> Result<u32, Error> {
-    let number = value.truncate();
-    if Decimal::from_int(number) == value { Ok(number.unsigned_abs()) } else { Err(Error::IntegerRequired) }
 }

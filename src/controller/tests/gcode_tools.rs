@@ -125,6 +125,17 @@ fn what_is_refused() {
             ("G10 L1 Z5", 28),
             ("G10 L1 P0 Z5", 47),
             ("G10 L1 P1.5 Z5", 23),
+            ("G10 L1.5 P1 Z5", 23),
+            ("G10 L2.5 P1 Z5", 23),
+            ("G10 L-1.5 P1 Z5", 23),
+            ("G10 L2 P1.5 Z5", 23),
+            ("G10 L20 P0.1 Z5", 23),
+            ("G10 L1 P100000 Z5", 38),
+            ("G10 L1 P2147483647 Z5", 38),
+            ("G10 L1 P99999999999999999999 Z5", 23),
+            ("G43 H2147483647", 47),
+            ("G10 L1 P1 Z50000.1", 33),
+            ("G10 L10 P1 Z-50000", 33),
             ("G10 L1 P1", 26),
             ("G10 L1 P1 Z5 R3", 36),
             // L before P: of an unknown L the number does not matter.
@@ -147,4 +158,30 @@ fn what_is_refused() {
     program.run("G43.1 Z1");
     assert!(matches!(program.run("G0 Z1").motion, Motion::Line { .. }));
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
+}
+
+/// Sums of offsets stay where the controller can compute.
+#[test]
+fn offsets_have_an_end() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for line in [
+            "G10 L2 P1 X50000.1",
+            "G10 L2 X-99999999999999999999",
+            "G20 G10 L2 P1 X3000",
+            "G92 X99999999999999999999",
+            "G92 X-50000.1",
+            "G10 L20 P1 Y50010",
+            "G43.1 Z-99999999999999999999",
+        ] {
+            assert_eq!(program.error(line), 33, "{line}");
+        }
+        program.run_all("G10 L1 P1 Z-40000\nG10 L2 P1 Z50000\nG43 H1");
+        assert_eq!(program.error("G43.2 H1"), 33);
+        assert_eq!(program.error("G52 X-50000.0000001"), 33);
+        program.run("G52 X-50000");
+        assert_eq!(program.error("G0 X-1"), 33);
+        program.run("G0 X1");
+        assert_eq!(program.machine(), [-49_999.0, 2.0, 3.0]);
+    }
 }
