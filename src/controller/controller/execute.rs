@@ -7,7 +7,7 @@ use super::moves::speed;
 use super::task::{Answer, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, Flow, Held, HeldLine, PathControl};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl, StoredOffset};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::motion::Speed;
@@ -207,8 +207,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if before.is_some_and(|before| self.interpreter.work_offset() != before) {
             self.replies.offset_changed();
         }
-        if let Some(offset) = checked.store {
-            self.records.save_offset(offset, &self.interpreter);
+        match checked.store {
+            // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
+            Some(StoredOffset::Tool(_)) if checking => {}
+            Some(offset) => self.records.save_offset(offset, &self.interpreter),
+            None => {}
         }
         if checking {
             return delay;

@@ -13,6 +13,9 @@ use crate::units::{Coordinate, Decimal};
 /// How many tools the table holds.
 pub const TOOLS: usize = if EXTENDED { 32 } else { 0 };
 
+/// Bit of the number of an entry that a program has set which is only checked. It hides the one without the bit.
+const CHECKED: u32 = 1 << 31;
+
 /// A tool of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tool<const N: usize> {
@@ -20,6 +23,13 @@ pub struct Tool<const N: usize> {
     pub number: u32,
     /// How far its tip is from the point that the spindle alone would have, by axis.
     pub offset: PerAxis<Coordinate, N>,
+}
+
+impl<const N: usize> Tool<N> {
+    /// Whether this is no free entry, nor one of a program that is only checked.
+    pub fn is_stored(&self) -> bool {
+        self.number != 0 && self.number & CHECKED == 0
+    }
 }
 
 /// The tools whose offsets are kept over power-off, in the order in which they were entered.
@@ -53,8 +63,21 @@ impl<const N: usize> ToolTable<N> {
         if number == 0 {
             return Some(PerAxis::all(Coordinate::ZERO));
         }
-        self.0.iter().find(|tool| tool.number == number).map(|tool| tool.offset)
+        let find = |wanted| self.0.iter().find(|tool| tool.number == wanted);
+        find(number | CHECKED).or_else(|| find(number)).map(|tool| tool.offset)
     }
+
+    /// Forgets what a program has set that was only checked.
+    pub(super) fn end_check(&mut self) {
+        for tool in self.0.iter_mut().filter(|tool| tool.number & CHECKED != 0) {
+            tool.number = 0;
+        }
+    }
+}
+
+/// The number of the entry that a program sets for a tool, which may be only checked.
+pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
+    if is_checking { number | CHECKED } else { number }
 }
 
 impl<const N: usize> Check<'_, N> {
@@ -115,7 +138,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ToolNumberTooHigh);
         }
         let offsets = &self.state.offsets;
-        if number == 0 || self.state.tools.slot(number).is_none() {
+        if number == 0 || self.state.tools.slot(entry_number(number, self.state.is_checking())).is_none() {
             return Err(Error::UnknownTool);
         }
         self.unused.remove(Letters::of(b"LP"));

@@ -2,7 +2,7 @@
 
 mod program;
 
-use oxmill_controller::gcode::{Dialect, Motion, TOOLS};
+use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};
 use program::Program;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
@@ -183,5 +183,40 @@ fn offsets_have_an_end() {
         assert_eq!(program.error("G0 X-1"), 33);
         program.run("G0 X1");
         assert_eq!(program.machine(), [-49_999.0, 2.0, 3.0]);
+    }
+}
+
+/// What a program does to the table that is only checked holds up to its end.
+#[test]
+fn a_check_leaves_the_table_as_it_was() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run_all("G10 L1 P1 Z1\nG10 L1 P2 Z2");
+        let before = program.interpreter.tools().clone();
+        program.interpreter.begin_check_mode();
+        program.run_all("G10 L1 P1 X5\nG10 L1 P1 Y6\nG10 L1 P7 Z7\nG43 H1 G0 X0 Y0 Z0");
+        assert_eq!(program.machine(), [5.0, 6.0, 1.0]);
+        program.run("G43 H7 X0 Y0 Z0");
+        assert_eq!(program.machine(), [0.0, 0.0, 7.0]);
+        let stored = |tools: &ToolTable<3>| tools.entries().iter().filter(|tool| tool.is_stored()).count();
+        assert_eq!(stored(program.interpreter.tools()), 2);
+        // There is room for each tool once.
+        for tool in 10..10 + TOOLS - 4 {
+            program.run(&format!("G10 L1 P{tool} Z{tool}"));
+        }
+        assert_eq!((program.error("G10 L1 P2 Z1"), program.error("G10 L1 P10 Z1")), (47, 0));
+        program.interpreter.reset();
+        assert_eq!(*program.interpreter.tools(), {
+            // Of a free entry only the number counts.
+            let mut after = before.clone();
+            for (slot, tool) in program.interpreter.tools().entries().iter().enumerate().skip(2) {
+                after.put(slot, *tool);
+                assert_eq!(tool.number, 0);
+            }
+            after
+        });
+        program.run("G10 L1 P7 Z-7");
+        program.run("G43 H7 G0 Z0");
+        assert_eq!(program.machine()[2], -7.0);
     }
 }
