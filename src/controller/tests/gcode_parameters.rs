@@ -224,6 +224,29 @@ fn the_machine_shows_its_state() {
     }
 }
 
+/// Whether G92 acts and what it holds are two things.
+#[test]
+fn the_offset_of_g92() {
+    let mut program = ready();
+    for (line, acts, offset) in [
+        ("G4 P0", 0.0, 0.0),
+        ("G92 X0", 1.0, 0.0),
+        ("G92 X-5", 1.0, 5.0),
+        ("G92.2", 0.0, 5.0),
+        ("G92.3", 1.0, 5.0),
+        ("M70", 1.0, 5.0),
+        ("G92.2", 0.0, 5.0),
+        ("M72", 1.0, 5.0),
+        ("G52 X2", 1.0, 2.0),
+        ("M2", 1.0, 2.0),
+        ("G92.1", 0.0, 0.0),
+        ("G92.3", 1.0, 0.0),
+    ] {
+        program.run(line);
+        assert_eq!((x(&program, "#5210"), x(&program, "#5211")), (acts, offset), "{line}");
+    }
+}
+
 #[test]
 fn values_in_remarks() {
     let mut program = ready();

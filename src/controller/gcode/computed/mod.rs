@@ -191,8 +191,8 @@ impl<const N: usize> Interpreter<N> {
             5070 => Real::truth(self.computed.probe_succeeded),
             5161..=5169 => in_mm(&self.offsets.stored(StoredOffset::G28), number - 5161).unwrap_or(Real::ZERO),
             5181..=5189 => in_mm(&self.offsets.stored(StoredOffset::G30), number - 5181).unwrap_or(Real::ZERO),
-            5210 => Real::truth(self.offsets.g92 != PerAxis::all(Coordinate::ZERO)),
-            5211..=5219 => in_mm(&self.offsets.g92, number - 5211).unwrap_or(Real::ZERO),
+            5210 => Real::truth(self.offsets.g92_acts),
+            5211..=5219 => in_mm(&self.offsets.g92_kept, number - 5211).unwrap_or(Real::ZERO),
             5220 => Real::from_decimal(Decimal::from_int(self.modal.coordinate_system as i32 + 1)),
             5221..=5390 => {
                 let (system, index) = ((number - 5221) / 20, (number - 5221) % 20);
