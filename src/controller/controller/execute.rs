@@ -203,15 +203,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let mut delay = Duration::from_ticks(0);
         let before = checked.work_offset_changed.then(|| self.interpreter.work_offset());
         let held = self.interpreter.modal().overrides_held;
+        let freed = checked.removes_tool().and_then(|number| self.interpreter.tools().find(number));
         self.interpreter.commit(checked);
         if before.is_some_and(|before| self.interpreter.work_offset() != before) {
             self.replies.offset_changed();
         }
-        match checked.store {
+        match (checked.store, freed) {
             // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
-            Some(StoredOffset::Tool(_)) if checking => {}
-            Some(offset) => self.records.save_offset(offset, &self.interpreter),
-            None => {}
+            (Some(StoredOffset::Tool(_)), _) if checking => {}
+            (_, Some(slot)) => self.records.remove_tool(slot),
+            (Some(offset), None) => self.records.save_offset(offset, &self.interpreter),
+            (None, None) => {}
         }
         if checking {
             return delay;

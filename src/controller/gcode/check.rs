@@ -46,7 +46,7 @@ pub struct Checked<const N: usize> {
     /// The line goes to a place of the machine or keeps one (G53, G28, G30, G28.1, G30.1), so it needs a machine position
     /// that is true.
     pub uses_machine_place: bool,
-    /// The stored place that gets a new value at the commit.
+    /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: Motion<N>,
@@ -91,6 +91,14 @@ impl<const N: usize> Checked<N> {
             self.modal.spindle = SpindleDirection::Off;
         }
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+    }
+
+    /// The tool that is taken out of the table.
+    pub fn removes_tool(&self) -> Option<u32> {
+        match (self.store, &self.stored) {
+            (Some(StoredOffset::Tool(number)), None) => Some(number),
+            _ => None,
+        }
     }
 
     /// The tool that the spindle holds afterwards.
@@ -481,7 +489,8 @@ impl<'a, const N: usize> Check<'a, N> {
     /// the given coordinates. Distance mode plays no part.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
-        if line.axes.is_empty() {
+        let of_tool = self.dialect != Dialect::Grbl && line.l == Decimal::from_int(1);
+        if line.axes.is_empty() && !of_tool {
             return Err(Error::NoAxisWords);
         }
         if !line.values.has(b'P') && !line.values.has(b'L') {

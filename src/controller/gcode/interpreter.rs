@@ -134,6 +134,9 @@ impl<const N: usize> Interpreter<N> {
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
             self.set_stored(which, value);
         }
+        if let Some(number) = checked.removes_tool() {
+            self.tools.remove(tools::entry_number(number, self.is_checking()));
+        }
         self.spindle_tool = checked.after.spindle_tool;
         self.position = checked.position;
         self.computed.commit();

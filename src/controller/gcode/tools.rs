@@ -47,8 +47,7 @@ impl<const N: usize> ToolTable<N> {
 
     /// The entry of a tool, or the first free one.
     pub fn slot(&self, number: u32) -> Option<usize> {
-        let find = |wanted| self.0.iter().position(|tool| tool.number == wanted);
-        find(number).or_else(|| find(0))
+        self.find(number).or_else(|| self.find(0))
     }
 
     /// What an entry holds from now on.
@@ -65,6 +64,18 @@ impl<const N: usize> ToolTable<N> {
         }
         let find = |wanted| self.0.iter().find(|tool| tool.number == wanted);
         find(number | CHECKED).or_else(|| find(number)).map(|tool| tool.offset)
+    }
+
+    /// The entry of a tool that is in the table.
+    pub fn find(&self, number: u32) -> Option<usize> {
+        self.0.iter().position(|tool| tool.number == number)
+    }
+
+    /// Frees the entry of a tool.
+    pub(super) fn remove(&mut self, number: u32) {
+        if let Some(slot) = self.find(number) {
+            self.put(slot, Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) });
+        }
     }
 
     /// Forgets what a program has set that was only checked.
@@ -125,7 +136,7 @@ impl<const N: usize> Check<'_, N> {
         self.state.tools.offset(number).ok_or(Error::UnknownTool)
     }
 
-    /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43.
+    /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.
     pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
@@ -137,11 +148,14 @@ impl<const N: usize> Check<'_, N> {
         if self.line.p > Decimal::from_int(TOOL_MAX) {
             return Err(Error::ToolNumberTooHigh);
         }
-        let offsets = &self.state.offsets;
-        if number == 0 || self.state.tools.slot(entry_number(number, self.state.is_checking())).is_none() {
+        let known = self.state.tools.offset(number);
+        let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
+        let removes = self.line.axes.is_empty();
+        if number == 0 || removes && known.is_none() || !removes && !has_room {
             return Err(Error::UnknownTool);
         }
         self.unused.remove(Letters::of(b"LP"));
+        let offsets = &self.state.offsets;
         // Where the work zero of the tool's tip is: L10 in the active system with its G92, L11 in the ninth, which holds a
         // fixture.
         let origin = if l == 11 {
@@ -149,8 +163,11 @@ impl<const N: usize> Check<'_, N> {
         } else {
             offsets.system(self.checked.modal.coordinate_system).zip(&offsets.g92, |origin, g92| origin + g92)
         };
-        let present = self.state.tools.offset(number).unwrap_or(PerAxis::all(Coordinate::ZERO));
         self.checked.store = Some(StoredOffset::Tool(number));
+        if removes {
+            return Ok(());
+        }
+        let present = known.unwrap_or(PerAxis::all(Coordinate::ZERO));
         self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
             if l == 1 { value } else { self.position(axis) - along(&origin, axis) - value }
         }));

@@ -136,7 +136,12 @@ fn what_is_refused() {
             ("G43 H2147483647", 47),
             ("G10 L1 P1 Z50000.1", 33),
             ("G10 L10 P1 Z-50000", 33),
-            ("G10 L1 P1", 26),
+            ("G10 L1 P2", 47),
+            ("G10 L1 P0", 47),
+            ("G10 L1", 28),
+            ("G10 L10 P1", 26),
+            ("G10 L1 P1 R3", 36),
+            ("G10 L1 P1 I3", 36),
             ("G10 L1 P1 Z5 R3", 36),
             // L before P: of an unknown L the number does not matter.
             ("G10 L3 P12 X1", 20),
@@ -218,5 +223,27 @@ fn a_check_leaves_the_table_as_it_was() {
         program.run("G10 L1 P7 Z-7");
         program.run("G43 H7 G0 Z0");
         assert_eq!(program.machine()[2], -7.0);
+    }
+}
+
+/// G10 L1 without axes. A tool of no length, such as the one that others are measured by, stays.
+#[test]
+fn a_tool_is_taken_out() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for tool in 1..=TOOLS {
+            program.run(&format!("G10 L1 P{tool} X0 Y0 Z0"));
+        }
+        assert_eq!((program.error("G43 H5"), program.error("G10 L1 P99 Z1")), (0, 47));
+        program.run("G43 H5");
+        program.run("G10 L1 P5");
+        assert_eq!((program.error("G43 H5"), program.error("G10 L1 P5"), program.error("G43 H6")), (47, 47, 0));
+        program.run("G10 L1 P99 Z1");
+        assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
+        // A program that is only checked leaves it there.
+        program.interpreter.begin_check_mode();
+        program.run("G10 L1 P6");
+        program.interpreter.reset();
+        assert_eq!(program.error("G43 H6"), 0);
     }
 }
