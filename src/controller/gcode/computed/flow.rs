@@ -169,7 +169,7 @@ fn ends_program(line: &[u8]) -> bool {
     let mut rest = line;
     while let Some((byte, behind)) = rest.split_first() {
         in_name = *byte == b'<' || in_name && *byte != b'>';
-        let (number, after) = behind.split_at(digits(behind));
+        let (number, after) = behind.split_at_checked(digits(behind)).unwrap_or_default();
         let zeros = number.iter().take_while(|digit| **digit == b'0').count();
         let is_end = matches!(number.get(zeros..), Some(b"2" | b"30"));
         if *byte == b'M' && !in_name && is_end && after.first() != Some(&b'.') {
