@@ -69,6 +69,28 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
+/// Nothing of it moved, and every line of it was accepted.
+#[test]
+fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
+    for (name, program, line) in [
+        ("open_if.nc", "%\nG1 X1 F600\n\no1 if [0]\nG1 X2\nM2\n%\n", 4),
+        ("open_sub.nc", "o<pocket> sub\n%\nG1 X2 F600\nM30\n", 1),
+        ("open_loop.nc", "G1 X1 F600\no1 repeat [2]\no1 endrepeat\n o2 while [1] (so)\nX5", 4),
+        ("open_at_end.nc", "o5 if [1]\nG1 X1 F600\nM2\n", 1),
+    ] {
+        let job = file(name, program);
+        let output = run(&["run", text(&job), "--json"]);
+        assert_eq!(output.status.code(), Some(1), "{name}");
+        let summary = json(&output);
+        let errors = summary["errors"].as_array().expect("a list");
+        assert_eq!(errors.len(), 1, "{name}: {errors:?}");
+        assert_eq!((&errors[0]["line"], &errors[0]["code"]), (&Value::from(line), &Value::from(81)), "{name}");
+        assert_eq!(errors[0]["source"], program.lines().nth(line - 1).expect("the line").trim(), "{name}");
+    }
+    let job = file("closed.nc", "o1 sub\nG1 X2 F600\no1 endsub\no2 if [1]\no1 call\no2 endif\nM2\n");
+    assert_eq!(run(&["run", text(&job)]).status.code(), Some(0));
+}
+
 #[test]
 fn bad_usage_and_files_that_cannot_be_read_end_with_2() {
     for arguments in [&["run", "no_such_file.nc"][..], &["run"], &["mill"], &["run", "x.nc", "--board", "none"]] {

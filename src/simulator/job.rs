@@ -12,6 +12,7 @@ use crate::text::{self, JobText, Said};
 use crate::trace::Csv;
 use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use oxmill_controller::error::Error;
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::{Key, SCALARS};
 use std::io::{self, IsTerminal, Write};
@@ -207,13 +208,27 @@ impl Outcome {
     fn hear(&mut self, job: &mut JobText) {
         for said in job.said() {
             match said {
-                Said::Error { .. } if self.errors.len() >= KEPT_ERRORS => self.more_errors += 1,
-                Said::Error { line, code, text } => {
-                    self.errors.push(LineError { line, code, text: error_text(code).into(), source: text });
-                }
+                Said::Error { line, code, text } => self.refused(line, code, error_text(code), text),
                 Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
                 Said::Message(_) => self.more_messages += 1,
             }
+        }
+    }
+
+    fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
+        if self.errors.len() < KEPT_ERRORS {
+            self.errors.push(LineError { line, code, text: text.into(), source });
+        } else {
+            self.more_errors += 1;
+        }
+    }
+
+    /// A subroutine, loop or condition that has not come to its end with the file: what is in it was not carried out, or
+    /// not as it was meant.
+    fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
+        if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
+            let source = source.to_owned();
+            self.refused(line, Error::FlowSyntax.code(), "the program ended within the block that begins here", source);
         }
     }
 
@@ -235,8 +250,12 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
     loop {
         if simulator.unfetched() > 0 {
             simulator.take_output();
+            let is_open = simulator.controller().open_since().is_some();
             if let Some(job) = simulator.job_mut() {
                 outcome.hear(job);
+                if !is_open {
+                    job.forget_openers();
+                }
             }
         }
         if outcome.alarm.is_none()
@@ -273,8 +292,10 @@ fn run_text(simulator: &mut Simulator, job: JobText, progress: &ProgressBar) -> 
         }
     }
     simulator.take_output();
+    let open_since = simulator.controller().open_since();
     if let Some(job) = simulator.job_mut() {
         outcome.hear(job);
+        outcome.look_for_open_block(open_since, job);
         outcome.complete = outcome.alarm.is_none() && job.is_used_up();
     }
     outcome

@@ -386,7 +386,8 @@ impl Simulator {
     }
 
     /// Gives the controller a job, whose lines it takes whenever it wants one.
-    pub fn load_job(&mut self, job: JobText) {
+    pub fn load_job(&mut self, mut job: JobText) {
+        job.begin(self.controller.lines_read());
         self.job = Sole(Some(job));
         self.turn();
     }

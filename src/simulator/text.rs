@@ -44,6 +44,19 @@ pub struct JobText {
     consumed: u64,
     reply: Vec<u8>,
     said: Vec<Said>,
+    /// Lines that the controller had read before the first of these.
+    lines_before: u32,
+    /// Answered lines that may have begun a block of O words.
+    openers: Vec<Opener>,
+}
+
+/// A line that may have begun a block.
+struct Opener {
+    /// Its place among the lines given out, from 1.
+    given: u64,
+    /// Its number in the file.
+    number: u64,
+    text: String,
 }
 
 impl JobText {
@@ -63,7 +76,25 @@ impl JobText {
             consumed: 0,
             reply: Vec::new(),
             said: Vec::new(),
+            lines_before: 0,
+            openers: Vec::new(),
         }
+    }
+
+    /// The controller has read so many lines (wrapping) before the first of these.
+    pub fn begin(&mut self, lines_before: u32) {
+        self.lines_before = lines_before;
+    }
+
+    /// The line of the file, and its number, which was this one to the controller; as far as it may have begun a block.
+    pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
+        let given = u64::from(line.wrapping_sub(self.lines_before));
+        self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
+    }
+
+    /// No block is open.
+    pub fn forget_openers(&mut self) {
+        self.openers.clear();
     }
 
     /// Lines read up to now, tape marks included.
@@ -71,7 +102,7 @@ impl JobText {
         self.lines
     }
 
-    /// Lines that begin with `%`: marks of a punched tape's ends, not for the controller.
+    /// Lines of `%` and nothing but remarks: marks of a punched tape's ends, not for the controller.
     pub fn tape_marks(&self) -> u64 {
         self.tape_marks
     }
@@ -171,7 +202,7 @@ impl JobText {
         self.lines += 1;
         let text = String::from_utf8_lossy(line);
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
-        if text.starts_with('%') {
+        if is_tape_mark(text) {
             self.tape_marks += 1;
             return;
         }
@@ -201,10 +232,25 @@ impl JobText {
             self.answers += 1;
             let (line, text) = self.unanswered.pop_front().unwrap_or_default();
             if let Some(code) = code {
-                self.said.push(Said::Error { line, code, text });
+                self.said.push(Said::Error { line, code, text: text.clone() });
+            }
+            if text.contains(['o', 'O']) {
+                self.openers.push(Opener { given: self.answers, number: line, text });
             }
         } else if !reply.is_empty() {
             self.said.push(Said::Message(reply.to_owned()));
+        }
+    }
+}
+
+/// Whether a line has a `%` and behind it nothing but remarks.
+fn is_tape_mark(text: &str) -> bool {
+    let Some(mut rest) = text.trim_start().strip_prefix('%') else { return false };
+    loop {
+        rest = rest.trim_start();
+        match rest.strip_prefix('(') {
+            Some(remark) => rest = remark.split_once(')').map_or("", |(_, behind)| behind),
+            None => return rest.is_empty() || rest.starts_with(';'),
         }
     }
 }
@@ -262,10 +308,18 @@ mod tests {
 
     #[test]
     fn text_is_text_and_tape_marks_are_left_out() {
-        let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n% end\n";
+        let text = "%\nG0 X1 (原点へ移動 ! ~)\n\u{3000}G\u{FF11}\n % (end)(;) ;x\n";
         let mut job = JobText::new(text.as_bytes());
         assert_eq!(drain(&mut job), "G0 X1 (????? ! ~)\n G?\n");
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
+    }
+
+    /// Words behind the mark would be lost: the controller refuses them.
+    #[test]
+    fn a_tape_mark_has_its_line_for_itself() {
+        let mut job = JobText::new(&b"%G0X1\n%%\n% (a) X\n%(a\n%;\n"[..]);
+        assert_eq!(drain(&mut job), "%G0X1\n%%\n% (a) X\n");
+        assert_eq!((job.lines(), job.tape_marks()), (5, 2));
     }
 
     #[test]

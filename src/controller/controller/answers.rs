@@ -2,7 +2,7 @@
 
 use super::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::Dialect;
+use crate::gcode::{Dialect, WITH_VALUES};
 use crate::machine::inputs;
 use crate::machine::state::Mode;
 use crate::messages::Signals;
@@ -11,12 +11,27 @@ use crate::protocol::text::Text;
 use crate::settings::Key;
 use crate::units::per_minute;
 
+/// Longest message of a program with the values of its parameters.
+const MESSAGE_WITH_VALUES: usize = 160;
+
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Makes a piece of answer.
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
         self.replies.push(&text, self.lines.hosts_cut());
+    }
+
+    /// The message of a line that is carried out, with its mark. What was queued before it may still move.
+    pub(super) fn tell_remark(&mut self, remark: &[u8]) {
+        let Some((mark, written)) = remark.split_first().filter(|_| !self.mode.is_alarm()) else { return };
+        let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
+        if *mark == WITH_VALUES {
+            self.interpreter.expand(written, &mut text);
+        } else {
+            let _ = text.extend_from_slice(written);
+        }
+        self.say(|out| report::program_message(out, &text));
     }
 
     pub(super) fn refuse(&mut self, error: Error) {

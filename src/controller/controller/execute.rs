@@ -7,7 +7,7 @@ use super::moves::speed;
 use super::task::{Answer, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, Flow, Held, HeldLine, PathControl};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl, StoredOffset};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::motion::Speed;
@@ -75,7 +75,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
-            Task::Held => {
+            // Each line may have something to say.
+            Task::Held if self.replies.has_room() => {
                 self.task = Task::None;
                 self.run_held_line();
             }
@@ -86,7 +87,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 self.finish(answer);
             }
-            Task::Startup(..) | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
+            Task::Startup(..) | Task::Held | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
         }
         true
     }
@@ -202,12 +203,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let mut delay = Duration::from_ticks(0);
         let before = checked.work_offset_changed.then(|| self.interpreter.work_offset());
         let held = self.interpreter.modal().overrides_held;
+        let freed = checked.removes_tool().and_then(|number| self.interpreter.tools().find(number));
         self.interpreter.commit(checked);
         if before.is_some_and(|before| self.interpreter.work_offset() != before) {
             self.replies.offset_changed();
         }
-        if let Some(offset) = checked.store {
-            self.records.save_offset(offset, &self.interpreter);
+        match (checked.store, freed) {
+            // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
+            (Some(StoredOffset::Tool(_)), _) if checking => {}
+            (_, Some(slot)) => self.records.remove_tool(slot),
+            (Some(offset), None) => self.records.save_offset(offset, &self.interpreter),
+            (None, None) => {}
         }
         if checking {
             return delay;
@@ -328,22 +334,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn run_held_line(&mut self) {
         let mut line = HeldLine::new();
-        let held = match self.interpreter.next_held(&mut line) {
-            Ok(Held::Line) => self.gcode(&line, Answer::Held),
-            Ok(Held::Again) => {
+        let next = self.interpreter.next_held(&mut line);
+        let (words, remark) = gcode::split_remark(&line);
+        let carried_out = match next {
+            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held),
+            Ok(Held::Line | Held::Again) => {
                 self.task = Task::Held;
                 Ok(())
             }
-            Ok(Held::End) => {
-                self.say(report::ok);
-                Ok(())
-            }
+            Ok(Held::End) => Ok(()),
             Err(error) => Err(error),
         };
-        if let Err(error) = held {
-            self.interpreter.abandon_held();
-            self.refuse(error);
-            self.stop_at_error();
+        match carried_out {
+            Ok(()) => self.tell_remark(remark),
+            Err(error) => {
+                self.interpreter.abandon_held();
+                self.refuse(error);
+                self.stop_at_error();
+            }
+        }
+        if next == Ok(Held::End) {
+            self.say(report::ok);
         }
     }
 

@@ -4,12 +4,15 @@ use super::Controller;
 use super::task::{Answer, Task};
 use super::view::dialect;
 use crate::error::Error;
-use crate::gcode::{Dialect, Direction};
+use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
 use crate::machine::state::Mode;
 use crate::messages::LineByte;
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
+
+/// The message of a line, with its mark.
+type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn release_held(&mut self) {
@@ -38,26 +41,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 // Filled where it is: a returned value would be copied with its whole capacity.
                 let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
                 let _ = text.extend_from_slice(self.lines.text());
-                self.tell_message();
+                let remark = self.remark();
                 if self.must_wait(&text) {
+                    self.tell_remark(&remark);
                     self.task = Task::JogWaits;
                 } else {
                     self.lines.clear();
-                    self.dispatch(&text);
+                    self.dispatch(&text, &remark);
                 }
             }
         }
     }
 
-    /// `(MSG, ...)`: told when the line is read. What was queued before it may still move.
-    fn tell_message(&mut self) {
-        if let Some(text) = self.lines.message()
+    /// The message of the line that has been read, with its mark; nothing if it has none.
+    fn remark(&self) -> Remark {
+        let mut remark = Remark::new();
+        if let Some((has_values, text)) = self.lines.message()
             && self.dialect() != Dialect::Grbl
-            && !self.mode.is_alarm()
         {
-            let text = heapless::Vec::<u8, { line::MESSAGE_LENGTH }>::from_slice(text).unwrap_or_default();
-            self.say(|out| report::program_message(out, &text));
+            let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
+            let _ = remark.extend_from_slice(text);
         }
+        remark
     }
 
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
@@ -77,24 +82,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let _ = text.extend_from_slice(self.lines.text());
         self.lines.clear();
         self.task = Task::None;
-        self.dispatch(&text);
+        self.dispatch(&text, &[]);
         true
     }
 
-    pub(super) fn dispatch(&mut self, line: &[u8]) {
+    fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
         let result = match line.first() {
-            None => {
+            None if remark.is_empty() || self.mode.is_alarm() => {
                 self.say(report::ok);
                 Ok(())
             }
             // A tape mark; Grbl's dialect has none.
-            Some(b'%') if self.dialect() != Dialect::Grbl => {
-                self.say(report::ok);
-                Ok(())
+            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            Some(b'$') => {
+                self.tell_remark(remark);
+                self.system(line)
             }
-            Some(b'$') => self.system(line),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
-            Some(_) => self.program_line(line),
+            _ => self.program_line(line, remark),
         };
         if let Err(error) = result {
             self.refuse(error);
@@ -104,16 +109,38 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Between two programs nothing may be open. A word on the line would be lost.
+    fn tape_mark(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
+        if line.len() > 1 {
+            return Err(Error::ExpectedLetter);
+        }
+        self.interpreter.tape_mark()?;
+        self.tell_remark(remark);
+        self.say(report::ok);
+        Ok(())
+    }
+
     /// A line of the host's program: O words first, which Grbl's dialect has not.
     #[inline]
-    fn program_line(&mut self, line: &[u8]) -> Result<(), Error> {
+    fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
-            _ => self.interpreter.direct(line)?,
+            _ => self.interpreter.direct(line, remark, self.lines.lines_read())?,
         };
         match direction {
-            Direction::Check => return self.gcode(line, Answer::Host),
-            Direction::Done => self.say(report::ok),
+            Direction::Check if !line.is_empty() => {
+                self.gcode(line, Answer::Host)?;
+                self.tell_remark(remark);
+            }
+            Direction::Check | Direction::Done => {
+                self.tell_remark(remark);
+                self.say(report::ok);
+            }
+            Direction::LeftOut => self.say(report::ok),
+            Direction::Call => {
+                self.tell_remark(remark);
+                self.task = Task::Held;
+            }
             Direction::Run => self.task = Task::Held,
         }
         Ok(())

@@ -68,7 +68,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             entry if self.dialect() != Dialect::Grbl && entry - 5 < TOOLS => {
                 if let Some(tool) = self.interpreter.tools().entries().get(entry - 5).copied()
-                    && tool.number != 0
+                    && tool.is_stored()
                 {
                     self.say(|out| report::tool(out, tool.number, &tool.offset, inches));
                 }

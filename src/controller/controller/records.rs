@@ -193,6 +193,12 @@ impl Records {
         }
     }
 
+    /// An entry of the tool table has become free.
+    pub(super) fn remove_tool(&mut self, slot: usize) {
+        let key = KEY_TOOLS + slot as u16;
+        self.remove(key..key + 1);
+    }
+
     /// `$RST`
     pub(super) fn forget(&mut self, what: Restore) {
         if what == Restore::All {

@@ -53,6 +53,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.line_number()
     }
 
+    /// Lines that have been read since power-up (wrapping), whatever became of them.
+    pub fn lines_read(&self) -> u32 {
+        self.lines.lines_read()
+    }
+
+    /// The line ([`Controller::lines_read`] with it) that began the outermost subroutine, loop or condition which has not
+    /// come to its end, or in which the program has ended.
+    pub fn open_since(&self) -> Option<u32> {
+        self.interpreter.open_since()
+    }
+
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.mode.alarm()

@@ -46,7 +46,7 @@ pub struct Checked<const N: usize> {
     /// The line goes to a place of the machine or keeps one (G53, G28, G30, G28.1, G30.1), so it needs a machine position
     /// that is true.
     pub uses_machine_place: bool,
-    /// The stored place that gets a new value at the commit.
+    /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: Motion<N>,
@@ -91,6 +91,14 @@ impl<const N: usize> Checked<N> {
             self.modal.spindle = SpindleDirection::Off;
         }
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+    }
+
+    /// The tool that is taken out of the table.
+    pub fn removes_tool(&self) -> Option<u32> {
+        match (self.store, &self.stored) {
+            (Some(StoredOffset::Tool(number)), None) => Some(number),
+            _ => None,
+        }
     }
 
     /// The tool that the spindle holds afterwards.
@@ -430,38 +438,50 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     fn non_modal(&mut self) -> Result<(), Error> {
-        match self.line.non_modal {
-            Some(NonModal::SetSystem) => self.set_system(),
-            Some(NonModal::SetOffset) => self.set_offset(),
-            Some(NonModal::Go(which)) => self.go(which),
-            Some(NonModal::StorePosition(which)) => {
+        let Some(word) = self.line.non_modal else { return Ok(()) };
+        self.non_modal_word(word)?;
+        self.allow_offset(&self.checked.g92)?;
+        self.checked.stored.map_or(Ok(()), |stored| self.allow_offset(&stored))
+    }
+
+    /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
+    pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+        if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
+    }
+
+    fn non_modal_word(&mut self, word: NonModal) -> Result<(), Error> {
+        match word {
+            NonModal::SetSystem => self.set_system(),
+            NonModal::SetOffset => self.set_offset(),
+            NonModal::Go(which) => self.go(which),
+            NonModal::StorePosition(which) => {
                 self.checked.store = Some(which);
                 self.checked.stored = Some(self.state.position);
                 Ok(())
             }
-            Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
+            NonModal::ClearOffset | NonModal::SuspendOffset => {
                 self.checked.g92 = PerAxis::all(Coordinate::ZERO);
                 self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
                 self.checked.after.g92_acts = false;
                 Ok(())
             }
-            Some(NonModal::RestoreOffset) => {
+            NonModal::RestoreOffset => {
                 self.checked.g92 = self.state.offsets.g92_kept;
                 self.checked.after.g92_acts = true;
                 Ok(())
             }
-            Some(NonModal::LocalOffset) if self.line.axes.is_empty() => Err(Error::NoAxisWords),
-            Some(NonModal::LocalOffset) => {
+            NonModal::LocalOffset if self.line.axes.is_empty() => Err(Error::NoAxisWords),
+            NonModal::LocalOffset => {
                 self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
                 self.checked.after.keeps_g92 = true;
                 self.checked.after.g92_acts = true;
                 Ok(())
             }
-            Some(NonModal::MachineCoordinates) => match self.checked.modal.motion {
+            NonModal::MachineCoordinates => match self.checked.modal.motion {
                 MotionMode::Rapid | MotionMode::Linear => Ok(()),
                 _ => Err(Error::G53NeedsMotion),
             },
-            Some(NonModal::Dwell) | None => Ok(()),
+            NonModal::Dwell => Ok(()),
         }
     }
 
@@ -469,7 +489,8 @@ impl<'a, const N: usize> Check<'a, N> {
     /// the given coordinates. Distance mode plays no part.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
-        if line.axes.is_empty() {
+        let of_tool = self.dialect != Dialect::Grbl && line.l == Decimal::from_int(1);
+        if line.axes.is_empty() && !of_tool {
             return Err(Error::NoAxisWords);
         }
         if !line.values.has(b'P') && !line.values.has(b'L') {
@@ -481,7 +502,7 @@ impl<'a, const N: usize> Check<'a, N> {
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
-            match line.l.truncate() {
+            match whole(line.l)? {
                 2 if line.values.has(b'R') => return Err(Error::NotSupported),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
@@ -489,6 +510,9 @@ impl<'a, const N: usize> Check<'a, N> {
             }
         }
         let system = self.system_of(line.p.truncate())?;
+        if self.dialect != Dialect::Grbl {
+            whole(line.p)?;
+        }
         let from_position = match line.l.truncate() {
             2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
             2 => false,
@@ -677,14 +701,17 @@ impl<'a, const N: usize> Check<'a, N> {
             return Ok(0);
         }
         self.unused.remove(Letters::of(b"P"));
-        let turns = self.line.p.truncate();
-        if Decimal::from_int(turns) != self.line.p || !(1..=TURNS_MAX).contains(&turns) {
+        let turns = whole(self.line.p)?;
+        if !(1..=TURNS_MAX).contains(&turns) {
             return Err(Error::IntegerRequired);
         }
         Ok(turns.unsigned_abs() - 1)
     }
 
     fn unused_words(&mut self) -> Result<(), Error> {
+        if self.is_program_number() {
+            return Ok(());
+        }
         self.unused.remove(match self.purpose {
             Purpose::Program => Letters::of(b"FNST"),
             Purpose::Jog => Letters::of(b"FN"),
@@ -692,12 +719,14 @@ impl<'a, const N: usize> Check<'a, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        let line = self.line;
-        if self.unused == Letters::of(b"O") && line.axes.is_empty() && line.groups == Groups::default() {
-            // The number of a program.
-            return Ok(());
-        }
         if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
+    }
+
+    /// O and a number, which are alone in their line but for its own number.
+    fn is_program_number(&self) -> bool {
+        let mut others = self.unused;
+        others.remove(Letters::of(b"N"));
+        others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
     fn finish(self) {
@@ -802,6 +831,12 @@ impl<'a, const N: usize> Check<'a, N> {
             FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
         }
     }
+}
+
+/// A number that selects something, which has no fraction.
+pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
+    let number = value.truncate();
+    if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
 }
 
 /// A time that a program gives in seconds.

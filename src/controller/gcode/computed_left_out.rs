@@ -37,7 +37,11 @@ pub enum Direction {
     Check,
     /// Done with.
     Done,
-    /// Held text is to be run.
+    /// Skipped or held.
+    LeftOut,
+    /// A call is to be run.
+    Call,
+    /// A loop is to be run.
     Run,
 }
 
@@ -54,8 +58,18 @@ pub enum Held {
 
 impl<const N: usize> Interpreter<N> {
     /// Every line is to be checked.
-    pub fn direct(&mut self, _: &[u8]) -> Result<Direction, Error> {
+    pub fn direct(&mut self, _: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
         Ok(Direction::Check)
+    }
+
+    /// There are no blocks.
+    pub fn open_since(&self) -> Option<u32> {
+        None
+    }
+
+    /// There are no blocks.
+    pub fn tape_mark(&mut self) -> Result<(), Error> {
+        Ok(())
     }
 
     /// Lines that a condition has left out.

@@ -7,7 +7,7 @@ use super::modal::Modal;
 use super::offsets::{Offsets, StoredOffset};
 use super::parse::Parsed;
 use super::state_words::{Keeping, Saved};
-use super::tools::{Tool, ToolTable};
+use super::tools::{self, Tool, ToolTable};
 use super::{Dialect, jog};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -64,14 +64,21 @@ impl<const N: usize> Interpreter<N> {
         self.saved = None;
         if let Some(tool) = self.tool_before_check.take() {
             self.spindle_tool = tool;
+            self.tools.end_check();
         }
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
         self.computed.reset();
     }
 
-    /// From here to the next reset programs are only checked: a tool that M6 calls for does not come into the spindle.
+    /// From here to the next reset programs are only checked: a tool that M6 calls for does not come into the spindle, and
+    /// what they set in the table of tools is forgotten.
     pub fn begin_check_mode(&mut self) {
         self.tool_before_check = Some(self.spindle_tool);
+    }
+
+    /// Whether programs are only checked.
+    pub(super) fn is_checking(&self) -> bool {
+        self.tool_before_check.is_some()
     }
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
@@ -127,6 +134,9 @@ impl<const N: usize> Interpreter<N> {
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
             self.set_stored(which, value);
         }
+        if let Some(number) = checked.removes_tool() {
+            self.tools.remove(tools::entry_number(number, self.is_checking()));
+        }
         self.spindle_tool = checked.after.spindle_tool;
         self.position = checked.position;
         self.computed.commit();
@@ -143,6 +153,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::Tool(number) => {
+                let number = tools::entry_number(number, self.is_checking());
                 if let Some(slot) = self.tools.slot(number) {
                     self.tools.put(slot, Tool { number, offset: value });
                 }

@@ -23,6 +23,7 @@ mod jog;
 mod modal;
 mod offsets;
 mod parse;
+mod remark;
 mod state_words;
 mod tools;
 mod word;
@@ -39,6 +40,7 @@ pub use modal::{
     PathControl, Plane, PlaneAxes, ProbeMode, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
+pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use tools::{TOOLS, Tool, ToolTable};
 
 /// Whose meaning a program's words have.

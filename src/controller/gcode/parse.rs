@@ -10,9 +10,10 @@ use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
-/// Greatest tool number, in Grbl and in the other dialects.
+/// Greatest tool number in Grbl.
 const TOOL_MAX_OF_GRBL: i32 = 255;
-const TOOL_MAX: i32 = 99_999;
+/// The same in the other dialects.
+pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
 const VALUES: Letters = Letters::of(b"FHIJKLNOPQRST");

@@ -77,13 +77,14 @@ impl Line {
         &self.text
     }
 
-    /// What a remark of the line has to say to the operator: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`.
-    pub fn message(&self) -> Option<&[u8]> {
+    /// What a remark of the line has to say to the operator, and whether it shows values of parameters: `(MSG, ...)` does
+    /// not, `(PRINT, ...)` and `(DEBUG, ...)` do.
+    pub fn message(&self) -> Option<(bool, &[u8])> {
         let comma = self.remark.iter().position(|byte| *byte == b',')?;
         let (word, text) = self.remark.split_at_checked(comma)?;
-        let says =
-            [b"MSG".as_slice(), b"PRINT", b"DEBUG"].iter().any(|says| word.trim_ascii().eq_ignore_ascii_case(says));
-        says.then_some(text.get(1..)?.trim_ascii())
+        let words = [(b"MSG".as_slice(), false), (b"PRINT", true), (b"DEBUG", true)];
+        let (_, has_values) = words.iter().find(|(says, _)| word.trim_ascii().eq_ignore_ascii_case(says))?;
+        Some((*has_values, text.get(1..)?.trim_ascii()))
     }
 
     /// Whether nothing of a line has come yet.
@@ -218,15 +219,15 @@ mod tests {
             for byte in text {
                 line.push(*byte, || OXMILL);
             }
-            line.message().map(|text| String::from_utf8(text.to_vec()).unwrap())
+            line.message().map(|(values, text)| (values, String::from_utf8(text.to_vec()).unwrap()))
         };
-        assert_eq!(message(b"G0 (MSG, Insert the 3 mm tool) X1"), Some("Insert the 3 mm tool".into()));
-        assert_eq!(message(b"(print,a,b)").as_deref(), Some("a,b"));
-        assert_eq!(message(b"( Debug , c )").as_deref(), Some("c"));
+        assert_eq!(message(b"G0 (MSG, Insert the 3 mm tool) X1"), Some((false, "Insert the 3 mm tool".into())));
+        assert_eq!(message(b"(print,a,b)"), Some((true, "a,b".into())));
+        assert_eq!(message(b"( Debug , c )"), Some((true, "c".into())));
         assert_eq!(message(b"(MSG, a) (a remark)"), None);
         assert_eq!(message(b"(a, MSG b)"), None);
         assert_eq!(message(b"G1 ;MSG,a"), None);
-        assert_eq!(message(&[b"(MSG,".as_slice(), &[b'x'; 200]].concat()).unwrap().len(), MESSAGE_LENGTH - 4);
+        assert_eq!(message(&[b"(MSG,".as_slice(), &[b'x'; 200]].concat()).unwrap().1.len(), MESSAGE_LENGTH - 4);
         let mut line = Line::new();
         for byte in b"(MSG,a)" {
             line.push(*byte, || OXMILL);

@@ -55,6 +55,8 @@ pub struct LineIntake {
     line: Line,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
     hosts_cut: u16,
+    /// Lines completed (wrapping).
+    lines_read: u32,
 }
 
 impl Default for LineIntake {
@@ -79,7 +81,13 @@ impl LineIntake {
             keeps_later_jogs: false,
             line: Line::new(),
             hosts_cut: 0,
+            lines_read: 0,
         }
+    }
+
+    /// Lines completed since power-up (wrapping), those that did not fit among them.
+    pub fn lines_read(&self) -> u32 {
+        self.lines_read
     }
 
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
@@ -128,7 +136,9 @@ impl LineIntake {
             self.line_epoch = byte.epoch;
             self.line_before_cancel = before_cancel;
         }
-        Taken { lost: byte.damaged, pushed: self.line.push(byte.byte, rules) }
+        let pushed = self.line.push(byte.byte, rules);
+        self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
+        Taken { lost: byte.damaged, pushed }
     }
 
     /// Whether a byte waits for its realtime command: no other may come before it.
@@ -146,8 +156,8 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// What a remark of the line has to say.
-    pub fn message(&self) -> Option<&[u8]> {
+    /// What a remark of the line has to say, and whether it shows values of parameters.
+    pub fn message(&self) -> Option<(bool, &[u8])> {
         self.line.message()
     }
 

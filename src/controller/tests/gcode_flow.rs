@@ -11,11 +11,12 @@ struct Sender {
     went: Vec<i64>,
     errors: Vec<u8>,
     lines: u32,
+    sent: u32,
 }
 
 impl Sender {
     fn new() -> Self {
-        Self { interpreter: Interpreter::new(), went: Vec::new(), errors: Vec::new(), lines: 0 }
+        Self { interpreter: Interpreter::new(), went: Vec::new(), errors: Vec::new(), lines: 0, sent: 0 }
     }
 
     fn carry_out(&mut self, line: &[u8]) -> bool {
@@ -38,12 +39,13 @@ impl Sender {
 
     fn send(&mut self, line: &str) {
         let line: String = line.split(';').next().unwrap().replace(' ', "").to_uppercase();
-        match self.interpreter.direct(line.as_bytes()) {
+        self.sent += 1;
+        match self.interpreter.direct(line.as_bytes(), &[], self.sent) {
             Ok(Direction::Check) => {
                 self.carry_out(line.as_bytes());
             }
-            Ok(Direction::Done) => {}
-            Ok(Direction::Run) => {
+            Ok(Direction::Done | Direction::LeftOut) => {}
+            Ok(Direction::Call | Direction::Run) => {
                 let mut held = HeldLine::new();
                 loop {
                     match self.interpreter.next_held(&mut held) {
@@ -111,6 +113,7 @@ fn conditions_that_do_not_fit() {
     fails("o1 if [1] X5\nX1", &[81], &[]);
     // Neither branch of a condition without a value.
     fails("o1 if [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
+    fails("o1 if [0]\no1 elseif [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
     fails("o1 break", &[81], &[]);
     fails("o1 endwhile\no1 endrepeat\no1 return\no1 endsub\no1 continue", &[81; 5], &[]);
     let deep: String = (0..17).map(|label| format!("o{label} if [1]\n")).collect();
@@ -182,6 +185,30 @@ fn subroutines_that_do_not_fit() {
     fails("o1 repeat [2]\no2 endwhile\no1 endrepeat\nX1", &[81], &[1]);
 }
 
+/// No word of a line with a keyword is lost without an error.
+#[test]
+fn words_behind_a_keyword() {
+    for condition in [0, 1] {
+        // The condition has come to its end all the same.
+        fails(&format!("o1 if [{condition}]\nX1\no1 endif X9\nX2"), &[81], [&[2][..], &[1, 2]][condition]);
+        // No branch holds.
+        let went = [&[3][..], &[1, 3]][condition];
+        fails(&format!("o1 if [{condition}]\nX1\no1 else X9\nX2\no1 endif\nX3"), &[81], went);
+    }
+    fails("o1 sub X9\nX1\no1 endsub\nX2\no1 call", &[81; 4], &[2]);
+    fails("o1 sub\nX1\no1 endsub X9\nX2\no1 call", &[81, 81], &[2]);
+    fails("o1 do X9\nX1\no1 while [0]\nX2", &[81; 3], &[2]);
+    fails("o1 do\nX1\no1 while X9\nX2", &[81], &[2]);
+    fails("o1 repeat X9\nX1\no1 endrepeat\nX2", &[81; 3], &[2]);
+    for end in
+        ["o1 endrepeat X9", "o2 endif X9\no1 endrepeat", "o1 break X9\no1 endrepeat", "o1 continue 1\no1 endrepeat"]
+    {
+        let errors = vec![81; end.lines().count()];
+        fails(&format!("o1 repeat [2]\nX1\n{end}\nX2"), &errors, &[2]);
+    }
+    fails("o1 sub\no1 return X9\no1 endsub\nX2", &[81, 81], &[2]);
+}
+
 /// 2 KiB of text. What does not fit is refused to its end: no line of it runs by itself.
 #[test]
 fn memory_for_text() {
@@ -208,7 +235,7 @@ fn memory_for_text() {
 #[test]
 fn the_end_of_a_program() {
     // M2 within a call and a condition: nothing of it is left.
-    goes("o1 sub\nX1\nM2\nX2\no1 endsub\no2 if [1]\no1 call\nG0 X3", &[1, 3]);
+    goes("o1 sub\nX1\no3 if [1]\nM2\no3 endif\nX2\no1 endsub\no2 if [1]\no1 call\nG0 X3", &[1, 3]);
     fails("o1 sub\nM2\no1 endsub\no1 call\no1 call", &[81], &[]);
     let mut sender = Sender::new();
     sender.send_all("o1 if [0]\nX1");
@@ -220,12 +247,61 @@ fn the_end_of_a_program() {
     assert_eq!(sender.went, [2, 4]);
 }
 
+/// Blocks in which a program has ended: the line with which the outermost began.
+#[test]
+fn blocks_that_are_left_open() {
+    for (text, since) in [
+        ("X1\no1 sub\nX2", Some(2)),
+        ("o1 if [1]\nX1\no2 if [0]", Some(1)),
+        ("o1 if [1]\no2 while [1]\nX1", Some(1)),
+        ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
+        ("o1 repeat [2]\nX1\no1 endrepeat", None),
+        ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
+        // What M2 cuts short.
+        ("X1\no1 if [1]\nM2", Some(2)),
+        ("X1\no1 if [0]\nM2", Some(2)),
+        ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),
+        // Nor is a loop or call open that M2 ends.
+        ("o1 sub\nM2\no1 endsub\no1 call", None),
+        ("o1 repeat [2]\no2 if [1]\nM30\no2 endif\no1 endrepeat", None),
+        ("o2 if [1]\no1 repeat [2]\nM30\no1 endrepeat", Some(1)),
+    ] {
+        let mut sender = Sender::new();
+        sender.send_all(text);
+        assert_eq!(sender.interpreter.open_since(), since, "{text}");
+        sender.interpreter.reset();
+        assert_eq!(sender.interpreter.open_since(), None);
+    }
+}
+
+/// Behind an M2 that was skipped or kept only an O word can follow: the next program is not taken for a part of the last.
+#[test]
+fn the_next_program_is_none_of_an_open_block() {
+    for end in ["M2", "M30", "G0 X5 M02", "N5 M030", "M5M2"] {
+        for begin in ["o1 if [0]", "o1 sub", "o1 while [0]", "o1 if [1]\no1 else"] {
+            fails(&format!("{begin}\nX1\n{end}\nX2\nX3\no1 endif"), &[81, 81], &[3]);
+            goes(&format!("{begin}\n{end}\nX9").replace(end, "#1=#<_M2> M20 M3 M2.5"), &[]);
+        }
+    }
+    fails("#1=5\no1 sub\nM2\nG4 P0\nX#1", &[81], &[0]);
+    goes("o1 sub\nM2\no1 endsub\nX1\no2 if [0]\nM2\no2 else\nX2\no2 endif\nX3", &[1, 2, 3]);
+    for (begin, error) in [("o1 if [0]\nX1", 81), ("o1 if [1]", 81), ("o1 do", 81), ("X1", 0), ("o1 sub\no1 endsub", 0)]
+    {
+        let mut sender = Sender::new();
+        sender.send_all(begin);
+        assert_eq!(sender.interpreter.tape_mark().map_or_else(|error| error.code(), |()| 0), error, "{begin}");
+        sender.went.clear();
+        sender.send("X2");
+        assert_eq!((sender.went, sender.interpreter.tape_mark()), (vec![2], Ok(())));
+    }
+}
+
 /// A number alone is no O word.
 #[test]
 fn numbers_of_programs_are_left_to_the_check() {
     let mut interpreter = Interpreter::<3>::new();
     for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O<A>", b"O1X5"] {
-        assert_eq!(interpreter.direct(line), Ok(Direction::Check), "{line:?}");
+        assert_eq!(interpreter.direct(line, &[], 1), Ok(Direction::Check), "{line:?}");
     }
 }
 

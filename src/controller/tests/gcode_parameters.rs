@@ -224,6 +224,29 @@ fn the_machine_shows_its_state() {
     }
 }
 
+/// Whether G92 acts and what it holds are two things.
+#[test]
+fn the_offset_of_g92() {
+    let mut program = ready();
+    for (line, acts, offset) in [
+        ("G4 P0", 0.0, 0.0),
+        ("G92 X0", 1.0, 0.0),
+        ("G92 X-5", 1.0, 5.0),
+        ("G92.2", 0.0, 5.0),
+        ("G92.3", 1.0, 5.0),
+        ("M70", 1.0, 5.0),
+        ("G92.2", 0.0, 5.0),
+        ("M72", 1.0, 5.0),
+        ("G52 X2", 1.0, 2.0),
+        ("M2", 1.0, 2.0),
+        ("G92.1", 0.0, 0.0),
+        ("G92.3", 1.0, 0.0),
+    ] {
+        program.run(line);
+        assert_eq!((x(&program, "#5210"), x(&program, "#5211")), (acts, offset), "{line}");
+    }
+}
+
 #[test]
 fn values_in_remarks() {
     let mut program = ready();
@@ -237,6 +260,13 @@ fn values_in_remarks() {
     assert_eq!(expand("#<a _b>#99 #2"), "-0.3333330.000000 0.000000");
     assert_eq!(expand("#<nothing> #0 # #<> #< 5#"), "###### ###### # #<> #< 5#");
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
+    // A line may set what it shows.
+    let mut program = program.clone();
+    let mut checked = Checked::NOTHING;
+    let check = program.interpreter.check_into(b"#1=3#1=4", Dialect::Oxmill, &mut checked);
+    let mut out = heapless::Vec::<u8, 64>::new();
+    program.interpreter.expand(b"#1 #2", &mut out);
+    assert_eq!((check, out.as_slice()), (Ok(()), &b"4.000000 0.000000"[..]));
     assert_eq!(expand(&format!("#<{}>", "n".repeat(200))), "######");
 }
 

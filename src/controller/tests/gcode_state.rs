@@ -194,7 +194,10 @@ fn words_that_say_what_is_so() {
             assert_eq!(program.run(line).motion, Motion::None, "{line}");
         }
         assert_eq!((program.run("M60").flow, program.run("M1").flow), (Flow::Pause, Flow::OptionalPause));
-        assert_eq!((program.error("O1000 G0"), program.error("O1000 X1")), (36, 36));
+        for line in ["O1000 G0", "O1000 X1", "O1000 S500 T3", "O1000 F1", "O1000 T1", "O1000 R1", "O1000 N1 S1"] {
+            assert_eq!(program.error(line), 36, "{line}");
+        }
+        assert_eq!((program.error("O1000 #1=5"), program.error("N10 #1=5 O7")), (36, 36));
     }
 }
 

@@ -2,7 +2,7 @@
 
 mod program;
 
-use oxmill_controller::gcode::{Dialect, Motion, TOOLS};
+use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};
 use program::Program;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
@@ -125,7 +125,23 @@ fn what_is_refused() {
             ("G10 L1 Z5", 28),
             ("G10 L1 P0 Z5", 47),
             ("G10 L1 P1.5 Z5", 23),
-            ("G10 L1 P1", 26),
+            ("G10 L1.5 P1 Z5", 23),
+            ("G10 L2.5 P1 Z5", 23),
+            ("G10 L-1.5 P1 Z5", 23),
+            ("G10 L2 P1.5 Z5", 23),
+            ("G10 L20 P0.1 Z5", 23),
+            ("G10 L1 P100000 Z5", 38),
+            ("G10 L1 P2147483647 Z5", 38),
+            ("G10 L1 P99999999999999999999 Z5", 23),
+            ("G43 H2147483647", 47),
+            ("G10 L1 P1 Z50000.1", 33),
+            ("G10 L10 P1 Z-50000", 33),
+            ("G10 L1 P2", 47),
+            ("G10 L1 P0", 47),
+            ("G10 L1", 28),
+            ("G10 L10 P1", 26),
+            ("G10 L1 P1 R3", 36),
+            ("G10 L1 P1 I3", 36),
             ("G10 L1 P1 Z5 R3", 36),
             // L before P: of an unknown L the number does not matter.
             ("G10 L3 P12 X1", 20),
@@ -147,4 +163,87 @@ fn what_is_refused() {
     program.run("G43.1 Z1");
     assert!(matches!(program.run("G0 Z1").motion, Motion::Line { .. }));
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
+}
+
+/// Sums of offsets stay where the controller can compute.
+#[test]
+fn offsets_have_an_end() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for line in [
+            "G10 L2 P1 X50000.1",
+            "G10 L2 X-99999999999999999999",
+            "G20 G10 L2 P1 X3000",
+            "G92 X99999999999999999999",
+            "G92 X-50000.1",
+            "G10 L20 P1 Y50010",
+            "G43.1 Z-99999999999999999999",
+        ] {
+            assert_eq!(program.error(line), 33, "{line}");
+        }
+        program.run_all("G10 L1 P1 Z-40000\nG10 L2 P1 Z50000\nG43 H1");
+        assert_eq!(program.error("G43.2 H1"), 33);
+        assert_eq!(program.error("G52 X-50000.0000001"), 33);
+        program.run("G52 X-50000");
+        assert_eq!(program.error("G0 X-1"), 33);
+        program.run("G0 X1");
+        assert_eq!(program.machine(), [-49_999.0, 2.0, 3.0]);
+    }
+}
+
+/// What a program does to the table that is only checked holds up to its end.
+#[test]
+fn a_check_leaves_the_table_as_it_was() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run_all("G10 L1 P1 Z1\nG10 L1 P2 Z2");
+        let before = program.interpreter.tools().clone();
+        program.interpreter.begin_check_mode();
+        program.run_all("G10 L1 P1 X5\nG10 L1 P1 Y6\nG10 L1 P7 Z7\nG43 H1 G0 X0 Y0 Z0");
+        assert_eq!(program.machine(), [5.0, 6.0, 1.0]);
+        program.run("G43 H7 X0 Y0 Z0");
+        assert_eq!(program.machine(), [0.0, 0.0, 7.0]);
+        let stored = |tools: &ToolTable<3>| tools.entries().iter().filter(|tool| tool.is_stored()).count();
+        assert_eq!(stored(program.interpreter.tools()), 2);
+        // There is room for each tool once.
+        for tool in 10..10 + TOOLS - 4 {
+            program.run(&format!("G10 L1 P{tool} Z{tool}"));
+        }
+        assert_eq!((program.error("G10 L1 P2 Z1"), program.error("G10 L1 P10 Z1")), (47, 0));
+        program.interpreter.reset();
+        assert_eq!(*program.interpreter.tools(), {
+            // Of a free entry only the number counts.
+            let mut after = before.clone();
+            for (slot, tool) in program.interpreter.tools().entries().iter().enumerate().skip(2) {
+                after.put(slot, *tool);
+                assert_eq!(tool.number, 0);
+            }
+            after
+        });
+        program.run("G10 L1 P7 Z-7");
+        program.run("G43 H7 G0 Z0");
+        assert_eq!(program.machine()[2], -7.0);
+    }
+}
+
+/// G10 L1 without axes. A tool of no length, such as the one that others are measured by, stays.
+#[test]
+fn a_tool_is_taken_out() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for tool in 1..=TOOLS {
+            program.run(&format!("G10 L1 P{tool} X0 Y0 Z0"));
+        }
+        assert_eq!((program.error("G43 H5"), program.error("G10 L1 P99 Z1")), (0, 47));
+        program.run("G43 H5");
+        program.run("G10 L1 P5");
+        assert_eq!((program.error("G43 H5"), program.error("G10 L1 P5"), program.error("G43 H6")), (47, 47, 0));
+        program.run("G10 L1 P99 Z1");
+        assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
+        // A program that is only checked leaves it there.
+        program.interpreter.begin_check_mode();
+        program.run("G10 L1 P6");
+        program.interpreter.reset();
+        assert_eq!(program.error("G43 H6"), 0);
+    }
 }

@@ -89,6 +89,23 @@ fn settings_outlive_a_power_cycle() {
     assert!(second.take_output().contains("$100=123.500\r\n"));
 }
 
+/// The entry of the second tool becomes free before that of the first: their records are theirs.
+#[test]
+fn a_tool_that_was_taken_out_stays_out() {
+    let mut first = mill();
+    first.send("G10 L1 P1 Z1\nG10 L1 P2 Z2\nG10 L1 P3 Z3\nG10 L1 P1\nG10 L1 P2\nG10 L1 P4 Z4\n");
+    first.run_until_idle();
+    assert_eq!(first.take_output(), "ok\r\n".repeat(6));
+    let mut second = Simulator::new(Options { store: first.store().clone(), ..Options::default() });
+    second.run_until_idle();
+    second.take_output();
+    second.send("$#\n");
+    second.run_until_idle();
+    let listing = second.take_output();
+    let tools: Vec<&str> = listing.lines().filter(|line| line.starts_with("[T:")).collect();
+    assert_eq!(tools, ["[T:4|0.000,0.000,4.000]", "[T:3|0.000,0.000,3.000]"]);
+}
+
 #[test]
 fn a_job_is_never_starved() {
     let mut mill = mill();

@@ -13,7 +13,7 @@
 use super::Computed;
 use super::real::Real;
 use crate::error::Error;
-use crate::gcode::Interpreter;
+use crate::gcode::{Interpreter, split_remark};
 
 /// Bytes of held text, with one more for each line.
 const TEXT: usize = 2048;
@@ -30,7 +30,7 @@ const PASSES: u32 = 100_000;
 /// Where a call from the stream returns to.
 const STREAM: u16 = u16::MAX;
 
-/// A line of held text.
+/// A line of held text: words and message.
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 /// What a line of the host is.
@@ -38,9 +38,13 @@ pub type HeldLine = heapless::Vec<u8, 256>;
 pub enum Direction {
     /// To be checked and carried out.
     Check,
-    /// Done with: skipped, held, or a condition.
+    /// Done with: a condition.
     Done,
-    /// Held text is to be run: [`Interpreter::next_held`].
+    /// Skipped, or held: its message is not to be told now.
+    LeftOut,
+    /// Done with, and what it calls is to be run: [`Interpreter::next_held`].
+    Call,
+    /// Held, and a loop is to be run of which it is the last line.
     Run,
 }
 
@@ -102,8 +106,9 @@ struct Order<'a> {
 }
 
 impl<'a> Order<'a> {
-    /// `None` for every other line; a number without a keyword, such as `O1000`, is one of them.
+    /// `None` for every other line; a message is no part of it. A number without a keyword, such as `O1000`, is one of them.
     fn of(line: &'a [u8]) -> Option<Order<'a>> {
+        let (line, _) = split_remark(line);
         let line = match line.strip_prefix(b"N") {
             Some(numbered) => numbered.get(digits(numbered)..)?,
             None => line,
@@ -133,6 +138,20 @@ impl<'a> Order<'a> {
         other.keyword == end && other.label == self.label
     }
 
+    /// Whether what is behind the keyword may be its own: values in brackets if it takes any, or nothing.
+    fn is_well_formed(&self) -> bool {
+        let bracket = self.arguments.first() == Some(&b'[');
+        match self.keyword {
+            Keyword::If | Keyword::ElseIf | Keyword::While | Keyword::Repeat => bracket,
+            Keyword::Call | Keyword::Return | Keyword::EndSub => bracket || self.arguments.is_empty(),
+            _ => self.arguments.is_empty(),
+        }
+    }
+
+    fn must_be_well_formed(&self) -> Result<(), Error> {
+        if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
+    }
+
     /// Whether skipped lines can come to an end with it.
     fn ends_skipping(&self) -> bool {
         use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
@@ -142,6 +161,23 @@ impl<'a> Order<'a> {
 
 fn digits(text: &[u8]) -> usize {
     text.iter().take_while(|byte| byte.is_ascii_digit()).count()
+}
+
+/// Whether a line has the word M2 or M30, written with a plain number.
+fn ends_program(line: &[u8]) -> bool {
+    let mut in_name = false;
+    let mut rest = line;
+    while let Some((byte, behind)) = rest.split_first() {
+        in_name = *byte == b'<' || in_name && *byte != b'>';
+        let (number, after) = behind.split_at_checked(digits(behind)).unwrap_or_default();
+        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+        let is_end = matches!(number.get(zeros..), Some(b"2" | b"30"));
+        if *byte == b'M' && !in_name && is_end && after.first() != Some(&b'.') {
+            return true;
+        }
+        rest = behind;
+    }
+    false
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,6 +201,8 @@ struct Frame {
     at: u16,
     /// The loop is being left.
     leaving: bool,
+    /// The line of the host with which it began.
+    begun: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,6 +229,14 @@ pub(super) struct Flow {
     below: u8,
     passes: u32,
     skipped: u32,
+    /// Number of the host's line that is read.
+    line: u32,
+    /// The one with which the text began that is being recorded.
+    recorded_from: u32,
+    /// The last line was an M2 or M30 that is skipped or recorded.
+    after_end: bool,
+    /// The line with which the block began that the end of the program has cut short.
+    cut: Option<u32>,
 }
 
 impl Flow {
@@ -205,6 +251,10 @@ impl Flow {
             below: 0,
             passes: 0,
             skipped: 0,
+            line: 0,
+            recorded_from: 0,
+            after_end: false,
+            cut: None,
         }
     }
 
@@ -213,20 +263,44 @@ impl Flow {
         *self = Self::new();
     }
 
+    /// The program has ended: all but the block that it ended in is forgotten.
+    pub fn end_program(&mut self) {
+        let cut = self.open_since();
+        self.reset();
+        self.cut = cut;
+    }
+
+    /// The line of the host with which the outermost block began that has not come to its end.
+    fn open_since(&self) -> Option<u32> {
+        let of_stream = match self.state {
+            State::Running(_) => usize::from(self.below),
+            _ => self.frames.len(),
+        };
+        let recorded = matches!(self.state, State::Recording(..)).then_some(self.recorded_from);
+        self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
+    }
+
+    /// Whether lines of the host are skipped or recorded.
+    fn leaves_lines_out(&self) -> bool {
+        self.skipping || matches!(self.state, State::Recording(..))
+    }
+
     /// The held line at a position.
     fn line(&self, at: u16) -> Option<&[u8]> {
         let (length, rest) = self.text.get(usize::from(at)..)?.split_first()?;
         rest.get(..usize::from(*length))
     }
 
-    /// Keeps a line, with so many bytes to spare behind it.
-    fn hold(&mut self, line: &[u8], spare: usize) -> Result<(), Error> {
-        let length = u8::try_from(line.len()).map_err(|_| Error::OutOfMemory)?;
-        if self.text.len() + 1 + line.len() + spare > TEXT {
+    /// Keeps a line and its message, with so many bytes to spare behind it.
+    fn hold(&mut self, line: &[u8], remark: &[u8], spare: usize) -> Result<(), Error> {
+        let length = line.len() + remark.len();
+        let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
+        if self.text.len() + 1 + length + spare > TEXT {
             return Err(Error::OutOfMemory);
         }
-        let _ = self.text.push(length);
-        self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)
+        let _ = self.text.push(prefix);
+        self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)?;
+        self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
     }
 
     /// Where a subroutine begins, and where its second line does.
@@ -259,7 +333,7 @@ impl Flow {
     }
 
     fn push(&mut self, kind: Kind, label: &[u8], at: u16) -> Result<(), Error> {
-        let frame = Frame { kind, label: label.len() as u8, at, leaving: false };
+        let frame = Frame { kind, label: label.len() as u8, at, leaving: false, begun: self.line };
         if self.labels.len() + label.len() > LABELS || self.frames.push(frame).is_err() {
             return Err(Error::TooDeep);
         }
@@ -318,16 +392,19 @@ impl Flow {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// How a line of the host is to be taken. After an error nothing of it has been done; of a condition whose value is an
-    /// error no branch will be.
+    /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
+    /// has been done; of a condition whose value is an error no branch will be. `remark` is its message, with its mark; a line
+    /// may have nothing else.
     #[inline]
-    pub fn direct(&mut self, line: &[u8]) -> Result<Direction, Error> {
-        let flow = &self.computed.flow;
+    pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
+        self.computed.begin();
+        let flow = &mut self.computed.flow;
+        flow.line = number;
         let plain = flow.state == State::Streaming && !flow.skipping;
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
         }
-        self.direct_order(line, Order::of(line))
+        self.direct_order(line, remark, Order::of(line))
     }
 
     /// Lines that a condition has left out.
@@ -335,14 +412,49 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    fn direct_order(&mut self, line: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+    /// The line of the host with which the outermost block (sub, loop, condition) began that has not come to its end, or
+    /// that the end of the program has cut short.
+    pub fn open_since(&self) -> Option<u32> {
+        let flow = &self.computed.flow;
+        flow.open_since().or(flow.cut)
+    }
+
+    /// A tape mark, between programs: what one of them has left open is an error, and forgotten.
+    pub fn tape_mark(&mut self) -> Result<(), Error> {
+        if self.computed.flow.open_since().is_none() {
+            return Ok(());
+        }
+        self.computed.end_program();
+        Err(Error::FlowSyntax)
+    }
+
+    /// Behind an M2 or M30 that is skipped or recorded no line of its program can follow but an O word: any other is one of
+    /// the next program.
+    fn look_for_end(&mut self, line: &[u8], order: Option<Order>) -> Result<(), Error> {
+        let flow = &mut self.computed.flow;
+        let left_out = flow.leaves_lines_out();
+        if line.is_empty() {
+            return Ok(());
+        }
+        if order.is_some() {
+            flow.cut = None;
+        } else if left_out && flow.after_end {
+            self.computed.end_program();
+            return Err(Error::FlowSyntax);
+        }
+        flow.after_end = left_out && order.is_none() && ends_program(line);
+        Ok(())
+    }
+
+    fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+        self.look_for_end(line, order)?;
         if let State::Recording(from, error) = self.computed.flow.state {
-            return self.record(line, order, from, error);
+            return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;
         if flow.skipping && !order.is_some_and(|order| order.ends_skipping() && flow.is_of_last(order.label)) {
             flow.skipped = flow.skipped.saturating_add(1);
-            return Ok(Direction::Done);
+            return Ok(Direction::LeftOut);
         }
         let Some(order) = order else { return Ok(Direction::Check) };
         match order.keyword {
@@ -352,18 +464,20 @@ impl<const N: usize> Interpreter<N> {
                 let arguments = self.arguments(order.arguments)?;
                 self.computed.flow.run(at, None);
                 self.call(order, STREAM, &arguments)?;
-                return Ok(Direction::Run);
+                return Ok(Direction::Call);
             }
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
-                let held = flow.hold(line, 0);
+                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
                 if held.is_err() {
                     // What is refused needs its label and kind.
                     let length = line.len() - order.arguments.len();
-                    flow.hold(line.get(..length).unwrap_or(&[]), 0)?;
+                    flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
                 flow.state = State::Recording(from, held.err());
+                flow.recorded_from = flow.line;
                 held?;
+                return Ok(Direction::LeftOut);
             }
             _ => return Err(Error::FlowSyntax),
         }
@@ -374,6 +488,7 @@ impl<const N: usize> Interpreter<N> {
     fn record(
         &mut self,
         line: &[u8],
+        remark: &[u8],
         order: Option<Order>,
         from: u16,
         error: Option<Error>,
@@ -383,9 +498,10 @@ impl<const N: usize> Interpreter<N> {
         let of_sub = opening.keyword == Keyword::Sub;
         let ends = order.is_some_and(|order| opening.is_ended_by(&order));
         let strange = order.is_some_and(|order| matches!(order.keyword, Keyword::Sub | Keyword::EndSub)) && !ends;
+        let strange = strange || order.is_some_and(|order| !order.is_well_formed());
         let error = match error {
             None if strange => Some(Error::FlowSyntax),
-            None => flow.hold(line, SPARE).err(),
+            None => flow.hold(line, remark, SPARE).err(),
             error => error,
         };
         flow.state = match ends {
@@ -404,18 +520,19 @@ impl<const N: usize> Interpreter<N> {
                 if flow.find(order.label).is_some_and(|(at, _)| at < from) {
                     flow.drop_sub(order.label);
                 }
-                Ok(Direction::Done)
+                Ok(Direction::LeftOut)
             }
             (None, _) if ends => {
                 flow.run(from, Some(from));
                 Ok(Direction::Run)
             }
-            _ => Ok(Direction::Done),
+            _ => Ok(Direction::LeftOut),
         }
     }
 
-    /// The next line of held text. An error ends it.
+    /// The next line of held text; empty if it is skipped. An error ends it.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        self.computed.begin();
         let next = self.next_line(line);
         if !matches!(next, Ok(Held::Line | Held::Again)) {
             self.abandon_held();
@@ -456,11 +573,16 @@ impl<const N: usize> Interpreter<N> {
         let at = flow.next;
         flow.next += 1 + text.len() as u16;
         let Some(order) = Order::of(line) else {
-            return Ok(if flow.skipping { Held::Again } else { Held::Line });
+            if !flow.skipping {
+                return Ok(Held::Line);
+            }
+            line.clear();
+            return Ok(Held::Again);
         };
         // The end of a subroutine is not skipped: behind it comes another.
         let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
         if flow.skipping && !ends {
+            line.clear();
             return Ok(Held::Again);
         }
         match order.keyword {
@@ -492,18 +614,20 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::ElseIf => {
                 let taken = self.has_taken(order.label)?;
+                self.take_branch(order.label, true, false)?;
                 let holds = !taken && self.condition(order.arguments)?;
                 self.take_branch(order.label, taken || holds, holds)
             }
             Keyword::Else => {
                 let taken = self.has_taken(order.label)?;
-                self.take_branch(order.label, true, !taken)
+                self.take_branch(order.label, true, !taken && order.is_well_formed())?;
+                order.must_be_well_formed()
             }
             _ => {
                 self.has_taken(order.label)?;
                 self.computed.flow.pop();
                 self.computed.flow.skipping = false;
-                Ok(())
+                order.must_be_well_formed()
             }
         }
     }

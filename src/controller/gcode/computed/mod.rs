@@ -76,7 +76,7 @@ impl<const N: usize> Computed<N> {
 
     /// M2, M30: forgets what is local to the program, its subroutines among it.
     pub fn end_program(&mut self) {
-        self.flow.reset();
+        self.flow.end_program();
         self.parameters.end_program();
     }
 }
@@ -89,7 +89,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// A remark with the values of its parameters, `#5` and `#<name>`, in six decimals, for `(DEBUG, ...)`; a name that has
-    /// not been set becomes `######`. What `out` has no room for is cut off.
+    /// not been set becomes `######`. What the line sets that is being checked counts as set. What `out` has no room for is cut off.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         let mut rest = remark;
         while let Some((byte, behind)) = rest.split_first() {
@@ -106,14 +106,21 @@ impl<const N: usize> Interpreter<N> {
             rest = after;
             let value = if digits > 0 {
                 let number = Real::read(name).and_then(|(number, _)| number.whole()).unwrap_or(0);
-                self.parameter(Reference::Number(number)).map(|value| value.unwrap_or(Real::ZERO))
+                self.shown(Reference::Number(number)).map(|value| value.unwrap_or(Real::ZERO))
             } else {
                 let mut letters = heapless::Vec::<u8, { parameters::NAME_LENGTH }>::new();
                 let capitals = name.iter().filter(|byte| **byte > b' ').map(u8::to_ascii_uppercase);
                 letters.extend(capitals.take(parameters::NAME_LENGTH));
-                self.parameter(Reference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
+                self.shown(Reference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
             };
             write(value.ok(), out);
+        }
+    }
+
+    fn shown(&self, reference: Reference) -> Result<Option<Real>, Error> {
+        match self.of_machine(reference)? {
+            Some(value) => Ok(Some(value)),
+            None => self.computed.parameters.get_staged(reference),
         }
     }
 
@@ -184,8 +191,8 @@ impl<const N: usize> Interpreter<N> {
             5070 => Real::truth(self.computed.probe_succeeded),
             5161..=5169 => in_mm(&self.offsets.stored(StoredOffset::G28), number - 5161).unwrap_or(Real::ZERO),
             5181..=5189 => in_mm(&self.offsets.stored(StoredOffset::G30), number - 5181).unwrap_or(Real::ZERO),
-            5210 => Real::truth(self.offsets.g92 != PerAxis::all(Coordinate::ZERO)),
-            5211..=5219 => in_mm(&self.offsets.g92, number - 5211).unwrap_or(Real::ZERO),
+            5210 => Real::truth(self.offsets.g92_acts),
+            5211..=5219 => in_mm(&self.offsets.g92_kept, number - 5211).unwrap_or(Real::ZERO),
             5220 => Real::from_decimal(Decimal::from_int(self.modal.coordinate_system as i32 + 1)),
             5221..=5390 => {
                 let (system, index) = ((number - 5221) / 20, (number - 5221) % 20);

@@ -76,6 +76,20 @@ impl Parameters {
         Ok(at.and_then(|at| Cell::first(self.cells.get(at..)?)).map(|cell| cell.value))
     }
 
+    /// The same, once the line being checked is committed.
+    pub fn get_staged(&self, reference: Reference) -> Result<Option<Real>, Error> {
+        let (key, level) = self.stored_as(reference)?;
+        let mut latest = None;
+        let mut at = 0;
+        while let Some(cell) = self.cells.get(at..).and_then(Cell::first) {
+            if cell.key == key && cell.level == level {
+                latest = Some(cell.value);
+            }
+            at += cell.size;
+        }
+        Ok(latest)
+    }
+
     /// Sets a parameter once the line is committed.
     pub fn stage(&mut self, reference: Reference, value: Real) -> Result<(), Error> {
         let (key, level) = self.stored_as(reference)?;
