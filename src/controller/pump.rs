@@ -20,6 +20,8 @@ use crate::units::Instant;
 pub enum Source {
     /// The step task: stopped, ran dry, touched.
     Step,
+    /// The answer to [`Output::Store`].
+    Store,
     /// Hosts that have gone and come.
     Hosts,
     /// Realtime commands, in the order of their coming.
@@ -28,13 +30,11 @@ pub enum Source {
     Inputs,
     /// The answer to [`Output::ReadPins`].
     Pins,
-    /// The answer to [`Output::Store`].
-    Store,
 }
 
-/// The order of the sources. A command is told after the step task's reports of what came before it, and a host that has
-/// gone before the commands of the next one.
-const ORDER: [Source; 6] = [Source::Step, Source::Hosts, Source::Commands, Source::Inputs, Source::Pins, Source::Store];
+/// The order of the sources. A command is told after the reports of the step task and the store of what came before it, and a
+/// host that has gone before the commands of the next one.
+const ORDER: [Source; 6] = [Source::Step, Source::Store, Source::Hosts, Source::Commands, Source::Inputs, Source::Pins];
 
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
 pub trait Pump<const N: usize, const BLOCKS: usize> {
