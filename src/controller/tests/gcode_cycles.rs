@@ -2,6 +2,8 @@
 //!
 //! `r` is a rapid and `f` a feed move to work coordinates in mm; moves of no length are left out.
 
+#![cfg(feature = "extended-gcode")]
+
 mod program;
 
 use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Motion};
