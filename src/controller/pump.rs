@@ -20,6 +20,8 @@ use crate::units::Instant;
 pub enum Source {
     /// The step task: stopped, ran dry, touched.
     Step,
+    /// The answer to [`Output::Store`].
+    Store,
     /// Hosts that have gone and come.
     Hosts,
     /// Realtime commands, in the order of their coming.
@@ -28,8 +30,6 @@ pub enum Source {
     Inputs,
     /// The answer to [`Output::ReadPins`].
     Pins,
-    /// The answer to [`Output::Store`].
-    Store,
 }
 
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
@@ -62,14 +62,14 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
 pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
-    // A command is told after the step task's reports of what came before it, and a host that has gone before the commands
-    // of the next one. One after the other and not in a loop, which costs a third more: a round is made for each segment.
+    // A command is told after the reports of the step task and the store of what came before it, and a host that has gone
+    // before the commands of the next one. One after the other and not in a loop, which costs a third more: a round is made for each segment.
     let mut events = tell(pump, now, Source::Step);
+    events |= tell(pump, now, Source::Store);
     events |= tell(pump, now, Source::Hosts);
     events |= tell(pump, now, Source::Commands);
     events |= tell(pump, now, Source::Inputs);
     events |= tell(pump, now, Source::Pins);
-    events |= tell(pump, now, Source::Store);
     let mut lines = false;
     while pump.controller().wants_line()
         && let Some(byte) = pump.next_line_byte()

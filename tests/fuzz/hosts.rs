@@ -64,7 +64,7 @@ pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }
 
-/// A line of a host: its letter, and in the midst of it a byte that is no letter of the other host.
+/// A line of a host: its letter, and in the middle of it a byte that is no letter of the other host.
 fn line(letter: u8, length: u8, byte: u8) -> Vec<u8> {
     let mut line = vec![letter; usize::from(length % 12)];
     let at = line.len() / 2;
@@ -98,7 +98,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
                 }
             }
             Action::UsbComes => {
-                usb.came(&mut entrance, &mut uart, &mut queues);
+                usb.came(&mut entrance, &mut uart, &queues);
             }
             Action::UsbGoes => {
                 usb.went(&mut entrance);

@@ -4,7 +4,9 @@
 //! Promises: a refused line changes nothing; every position stays within reach; what a line gives is a number; text that
 //! is held comes to an end or goes on in bounded steps.
 
-use oxmill_controller::gcode::{Checked, Dialect, Direction, Held, HeldLine, Interpreter};
+use oxmill_controller::gcode::{
+    AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
+};
 use oxmill_controller::protocol::line::{self, Line, Pushed, Rules};
 
 const AXES: usize = 3;
@@ -37,8 +39,11 @@ pub fn run(data: &[u8]) {
             Pushed::TooLong => line.clear(),
             Pushed::Complete => {
                 let text = line.text().to_vec();
+                let remark = line.message().map_or_else(Vec::new, |(has_values, text)| {
+                    [&[if has_values { WITH_VALUES } else { AS_WRITTEN }], text].concat()
+                });
                 line.clear();
-                program.line(&text);
+                program.line(&text, &remark);
             }
         }
         if program.lines > MOST_LINES {
@@ -48,9 +53,9 @@ pub fn run(data: &[u8]) {
 }
 
 impl Program {
-    fn line(&mut self, text: &[u8]) {
+    fn line(&mut self, text: &[u8], remark: &[u8]) {
         self.lines += 1;
-        if text.is_empty() || text.starts_with(b"$") && !text.starts_with(b"$J=") {
+        if text.is_empty() && remark.is_empty() || text.starts_with(b"$") && !text.starts_with(b"$J=") {
             return;
         }
         if let Some(jog) = text.strip_prefix(b"$J=") {
@@ -58,14 +63,19 @@ impl Program {
         }
         let direction = match self.dialect {
             Dialect::Grbl => Ok(Direction::Check),
-            _ => self.interpreter.direct(text),
+            _ if text.starts_with(b"%") => {
+                let _ = self.interpreter.tape_mark();
+                return;
+            }
+            _ => self.interpreter.direct(text, remark, self.lines as u32),
         };
         match direction {
             Ok(Direction::Check) => {
                 self.carry_out(text);
+                self.tell(remark);
             }
-            Ok(Direction::Run) => self.run_held(),
-            Ok(Direction::Done) | Err(_) => {}
+            Ok(Direction::Run | Direction::Call) => self.run_held(),
+            Ok(Direction::Done | Direction::LeftOut) | Err(_) => {}
         }
     }
 
@@ -74,12 +84,26 @@ impl Program {
         while self.lines <= MOST_LINES {
             self.lines += 1;
             match self.interpreter.next_held(&mut held) {
-                Ok(Held::Line) if !self.carry_out(&held.clone()) => return self.interpreter.abandon_held(),
-                Ok(Held::Line | Held::Again) => {}
+                Ok(Held::Line) => {
+                    let line = held.clone();
+                    let (words, remark) = split_remark(&line);
+                    if !words.is_empty() && !self.carry_out(words) {
+                        return self.interpreter.abandon_held();
+                    }
+                    self.tell(remark);
+                }
+                Ok(Held::Again) => {}
                 Ok(Held::End) | Err(_) => return,
             }
         }
         self.interpreter.abandon_held();
+    }
+
+    fn tell(&self, remark: &[u8]) {
+        if let Some((&WITH_VALUES, written)) = remark.split_first() {
+            let mut text = heapless::Vec::<u8, 128>::new();
+            self.interpreter.expand(written, &mut text);
+        }
     }
 
     fn jog(&mut self, text: &[u8]) {

@@ -63,7 +63,7 @@ pub fn run(data: &[u8]) {
             Err(_) => break,
         }
     }
-    run.to_the_end();
+    run.finish();
 }
 
 impl Run {
@@ -86,9 +86,8 @@ impl Run {
             };
         }
         let directions = directions & 7;
-        for axis in 0..AXES {
-            let sign = if directions >> axis & 1 != 0 { -1 } else { 1 };
-            self.planned[axis] += sign * steps[axis] as i32;
+        for (axis, (planned, steps)) in self.planned.iter_mut().zip(steps).enumerate() {
+            *planned += if directions >> axis & 1 != 0 { -(steps as i32) } else { steps as i32 };
         }
         self.queue.push_back(ToStep::Block { legs, directions });
         let total = dominant * UNITS_PER_STEP;
@@ -109,7 +108,8 @@ impl Run {
             flags = 0;
         }
         // The rest of the block, as coarse as may be.
-        let rest = Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len() % 2 == 0 };
+        let rest =
+            Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len().is_multiple_of(2) };
         while units < total {
             let per_tick = self.units_per_tick(units, 0);
             let next = if per_tick == UNITS_PER_STEP { total } else { units + per_tick };
@@ -178,7 +178,7 @@ impl Run {
     }
 
     /// All that is queued is run: a message before each tick that there is one for.
-    fn to_the_end(&mut self) {
+    fn finish(&mut self) {
         while self.ticks < 4 * MOST_TICKS && (!self.queue.is_empty() || !self.stepper.is_idle()) {
             for _ in 0..4 {
                 self.load();

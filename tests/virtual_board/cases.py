@@ -2,6 +2,7 @@
 fails with a `Failure`."""
 
 import csv
+import math
 import subprocess
 import tempfile
 from itertools import pairwise
@@ -27,6 +28,8 @@ HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
 TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
 """From a contact to the last rising edge: the filter, up to a sample before it begins, and the stop."""
+ANSWER_S = 20e-3
+"""From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 LATEST_PULSE_END_S = 3 * US
@@ -171,12 +174,12 @@ def duty(board):
 JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 1000, "s122": 1000}
 
 
-def simulated(bench, job):
+def simulated(bench, job, settings=JOB_SETTINGS):
     """(axes, negative) of each step event of the job in the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "trace.csv"
         command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, "--trace", str(trace)]
-        for name, value in JOB_SETTINGS.items():
+        for name, value in settings.items():
             command += ["--set", f"{name[1:]}={value}"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
@@ -634,6 +637,91 @@ def flood(bench):
         bench.ask("$X")
         bench.ask("G21")
         yield f"90 times ? and {name}: a reset, and the link goes on"
+
+
+FASTER, SLOWER = 9 * b"\x91" + 8 * b"\x93", 9 * b"\x92" + 8 * b"\x94"
+"""From 100 to 198 percent and back, ten and then one at a time."""
+
+
+def override_bursts(bench):
+    """Overrides back to back while the ring is full of short chords on a circle: nothing runs dry, no step is lost, and `?`
+    is answered in time with the override that holds."""
+    angles = [k * 0.1 / 5 for k in range(1, 901)]
+    job = "G90 G1 F1200\n" + "".join(f"X{5 * math.sin(angle):.3f}Y{5 - 5 * math.cos(angle):.3f}\n" for angle in angles)
+    for jerk in (0, 10_000):
+        bench.boot()
+        board, host = bench.board, bench.host
+        settings = JOB_SETTINGS | {"s10": 3, "s220": jerk, "s221": jerk}
+        bench.settings(**settings)
+        scope, answers = Scope(board), len(host.answers)
+        bench.forget_masks()
+        host.stream(job)
+        while blocks_free(status := bench.status()) > 8:
+            if not status.startswith("<Run") or host.all_answered:
+                raise Failure(f"the ring never got full: {status}")
+            board.run(seconds=0.02)
+        worst, free, bursts = 0.0, 0, 0
+        for k in range(8):
+            for burst, percent in ((FASTER, 198), (SLOWER, 100)):
+                late, status = answered_behind(bench, burst)
+                if not status.startswith("<Run") or overrides_of(bench, status) != f"{percent},100,100":
+                    raise Failure(f"after a burst to {percent} %: {status}")
+                worst, free, bursts = max(worst, late), max(free, blocks_free(status)), bursts + 1
+                board.run(seconds=0.005 + 0.0071 * k)
+        if host.all_answered:
+            raise Failure("the job was over before the last burst: this proves nothing")
+        bench.wait(lambda host=host: host.all_answered, 20, "the last answer")
+        bench.wait_state("Idle", 20)
+        if any(answer != "ok" for answer in host.answers[answers:]) or host.has_said("ALARM") or host.has_said("lost"):
+            raise Failure(f"{set(host.answers[answers:])}; {bytes(host.text[-200:])!r}")
+        if board.resets or board.usart.overruns:
+            raise Failure(f"{len(board.resets)} resets, {board.usart.overruns} overruns")
+        steps = same_steps(bench, scope, job, settings)
+        mask, where = bench.longest_mask()
+        yield f"$220={jerk}: {bursts} bursts of 17 with at most {free} blocks free, `?` answered after at most {worst * 1e3:.1f} ms; {steps} steps as in the simulator; longest time masked {us(mask)} ({where})"
+        if worst > ANSWER_S:
+            raise Failure(f"`?` was answered after {worst * 1e3:.1f} ms, allowed {ANSWER_S * 1e3:.0f} ms")
+
+
+def blocks_free(status):
+    return int(status.split("Bf:")[1].split(",")[0])
+
+
+def overrides_of(bench, status):
+    """Of the first report that tells them."""
+    for _ in range(4):
+        if "|Ov:" in status:
+            return status.split("|Ov:")[1].rstrip(">").split("|")[0]
+        status = bench.status()
+    return status
+
+
+def answered_behind(bench, burst):
+    """Sends commands and a `?`: s from its last bit to the first of the report, and the report."""
+    host, hz = bench.host, bench.wiring.core_hz
+    before = len(host.lines)
+    heard = host.send(burst + b"?")
+    bench.wait(lambda: any(text.startswith("<") and at > heard for at, text in host.lines[before:]), 0.5, "a status report")
+    at, text = next((at, text) for at, text in host.lines[before:] if text.startswith("<") and at > heard)
+    return (at - heard) / hz - 10 * (len(text) + 2) / host.baud, text
+
+
+def same_steps(bench, scope, job, settings):
+    """The steps of each axis are those of the simulator, whatever the overrides were. How many."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "job.nc"
+        file.write_text(job)
+        expected, end = simulated(bench, file, settings)
+    steps = [(step.axes, step.negative) for step in scope.steps()]
+    if scope.counts() != list(end):
+        raise Failure(f"the motors are at {scope.counts()} and not at {end}")
+    count = 0
+    for axis in range(2):
+        turned, wanted = ([negative >> axis & 1 for axes, negative in events if axes >> axis & 1] for events in (steps, expected))
+        if turned != wanted:
+            raise Failure(f"axis {axis} makes {len(turned)} steps, in the simulator {len(wanted)}")
+        count += len(turned)
+    return count
 
 
 def low_at_power_up(bench):
@@ -1218,6 +1306,7 @@ def all_cases(root):
         ("switch noise", noise),
         ("probe", probe),
         ("flood of realtime commands", flood),
+        ("bursts of overrides", override_bursts),
         ("second motor", second_motor),
         ("spindle PWM", spindle_pwm),
         ("settings write", settings_write),

@@ -117,9 +117,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 _ => {}
             }
         }
-        let soft_limits = self.settings.is_on(Key::SoftLimits);
+        let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;
         self.changed(number, soft_limits);
+        if self.dialect() != dialect {
+            self.interpreter.change_dialect();
+            self.apply_overrides();
+        }
         self.task = Task::Storing(Answer::Setting(number));
         Ok(())
     }
@@ -129,9 +133,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reconfigure();
         // Another resolution is another position for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
-        let is_resolution = AxisKey::Resolution.axis(number).is_some();
-        if is_resolution || number == KINEMATICS || (number == HOMING && self.settings.is_on(Key::Homing)) {
+        let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
+        if moves_places || (number == HOMING && self.settings.is_on(Key::Homing)) {
             self.reference.lose();
+        }
+        if moves_places {
+            self.interpreter.end_cycles();
         }
         if number == REPORT_INCHES {
             self.replies.offset_changed();

@@ -81,12 +81,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.run_held_line();
             }
             Task::SoftLimit if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
-            Task::Storing(answer) if self.records.are_stored() => {
-                if self.records.take_failure() {
-                    self.say(|out| report::message(out, "The setting holds but could not be stored"));
-                }
-                self.finish(answer);
-            }
+            Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
             Task::Startup(..) | Task::Held | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
         }
         true

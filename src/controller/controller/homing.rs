@@ -83,6 +83,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.pins.drive(GangedMotors::Both);
                 self.motion.set_machine_position(&position);
                 self.interpreter.set_position(self.motion.machine_position());
+                self.interpreter.end_cycles();
                 self.mode = Mode::Normal;
                 self.start_idle_delay();
                 self.task = Task::Startup(0, Some(Answer::Host));

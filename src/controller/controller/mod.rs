@@ -64,6 +64,7 @@ use crate::messages::{Event, Observed, Output, Record, Restart, Room, ToStep};
 use crate::motion::Motion;
 use crate::protocol::line_intake::LineIntake;
 use crate::protocol::replies::Replies;
+use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 use crate::units::Instant;
@@ -200,8 +201,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Event::Step(event) => self.step_event(&event),
             Event::Signals(sensed) => self.signals_changed(&sensed),
             Event::Pins(view) => self.inputs.viewed(view),
-            Event::Stored => self.records.answered(true),
-            Event::StoreFailed => self.records.answered(false),
+            Event::Stored => self.stored(true),
+            Event::StoreFailed => self.stored(false),
             Event::Connected => {
                 self.greet();
                 self.tell_lock();
@@ -377,6 +378,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(self.mode, Mode::Normal) && !self.motion.is_idle() && self.task.is_none() && self.feed.has_no_more()
         {
             self.start_motion();
+        }
+    }
+
+    /// The store has answered a change: told at once, as the command may have been ended by a reset meanwhile.
+    fn stored(&mut self, done: bool) {
+        if self.records.answered(done) {
+            self.say(|out| report::message(out, "The setting holds but could not be stored"));
         }
     }
 

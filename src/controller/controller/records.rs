@@ -122,20 +122,16 @@ impl Records {
         self.stores.pop_front()
     }
 
-    /// The store has answered a change.
-    pub(super) fn answered(&mut self, stored: bool) {
+    /// The store has answered a change. Whether that was the last one of a command, and one of them could not be stored.
+    pub(super) fn answered(&mut self, stored: bool) -> bool {
         self.unstored = self.unstored.saturating_sub(1);
         self.failed |= !stored;
+        self.are_stored() && core::mem::take(&mut self.failed)
     }
 
     /// Whether all changes have been answered.
     pub(super) fn are_stored(&self) -> bool {
         self.unstored == 0
-    }
-
-    /// Whether a change could not be stored; once.
-    pub(super) fn take_failure(&mut self) -> bool {
-        core::mem::take(&mut self.failed)
     }
 
     /// At most two of these come from one command, and the next is read when they are answered: there is room.
@@ -355,9 +351,11 @@ mod tests {
     fn a_failure_is_told_once() {
         let mut records = Records::new(true);
         records.forget(Restore::All);
-        records.answered(false);
-        assert!(records.are_stored());
-        assert!(records.take_failure() && !records.take_failure());
+        records.forget(Restore::All);
+        assert!(!records.answered(false) && !records.are_stored());
+        assert!(records.answered(true) && records.are_stored());
+        records.forget(Restore::All);
+        assert!(!records.answered(true));
     }
 
     #[test]

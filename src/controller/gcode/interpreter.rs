@@ -3,7 +3,7 @@
 use super::check::{self, Checked, Flow, Motion, Purpose};
 use super::computed::Computed;
 use super::cycle::CycleWords;
-use super::modal::Modal;
+use super::modal::{EXTENDED, Modal, MotionMode};
 use super::offsets::{Offsets, StoredOffset};
 use super::parse::Parsed;
 use super::state_words::{Keeping, Saved};
@@ -79,6 +79,21 @@ impl<const N: usize> Interpreter<N> {
     /// Whether programs are only checked.
     pub(super) fn is_checking(&self) -> bool {
         self.tool_before_check.is_some()
+    }
+
+    /// Ends a series of canned cycles as G80 does: the machine has another position for the same place, and the level that
+    /// G98 leads back to would be a wrong one.
+    pub fn end_cycles(&mut self) {
+        if EXTENDED && matches!(self.modal.motion, MotionMode::Cycle(_)) {
+            self.modal.motion = MotionMode::Cancelled;
+        }
+    }
+
+    /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.
+    pub fn change_dialect(&mut self) {
+        self.end_cycles();
+        self.saved = None;
+        self.modal.forget_extended();
     }
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line

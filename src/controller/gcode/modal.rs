@@ -336,7 +336,15 @@ impl Modal {
 }
 
 impl Modal {
-    /// What M2 and M30 set back.
+    /// What words that Grbl does not have have set is as after a reset.
+    pub(super) fn forget_extended(&mut self) {
+        self.retract_to_r = false;
+        self.arc_distance = ArcDistance::default();
+        self.path = PathControl::default();
+        self.overrides_held = OverridesHeld::default();
+    }
+
+    /// What M2 and M30 set back. G98 and G99 are not among it, as in LinuxCNC.
     pub(super) fn end_program(&mut self) {
         self.motion = MotionMode::Linear;
         self.straight = MotionMode::Linear;

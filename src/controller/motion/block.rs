@@ -104,6 +104,16 @@ impl CurveLoad {
         if other.speed2 < self.speed2 { other } else { self }
     }
 
+    /// One that leaves no more than either: the lower speed² and the lesser acceleration, which may be those of different
+    /// bends where the axes are unequal.
+    #[inline]
+    pub(super) fn and(self, other: Self) -> Self {
+        if self.is_none() || other.is_none() {
+            return self.tighter(other);
+        }
+        Self { speed2: self.speed2.min(other.speed2), acceleration: self.acceleration.min(other.acceleration) }
+    }
+
     /// The middle one of three; none if one of them is none.
     #[inline]
     pub(super) fn middle(self, second: Self, third: Self) -> Self {

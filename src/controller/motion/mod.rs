@@ -560,6 +560,10 @@ impl<const N: usize> AnyMotion<N> {
     /// Goes on after a hold, also before it has come to a stop.
     pub fn resume(&mut self) {
         self.feed.hold = Hold::None;
+        if self.planner.raised {
+            // The hold has brought the machine below what was raised for its fall.
+            self.replan();
+        }
         self.start();
     }
 
@@ -592,18 +596,29 @@ impl<const N: usize> AnyMotion<N> {
             return;
         }
         self.overrides = overrides;
+        self.replan();
+        self.hurry_tick();
+    }
+
+    /// Plans the whole queue under the overrides, from the state of the machine.
+    #[inline(never)]
+    fn replan(&mut self) {
         let millimetre = if self.feed.running.active { 1.0 / self.feed.running.scale } else { 1.0 };
         let left = match self.planner.first() {
             Some(first) if !self.feed.running.active => first.length,
             _ => (self.feed.running.total - self.feed.running.done) as f32 * millimetre,
         };
         let state = State { speed: self.feed.pace.speed * millimetre, acceleration: self.feed.pull };
-        self.planner.replan(overrides, state, left);
+        self.planner.replan(self.overrides, state, left);
+    }
+
+    /// The running block gets the speed of the overrides, and a tick that is waited for comes sooner or later.
+    fn hurry_tick(&mut self) {
         if !self.feed.running.active {
             return;
         }
         let Some(block) = self.planner.first() else { return };
-        let nominal = block.nominal(overrides) * self.feed.running.scale;
+        let nominal = block.nominal(self.overrides) * self.feed.running.scale;
         let nominal2 = nominal * nominal;
         if nominal2 == self.feed.running.nominal2 {
             return;

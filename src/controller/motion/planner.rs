@@ -120,7 +120,7 @@ struct Stretch {
     /// Speed² of the slowest anchor among the entries.
     slowest2: f32,
     bounds: Bounds,
-    /// The least acceleration without bends, and the tightest bend.
+    /// The least acceleration without bends, and what all bends together leave.
     straight: f32,
     curve: CurveLoad,
 }
@@ -142,7 +142,7 @@ impl Stretch {
             slowest2: lesser(self.slowest2, anchor2),
             bounds: self.bounds.and(block.bounds()),
             straight: lesser(self.straight, block.acceleration),
-            curve: self.curve.tighter(block.curve),
+            curve: self.curve.and(block.curve),
         }
     }
 }
@@ -159,6 +159,8 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
     groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
+    /// Entries are above what the overrides allow, for a machine that has to fall first.
+    pub raised: bool,
     blocks: R,
 }
 
@@ -166,20 +168,22 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
     #[inline(always)]
     pub(super) const fn new() -> Self {
         let groups = [Stretch::NONE; GROUPS];
-        Self { first: 0, len: 0, changed: 0, groups, jerk_limited: false, blocks: [Block::EMPTY; BLOCKS] }
+        let blocks = [Block::EMPTY; BLOCKS];
+        Self { first: 0, len: 0, changed: 0, groups, jerk_limited: false, raised: false, blocks }
     }
 }
 
 // Not derived: what may be unsized cannot be cloned.
 impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
     fn clone(&self) -> Self {
-        let Self { first, len, changed, groups, jerk_limited, blocks } = self;
+        let Self { first, len, changed, groups, jerk_limited, raised, blocks } = self;
         Self {
             first: *first,
             len: *len,
             changed: *changed,
             groups: *groups,
             jerk_limited: *jerk_limited,
+            raised: *raised,
             blocks: *blocks,
         }
     }
@@ -313,6 +317,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     pub(super) fn replan(&mut self, overrides: Overrides, state: State, left: f32) {
         let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;
+        self.raised = false;
         for place in 0..self.len {
             let slot = self.slot(place);
             let Some(block) = self.blocks.get_mut(slot) else { return };
@@ -322,6 +327,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             block.max_entry2 = lesser(block.corner2, greater(least * least, fallen2));
             previous = nominal;
             if place > 0 {
+                self.raised |= block.max_entry2 > least * least;
                 fall.speed2 = lesser(fall.speed2, block.max_entry2);
             }
             fall.over(block, if place > 0 { block.length } else { left }, self.jerk_limited);
@@ -527,7 +533,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             let Some((stretch, blocks)) = self.stretch(place + 1, distance - end) else { break };
             place += blocks;
             straight = lesser(straight, stretch.straight);
-            curve = curve.tighter(stretch.curve);
+            curve = curve.and(stretch.curve);
             jerk = lesser(jerk, stretch.bounds.jerk);
             end += stretch.length;
         }

@@ -2,6 +2,8 @@
 //!
 //! `r` is a rapid and `f` a feed move to work coordinates in mm; moves of no length are left out.
 
+#![cfg(feature = "extended-gcode")]
+
 mod program;
 
 use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Motion};
@@ -173,6 +175,23 @@ fn levels_of_g98_and_g99() {
         ("G0 Z6", ""),
         ("G81 X8 Z-1 R2", "r 8 1 6, r 8 1 2, f 8 1 -1, r 8 1 6"),
     ]);
+}
+
+/// As in LinuxCNC: its `rs274`, asked line by line, drills from and to the same levels before and behind M2.
+#[test]
+fn the_end_of_a_program_leaves_the_retract_mode() {
+    for end in ["M2", "M30"] {
+        play(&[
+            ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
+            (end, ""),
+            ("G0 Z8", ""),
+            ("G81 X3 Z-1 R2 F300", "r 3 1 8, r 3 1 2, f 3 1 -1, r 3 1 2"),
+            ("G98", ""),
+            (end, ""),
+            ("G0 Z8", ""),
+            ("G81 X4 Z-1 R2 F300", "r 4 1 8, r 4 1 2, f 4 1 -1, r 4 1 8"),
+        ]);
+    }
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path control,
 //! and the words that are refused by an error of their own.
 
+#![cfg(feature = "extended-gcode")]
+
 mod program;
 
 use oxmill_controller::gcode::{Dialect, Flow, Motion, PathControl};

@@ -1,5 +1,7 @@
 //! Tools: the table, the words that change it, and the offsets that act from it.
 
+#![cfg(feature = "extended-gcode")]
+
 mod program;
 
 use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};

@@ -12,7 +12,10 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3, 16>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
+    /// What has come when the next record is handed over, the store's answer among it; nothing: it is stored.
+    with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
+    epoch: u16,
     /// Given by `make_room`, once.
     late: VecDeque<u8>,
     said: String,
@@ -34,7 +37,9 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
             controller,
             log: Vec::new(),
             events: Vec::new(),
+            with_store: Vec::new(),
             lines: none.clone(),
+            epoch: 0,
             late: none,
             said: String::new(),
         };
@@ -46,6 +51,13 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
 
     fn send(&mut self, line: &str) {
         self.lines.extend(line.bytes());
+    }
+
+    /// Sends a line. What is said until nothing is left to do.
+    fn answer_to(&mut self, line: &str) -> String {
+        self.send(line);
+        while round(self) {}
+        std::mem::take(&mut self.said)
     }
 
     fn position(&self, entry: &str) -> usize {
@@ -81,7 +93,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     fn next_line_byte(&mut self) -> Option<LineByte> {
         let byte = self.lines.pop_front()?;
         self.log.push("line".into());
-        Some(LineByte { byte, epoch: 0, damaged: false })
+        Some(LineByte { byte, epoch: self.epoch, damaged: false })
     }
 
     fn make_room(&mut self, took: bool) -> bool {
@@ -113,7 +125,10 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
                 "look"
             }
             Output::Store(_) => {
-                self.events.push((Source::Store, Event::Stored));
+                match std::mem::take(&mut self.with_store) {
+                    with if with.is_empty() => self.events.push((Source::Store, Event::Stored)),
+                    mut with => self.events.append(&mut with),
+                }
                 "store"
             }
             Output::Worked => panic!("nothing to carry"),
@@ -137,7 +152,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
         (Source::Step, Event::Step(stopped)),
     ];
     round(&mut scribe);
-    let order = ["begin", "Step", "Hosts", "Commands", "Inputs", "Store", "line", "room true", "reply"];
+    let order = ["begin", "Step", "Store", "Hosts", "Commands", "Inputs", "line", "room true", "reply"];
     let found: Vec<usize> = order.iter().map(|entry| scribe.position(entry)).collect();
     assert!(found.is_sorted(), "{:?}", scribe.log);
     // Before each event it is looked what has come before it.
@@ -205,4 +220,47 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     let mut other = Scribe::<false>::new();
     other.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut other), &other.log), (true, 1));
+}
+
+const NOT_STORED: &str = "[MSG:The setting holds but could not be stored]\r\n";
+
+#[test]
+fn a_failure_to_store_is_told_with_the_command_that_it_belongs_to() {
+    let mut scribe = Scribe::<false>::new();
+    for line in ["$100=81\n", "G10L2P1X1\n", "$N0=G21\n", "$I=mill\n", "$RST=#\n"] {
+        scribe.with_store.push((Source::Store, Event::StoreFailed));
+        let said = scribe.answer_to(line);
+        assert!(
+            said.starts_with(&format!("{NOT_STORED}ok\r\n")) || said.contains(&format!("\r\n{NOT_STORED}ok\r\n")),
+            "{line}: {said}"
+        );
+        assert_eq!(said.matches(NOT_STORED).count(), 1, "{line}: {said}");
+        assert_eq!(scribe.answer_to("$101=82\n"), "ok\r\n", "after {line}");
+    }
+}
+
+/// `$22=1` stores two records.
+#[test]
+fn two_failures_of_one_command_are_told_once() {
+    let mut scribe = Scribe::<false>::new();
+    assert_eq!(scribe.answer_to("$22=1\n"), "ok\r\n");
+    assert_eq!(scribe.answer_to("$20=1\n"), "ok\r\n");
+    scribe.with_store.push((Source::Store, Event::StoreFailed));
+    assert_eq!(scribe.answer_to("$22=0\n"), format!("{NOT_STORED}ok\r\n"), "{:?}", scribe.log);
+}
+
+/// The processor stands while flash is written: what has come meanwhile is found with the store's answer.
+#[test]
+fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
+    let mut scribe = Scribe::<false>::new();
+    let stopped = StepEvent::Stopped { stops: 1, moving: false, position: Default::default() };
+    scribe.with_store = vec![
+        (Source::Commands, Event::Realtime(Realtime::Reset)),
+        (Source::Step, Event::Step(stopped)),
+        (Source::Store, Event::StoreFailed),
+    ];
+    assert_eq!(scribe.answer_to("$100=81\n"), format!("{NOT_STORED}ok\r\n\r\nGrbl 1.1h ['$' for help]\r\n"));
+    scribe.epoch += 1;
+    assert_eq!(scribe.answer_to("$101=82\n"), "ok\r\n");
+    assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }

@@ -107,6 +107,41 @@ fn a_tool_that_was_taken_out_stays_out() {
 }
 
 #[test]
+fn the_tool_table_outlives_a_power_cycle() {
+    let mut first = mill();
+    // An offset of each axis, one that is changed, and the greatest number.
+    first.send("G10 L1 P5 X1 Y-2 Z12.5\nG10 L1 P7 Z1\nG10 L1 P7 Z-0.001\nG20 G10 L1 P99999 Z1\nT5 M6\n");
+    first.run_until_idle();
+    assert_eq!(first.take_output(), "ok\r\n".repeat(5));
+    let tools = |mill: &mut Simulator| -> Vec<String> {
+        mill.send("$#\n");
+        mill.run_until_idle();
+        mill.take_output().lines().filter(|line| line.starts_with("[T:")).map(str::to_owned).collect()
+    };
+    let table = tools(&mut first);
+    assert_eq!(table, ["[T:5|1.000,-2.000,12.500]", "[T:7|0.000,0.000,-0.001]", "[T:99999|0.000,0.000,25.400]"]);
+    let store = first.store().power_cycled().unwrap();
+    let mut second = Simulator::new(Options { store, ..Options::default() });
+    second.run_until_idle();
+    second.take_output();
+    assert_eq!(tools(&mut second), table);
+    // They can be used; the tool in the spindle is not known any more.
+    second.send("G43 H99999\n");
+    second.run_until_idle();
+    assert_eq!(second.take_output(), "ok\r\n");
+    second.send("?");
+    assert!(second.take_output().contains("|WCO:0.000,0.000,25.400>"));
+    second.send("$G\n");
+    second.run_until_idle();
+    assert!(second.take_output().contains(" T0 "));
+    second.send("$RST=#\n");
+    second.run_until_idle();
+    let store = second.store().power_cycled().unwrap();
+    let mut third = Simulator::new(Options { store, ..Options::default() });
+    assert!(tools(&mut third).is_empty());
+}
+
+#[test]
 fn a_job_is_never_starved() {
     let mut mill = mill();
     let text: String = std::iter::once("G21 G91\n".to_owned())

@@ -388,3 +388,42 @@ fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     }
     assert!(late.is_empty(), "{} of them at {late:?}", late.len());
 }
+
+/// Moves of less and less feed, held; in the fall of the hold the override is lowered. What is behind the place of rest is
+/// entered no faster than it then allows.
+#[test]
+fn an_override_lowered_in_the_fall_of_a_hold_acts_on_what_follows() {
+    let mut too_fast = Vec::new();
+    for jerk in [0.0, 2.0e3, 5.0e3, 3.0e4] {
+        for length in [0.5, 2.0, 6.0, 9.0, 14.0, 20.0] {
+            for (late, hold_at) in (0..40).step_by(3).flat_map(|late| [0.3, 0.5, 0.6, 0.65, 0.7].map(|at| (late, at))) {
+                let mut config = settings(80.0, 500.0, 500.0);
+                config.jerk = PerAxis::all(jerk);
+                let feeds = [100.0, 40.0, 20.0, 5.0];
+                let mut at = 60.0 - length;
+                let moves = feeds.map(|feed| {
+                    at += length;
+                    to([at, 0.0, 0.0], Speed::Feed(feed))
+                });
+                let mut course = Course::<16>::new(config, moves.to_vec());
+                course.fill(16);
+                while course.time < hold_at && course.step() {}
+                course.motion.hold();
+                for _ in 0..late {
+                    course.step();
+                }
+                course.motion.set_overrides(0.5, 1.0);
+                while course.step() {}
+                let held = course.points.len();
+                course.motion.resume();
+                course.run();
+                let fast =
+                    course.points[held..].iter().filter(|p| p.speed > p.nominal * 1.005).map(|p| (p.speed, p.nominal));
+                if let Some((speed, nominal)) = fast.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1))) {
+                    too_fast.push((jerk, length, hold_at, late, speed, nominal));
+                }
+            }
+        }
+    }
+    assert!(too_fast.is_empty(), "{} of them, as {:?}", too_fast.len(), &too_fast[..too_fast.len().min(5)]);
+}

@@ -1,0 +1,50 @@
+//! What a controller refuses that is built without the features that a small flash has no room for.
+
+mod program;
+
+use oxmill_controller::error::Error;
+use oxmill_controller::gcode::Dialect;
+use program::Program;
+
+const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
+
+/// The error of each line, and that Grbl's own words are known.
+fn refuses(lines: &[&str], error: Error) {
+    for dialect in NEW {
+        let mut program = Program::new(dialect);
+        program.run_all("G21 G90 F300\nM3 S100\nG0 X1 Y1 Z10\nG43.1 Z1\nG49\nG92 X0\nG92.1\nT1");
+        for line in lines {
+            assert_eq!(program.error(line), error.code(), "{line}");
+        }
+    }
+}
+
+#[cfg(not(feature = "extended-gcode"))]
+#[test]
+fn cycles_tools_and_words_of_state() {
+    let cycles = ["G73", "G81", "G82", "G83", "G85", "G86", "G88", "G89"].map(|word| format!("{word} X2 Z-1 R2 Q1 P1"));
+    refuses(&cycles.each_ref().map(String::as_str), Error::ExtendedLeftOut);
+    let tools = ["M6", "G43 H1", "G43.2 H1", "G10 L1 P1 Z1", "G10 L10 P1 Z1", "G10 L11 P1 Z1"];
+    refuses(&tools, Error::ExtendedLeftOut);
+    let offsets = ["G52 X1", "G92.2", "G92.3"];
+    refuses(&offsets, Error::ExtendedLeftOut);
+    let state = ["M48", "M49", "M50 P0", "M51 P0", "M52 P0", "M53", "M70", "M71", "M72"];
+    refuses(&state, Error::ExtendedLeftOut);
+}
+
+#[cfg(not(feature = "expressions"))]
+#[test]
+fn expressions_and_parameters() {
+    refuses(&["#1=2", "G0 X[1+1]", "G0 X#1"], Error::ExpressionsLeftOut);
+}
+
+/// With all of them nothing is left out.
+#[cfg(all(feature = "extended-gcode", feature = "expressions"))]
+#[test]
+fn nothing() {
+    for dialect in NEW {
+        let program = Program::new(dialect);
+        assert_eq!(["M70", "M48", "#1=2", "G92.2"].map(|line| program.error(line)), [0; 4]);
+    }
+    refuses(&[], Error::ExtendedLeftOut);
+}
