@@ -88,6 +88,9 @@ struct Received {
     next: usize,
     /// The packet before has ended, and the endpoint waits to be enabled.
     ended: bool,
+    /// The driver has seen events since it was last found without a packet. Only then it may have one; to ask takes 4 us,
+    /// and the serial task asks with each byte of the UART.
+    may_wait: bool,
 }
 
 /// The port.
@@ -137,7 +140,7 @@ impl UsbPort {
         let device = UsbDeviceBuilder::new(bus, ID).device_class(USB_CLASS_CDC).strings(&[strings]);
         let device = device.and_then(|device| device.max_packet_size_0(PACKET as u8));
         let Ok(device) = device.map(UsbDeviceBuilder::build) else { unreachable!("both are what the builder takes") };
-        let received = Received { packet: [0; PACKET], length: 0, next: 0, ended: false };
+        let received = Received { packet: [0; PACKET], length: 0, next: 0, ended: false, may_wait: false };
         UsbPort {
             device,
             class,
@@ -212,6 +215,7 @@ impl Port for UsbPort {
         self.resetting |= events & USBRST != 0;
         if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
+            self.received.may_wait = true;
         }
         let state = self.device.state();
         if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
@@ -245,8 +249,13 @@ impl Port for UsbPort {
     fn receive(&mut self) -> Incoming {
         let received = &mut self.received;
         if received.next >= received.length {
+            if !received.may_wait {
+                return Incoming::Nothing;
+            }
             received.next = 0;
-            received.length = self.class.read_packet(&mut received.packet).unwrap_or(0);
+            let packet = self.class.read_packet(&mut received.packet);
+            received.may_wait = packet.is_ok();
+            received.length = packet.unwrap_or(0);
             if received.length > 0
                 && let Some(since) = self.closing
             {

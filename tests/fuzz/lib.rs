@@ -9,8 +9,11 @@ pub mod session;
 pub mod steps;
 pub mod stored;
 
-/// All targets: name, and what it does with its bytes.
-pub const TARGETS: [(&str, fn(&[u8])); 5] = [
+/// A target: its name, and what it does with its bytes.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// All targets.
+pub const TARGETS: [Target; 5] = [
     ("lines", lines::run),
     ("session", session::run),
     ("stored", stored::run),

@@ -1275,11 +1275,7 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
-KNOWN = {
-    ("blackpill_f401", "turns"): "with $29=200 every corner at 76 kHz is followed by a burst of ticks that were put off, in which a received byte is lost: told, and its line refused (error:11)",
-    ("blackpill_f411", "called at turns"): "beside a call at each tick, control is too slow for moves of seven steps at 50 mm/s: the step task runs dry",
-    ("blackpill_f401", "called at turns"): "built for size, control is too slow for moves of seven steps at 50 mm/s beside a call at each tick: the step task runs dry",
-}
+KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
 
