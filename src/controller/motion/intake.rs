@@ -34,6 +34,38 @@ fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32
     legs
 }
 
+/// From the end of the last block to the target of a move.
+struct Path<const N: usize> {
+    /// The displacement of each axis, and the length of the straight line, mm.
+    way: PerAxis<f32, N>,
+    straight: f32,
+    /// Length of the move alone, mm.
+    own: f32,
+    /// The same with moves without a step before it, and less what the last block was given too much.
+    length: f32,
+}
+
+impl<const N: usize> Path<N> {
+    /// Whether it stands for moves without a step that led away and back, some of these steps' worth of them.
+    #[inline]
+    fn leads_nowhere(&self, step_mm: f32) -> bool {
+        self.length > 1.1 * self.straight && self.length - self.straight > 2.0 * step_mm
+    }
+}
+
+/// The steps of a block.
+struct MotorSteps<const N: usize> {
+    steps: [u32; N],
+    /// A bit for each motor: set if it turns to negative.
+    directions: u8,
+    /// Steps of the motor that has most.
+    dominant: u32,
+    /// The way that the steps stand for, less half a step: how long the path must be at least, mm.
+    least_mm: f32,
+    /// A step of the coarsest motor that moves, mm.
+    coarsest_mm: f32,
+}
+
 impl<const N: usize> AnyMotion<N> {
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub fn line(&mut self, m: &Move<N>) -> bool {
@@ -142,121 +174,150 @@ impl<const N: usize> AnyMotion<N> {
         let promised2 =
             if self.looks_ahead() { self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
-        let way: PerAxis<f32, N> = m.target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
+        let path = self.path_to(&m.target);
+        self.end.planned = m.target;
+        let mut motors = self.steps_to(target_steps);
+        if motors.dominant == 0 {
+            self.end.carried = path.length;
+            return;
+        }
+        // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
+        // too fast, so the block is taken as longer, and the next one as shorter by as much.
+        let length = greater(path.length, motors.least_mm);
+        self.end.carried = greater(path.length - length, -motors.least_mm);
+        let start = core::mem::replace(&mut self.end.block_end, m.target);
+        self.end.planned_steps = *target_steps;
+
+        let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
+        let mut block = Block::<N> { length, line_number: m.line_number, power: m.power, ..Block::EMPTY };
+        // What the axes move: in a block that is taken as longer, that is the way of its steps.
+        let moved =
+            if path.length < motors.least_mm { self.way_of_steps(&motors, length, &path.way) } else { path.way };
+        let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, bend2);
+        block.flags =
+            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
+        block.directions = motors.directions;
+        block.legs = match ends {
+            Some(ends) => legs_with_ends(&motors.steps, motors.directions, &ends),
+            None => motors.steps.map(Leg::on_steps),
+        };
+        let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+        let piece = Piece {
+            start: &start,
+            end: &m.target,
+            direction: &unit,
+            length: path.straight,
+            path: length,
+            fast2: fastest * fastest,
+            digit: self.chain.last_digit(m.digit),
+        };
+        block.corner2 = greater(self.entry_corner2(&piece, path.leads_nowhere(motors.coarsest_mm)), promised2);
+        self.end.direction = unit;
+        if bend2 < NOTICEABLE * piece.fast2 {
+            block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
+        }
+        self.push(block, &piece);
+    }
+
+    /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
+    /// steps. Gives the flag of a rapid.
+    #[inline]
+    fn set_speeds(
+        &mut self,
+        block: &mut Block<N>,
+        m: &Move<N>,
+        path: &Path<N>,
+        moved: &PerAxis<f32, N>,
+        motors: &mut MotorSteps<N>,
+        bend2: f32,
+    ) -> u8 {
+        let length = block.length;
+        let (mut acceleration, mut limit) = self.limits(moved, length);
+        block.jerk = self.jerk_along(moved, length, acceleration);
+        let (programmed, rapid) = match m.speed {
+            Speed::Rapid => (limit, RAPID),
+            Speed::Feed(feed) => (feed, 0),
+            Speed::Duration(seconds) => (if path.length < motors.least_mm { length } else { path.own } / seconds, 0),
+        };
+        if self.backlash.is_on() {
+            let speed = lesser(programmed, limit);
+            if let Some(way) = self.take_up(motors, moved, length, acceleration, speed) {
+                (acceleration, limit) = self.limits(&way, length);
+                block.jerk = self.jerk_along(&way, length, acceleration);
+                self.join.close();
+            }
+        }
+        block.acceleration = acceleration;
+        block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
+        block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
+        rapid
+    }
+
+    /// Greatest speed² at the corner before a piece; `waits`: its block takes the time of moves that led nowhere, so it has
+    /// corners before and behind it.
+    #[inline]
+    fn entry_corner2(&mut self, piece: &Piece<'_, N>, waits: bool) -> f32 {
+        if self.end.tool_stands {
+            self.chain.restart(piece.start);
+        }
+        let mut corner2 = self.chain.corner2(piece, &self.turns);
+        if waits || self.end.waited {
+            let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
+            corner2 = lesser(corner2, square * self.turns.deviation * SQUARE_CORNER);
+            self.join.close();
+        }
+        self.end.waited = waits;
+        if core::mem::take(&mut self.end.tool_stands) { 0.0 } else { corner2 }
+    }
+
+    /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
+    #[inline]
+    fn push(&mut self, block: Block<N>, piece: &Piece<'_, N>) {
+        self.planner.push(block, self.overrides);
+        if self.looks_ahead() && !self.join.keeps(piece) {
+            let planner = &mut self.planner;
+            self.chain.extend(piece, &self.turns, &mut |bend| planner.limit(&bend));
+        }
+        self.planner.plan();
+    }
+
+    /// The path from the end of the last block.
+    #[inline]
+    fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
+        let way: PerAxis<f32, N> = target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
         let mut square = 0.0;
         for part in way.iter() {
             square += part * part;
         }
         let straight = square_root(square);
-        let own = if self.end.planned == self.end.block_end { straight } else { self.distance(&m.target) };
-        let path = own + self.end.carried;
-        self.end.planned = m.target;
+        let own = if self.end.planned == self.end.block_end { straight } else { self.distance(target) };
+        Path { way, straight, own, length: own + self.end.carried }
+    }
 
-        let mut block = Block::<N>::EMPTY;
-        let mut steps = [0; N];
-        let mut directions = 0;
-        // The way that the steps stand for, less half a step: what the path must be long at least (see `length`).
-        let mut least = 0.0_f32;
-        let mut coarsest = 0.0;
-        let mut dominant = 0;
+    /// The steps from the end of the last block.
+    #[inline]
+    fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> MotorSteps<N> {
+        let mut motors = MotorSteps { steps: [0; N], directions: 0, dominant: 0, least_mm: 0.0_f32, coarsest_mm: 0.0 };
         let places = target_steps.iter().zip(self.end.planned_steps.iter());
-        for (bit, ((to, from), (steps, mm))) in places.zip(steps.iter_mut().zip(self.kinematics.least_mm)).enumerate() {
+        let axes = motors.steps.iter_mut().zip(self.kinematics.least_mm);
+        for (bit, ((to, from), (steps, mm))) in places.zip(axes).enumerate() {
             *steps = to.abs_diff(*from);
             if to < from {
-                directions |= 1 << bit;
+                motors.directions |= 1 << bit;
             }
             if *steps > 0 {
-                least = greater((*steps as f32 - 0.5) * mm, least);
-                coarsest = greater(mm, coarsest);
+                motors.least_mm = greater((*steps as f32 - 0.5) * mm, motors.least_mm);
+                motors.coarsest_mm = greater(mm, motors.coarsest_mm);
             }
-            dominant = dominant.max(*steps);
+            motors.dominant = motors.dominant.max(*steps);
         }
-        if dominant == 0 {
-            self.end.carried = path;
-            return;
-        }
-        // Rounding may turn a hair's breadth into a step, which would then be taken at a hair's time. Such a block is
-        // taken as longer, and the next one as shorter by as much.
-        let length = greater(path, least);
-        self.end.carried = greater(path - length, -least);
-        let start = core::mem::replace(&mut self.end.block_end, m.target);
-        self.end.planned_steps = *target_steps;
-
-        let unit = if straight > 0.0 { way.0.map(|part| part / straight) } else { self.end.direction };
-        // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved = if path < least { self.way_of_steps(&steps, directions, length, &way) } else { way };
-        let (mut acceleration, mut limit) = self.limits(&moved, length);
-        block.jerk = self.jerk_along(&moved, length, acceleration);
-        let (programmed, rapid) = match m.speed {
-            Speed::Rapid => (limit, RAPID),
-            Speed::Feed(feed) => (feed, 0),
-            Speed::Duration(seconds) => (if path < least { length } else { own } / seconds, 0),
-        };
-        if self.backlash.is_on() {
-            let speed = lesser(programmed, limit);
-            if let Some(motors) = self.take_up(&mut steps, &mut directions, &moved, length, acceleration, speed) {
-                (acceleration, limit) = self.limits(&motors, length);
-                block.jerk = self.jerk_along(&motors, length, acceleration);
-                self.join.close();
-            }
-        }
-        block.legs = match ends {
-            Some(ends) => legs_with_ends(&steps, directions, &ends),
-            None => steps.map(Leg::on_steps),
-        };
-        block.directions = directions;
-        block.line_number = m.line_number;
-        block.length = length;
-        block.acceleration = acceleration;
-        block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
-        block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
-        let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
-        let digit = self.chain.last_digit(m.digit);
-        if self.end.tool_stands {
-            self.chain.restart(&start);
-        }
-        let piece = Piece {
-            start: &start,
-            end: &m.target,
-            direction: &unit,
-            length: straight,
-            path: length,
-            fast2: fastest * fastest,
-            digit,
-        };
-        block.corner2 = self.chain.corner2(&piece, &self.turns);
-        // Moves without a step that led nowhere, some steps' worth of them, are waited for in this block: so it has corners
-        // before and behind it.
-        let waits = path > 1.1 * straight && path - straight > 2.0 * coarsest;
-        if waits || self.end.waited {
-            let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
-            block.corner2 = lesser(block.corner2, square * self.turns.deviation * SQUARE_CORNER);
-            self.join.close();
-        }
-        self.end.waited = waits;
-        if core::mem::take(&mut self.end.tool_stands) {
-            block.corner2 = 0.0;
-        }
-        block.corner2 = greater(block.corner2, promised2);
-        block.power = m.power;
-        block.flags =
-            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
-        self.end.direction = unit;
-        if bend2 < NOTICEABLE * piece.fast2 {
-            block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
-        }
-        self.planner.push(block, self.overrides);
-        if self.looks_ahead() && !self.join.keeps(&piece) {
-            let planner = &mut self.planner;
-            self.chain.extend(&piece, &self.turns, &mut |bend| planner.limit(&bend));
-        }
-        self.planner.plan();
+        motors
     }
 
     /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
     #[cold]
-    fn way_of_steps(&self, steps: &[u32; N], directions: u8, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
-        let stepped = self.kinematics.way_of_axes(&signed_steps(steps, directions));
+    fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
+        let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
         let share = length / square_root(stepped.iter().fold(0.0, |sum, part| sum + part * part));
         way.zip(
             &PerAxis(stepped),
@@ -365,14 +426,13 @@ impl<const N: usize> AnyMotion<N> {
     #[inline(never)]
     fn take_up(
         &mut self,
-        steps: &mut [u32; N],
-        directions: &mut u8,
+        motors: &mut MotorSteps<N>,
         way: &PerAxis<f32, N>,
         length: f32,
         acceleration: f32,
         speed: f32,
     ) -> Option<PerAxis<f32, N>> {
-        let mut moved = signed_steps(steps, *directions);
+        let mut moved = signed_steps(&motors.steps, motors.directions);
         self.backlash.turn(&moved);
         if !self.backlash.is_outstanding() {
             return None;
@@ -386,7 +446,7 @@ impl<const N: usize> AnyMotion<N> {
         for (moved, taken) in moved.iter_mut().zip(taken) {
             *moved += taken;
         }
-        (*steps, *directions) = unsigned_steps(&moved);
+        (motors.steps, motors.directions) = unsigned_steps(&moved);
         let extra = self.kinematics.way_of_axes(&taken);
         Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
     }

@@ -15,7 +15,7 @@ use crate::messages::UNITS_PER_STEP;
 
 /// Share by which a speed may be off the nominal one and count as it: some hundred roundings.
 const SAME_SPEED: f32 = 1.0e-5;
-/// Where the rest of a ease-off is less than this share of the speed, it is taken in one segment.
+/// Where the rest of an ease-off is less than this share of the speed, it is taken in one segment.
 const SNAP: f32 = 1.0e-4;
 
 /// A segment's time and the state at its end.
@@ -52,7 +52,7 @@ impl<const N: usize> AnyMotion<N> {
         let gone = if at_rest {
             self.leave_rest(from_rest, way, left, nominal, bounds)
         } else {
-            self.go_on(state, way, if last { way } else { left }, nominal, bounds)
+            self.keep_moving(state, way, if last { way } else { left }, nominal, bounds)
         };
         let speed = gone.end.speed * self.feed.running.scale;
         let end = Pace { speed, speed2: speed * speed };
@@ -77,89 +77,143 @@ impl<const N: usize> AnyMotion<N> {
         Gone { seconds: cube_root(32.0 * way / bounds.jerk), end: State { speed: slow, acceleration: 0.0 } }
     }
 
-    fn go_on(&mut self, state: State, way: f32, left: f32, nominal: f32, bounds: Bounds) -> Gone {
-        let State { speed, acceleration } = state;
-        let rest = left - way;
-        let time = way / speed;
-        let guess = way / greater(speed + 0.5 * acceleration * time, 0.5 * speed);
-        let change = bounds.jerk * guess;
-        let within = |wanted: f32| greater(lesser(wanted, acceleration + change), acceleration - change);
-        // The mean of both accelerations acts on the way, as if it were even: in a millisecond that is a hundredth of a
-        // micrometre off.
-        let to = |end: f32| -> Gone {
-            let end2 = speed * speed + (acceleration + end) * way;
-            if end2 <= 0.0 {
-                return Self::come_to_rest(&self.planner, speed, way, left, bounds);
-            }
-            let last = square_root(end2);
-            Gone { seconds: 2.0 * way / (speed + last), end: State { speed: last, acceleration: end } }
-        };
-
+    /// In motion: the greatest acceleration that is allowed, or a ramp down.
+    fn keep_moving(&mut self, state: State, way: f32, left: f32, nominal: f32, bounds: Bounds) -> Gone {
+        let next = Next::new(state, way, left, nominal, bounds, &self.planner);
         let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, self.feed.ahead), ..bounds };
-        let too_fast = speed > nominal * (1.0 + SNAP);
+        let too_fast = state.speed > nominal * (1.0 + SNAP);
         if too_fast {
-            // As far as the braking takes to be eased off, no block may mind it.
+            // The tightest bounds of all blocks that the braking will cross until it is eased off.
             let (_, ease) = state.valley(bounds.jerk);
-            allowed = self.planner.bounds_within(ease, left, speed * speed);
+            allowed = self.planner.bounds_within(ease, left, state.speed * state.speed);
         }
-        let best = within(state.towards(nominal, guess, allowed));
+        let best = next.within_jerk(state.towards(nominal, next.guess, allowed));
         // A hold has no speed to come down to in time, but the corners on its way are those of the queue.
         let most = if self.feed.hold == Hold::Ramp { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
-        let gone = to(best);
-        if let Some(ahead) = self.planner.allows(gone.end, rest, most)
-            && (gone.end.acceleration <= ahead || best < acceleration)
-        {
+        if let Some((ahead, gone)) = next.to_nominal(best, most).or_else(|| next.as_before(best, most)) {
             self.feed.ahead = ahead;
-            let off = (gone.end.speed - nominal).abs();
-            let slight = acceleration.abs() <= change && gone.end.acceleration.abs() <= 0.5 * change;
-            if slight && off <= SNAP * nominal {
-                return Gone {
-                    seconds: 2.0 * way / (speed + nominal),
-                    end: State { speed: nominal, acceleration: 0.0 },
-                };
-            }
             return gone;
         }
-        if acceleration >= 0.0 && acceleration < best {
-            let gone = to(acceleration);
-            if let Some(ahead) = self.planner.allows(gone.end, rest, most)
-                && gone.end.acceleration <= ahead
-            {
-                self.feed.ahead = ahead;
-                return gone;
-            }
-        }
-        let target = self.planner.target(0, left, bounds);
         self.feed.ahead = bounds.acceleration;
+        // Where the way is too short for the planned ramp, the running block's own bounds count, or those of the blocks in
+        // which the braking for another reason would be eased off.
+        next.ramp_down(best, if too_fast { allowed.acceleration } else { bounds.acceleration })
+    }
+}
+
+/// What the next segment of a machine in motion begins with.
+struct Next<'a, const N: usize> {
+    state: State,
+    /// Its way, and the way to the end of the block, mm.
+    way: f32,
+    left: f32,
+    nominal: f32,
+    bounds: Bounds,
+    /// About how long it takes, s, and by how much the acceleration may change meanwhile.
+    guess: f32,
+    change: f32,
+    planner: &'a Planner<N, [Block<N>]>,
+}
+
+impl<'a, const N: usize> Next<'a, N> {
+    #[inline]
+    fn new(
+        state: State,
+        way: f32,
+        left: f32,
+        nominal: f32,
+        bounds: Bounds,
+        planner: &'a Planner<N, [Block<N>]>,
+    ) -> Self {
+        let time = way / state.speed;
+        let guess = way / greater(state.speed + 0.5 * state.acceleration * time, 0.5 * state.speed);
+        Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
+    }
+
+    /// The acceleration next to a wanted one that the jerk allows.
+    #[inline]
+    fn within_jerk(&self, wanted: f32) -> f32 {
+        let acceleration = self.state.acceleration;
+        greater(lesser(wanted, acceleration + self.change), acceleration - self.change)
+    }
+
+    /// To another acceleration at the end. The mean of both acts on the way, as if it were even: in a millisecond that is a
+    /// hundredth of a micrometre off.
+    #[inline]
+    fn to(&self, end: f32) -> Gone {
+        let State { speed, acceleration } = self.state;
+        let end2 = speed * speed + (acceleration + end) * self.way;
+        if end2 <= 0.0 {
+            return self.come_to_rest();
+        }
+        let last = square_root(end2);
+        self.at_speed(last, end)
+    }
+
+    /// To a speed and acceleration at the end.
+    #[inline]
+    fn at_speed(&self, speed: f32, acceleration: f32) -> Gone {
+        Gone { seconds: 2.0 * self.way / (self.state.speed + speed), end: State { speed, acceleration } }
+    }
+
+    /// With the acceleration that leads to the nominal speed soonest, if it is allowed; and the least bound on easing it off.
+    #[inline]
+    fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Gone)> {
+        let gone = self.to(best);
+        let ahead = self.planner.allows(gone.end, self.left - self.way, most)?;
+        if gone.end.acceleration > ahead && best >= self.state.acceleration {
+            return None;
+        }
+        let off = (gone.end.speed - self.nominal).abs();
+        let slight = self.state.acceleration.abs() <= self.change && gone.end.acceleration.abs() <= 0.5 * self.change;
+        let arrives = slight && off <= SNAP * self.nominal;
+        Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { gone }))
+    }
+
+    /// With the acceleration that it has, if it is less than the best one and allowed.
+    #[inline]
+    fn as_before(&self, best: f32, most: f32) -> Option<(f32, Gone)> {
+        let acceleration = self.state.acceleration;
+        if acceleration < 0.0 || acceleration >= best {
+            return None;
+        }
+        let gone = self.to(acceleration);
+        let ahead = self.planner.allows(gone.end, self.left - self.way, most)?;
+        (gone.end.acceleration <= ahead).then_some((ahead, gone))
+    }
+
+    /// Down to the next anchor, where the way is too short with `steepest`.
+    #[inline]
+    fn ramp_down(&self, best: f32, steepest: f32) -> Gone {
+        let Self { state, way, .. } = *self;
+        let State { speed, acceleration } = state;
+        let target = self.planner.target(0, self.left, self.bounds);
         let (aim, distance) = target.beyond(speed, way);
         if aim <= 0.0 && distance <= way {
-            return Gone { seconds: 3.0 * time, end: State { speed: 0.0, acceleration: 0.0 } };
+            return Gone { seconds: 3.0 * (way / speed), end: State { speed: 0.0, acceleration: 0.0 } };
         }
-        // The bounds of a block that lies ahead plan a ramp. Where the way is too short for it, the running block's own count,
-        // or those of the blocks in which the braking for another reason would be eased off.
-        let steepest = if too_fast { allowed.acceleration } else { bounds.acceleration };
+        // The bounds of a block that lies ahead plan a ramp.
         let planned = target.bounds.acceleration;
         // A raised override or a bend that is noticed late leaves less in a bend than was counted on: all of it is taken then.
         let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
         let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
         if acceleration <= 0.0 {
-            let next = speed + acceleration * guess;
+            let next = speed + acceleration * self.guess;
             let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
             wanted = greater(wanted, land);
         }
-        let gone = to(lesser(within(wanted), best));
+        let gone = self.to(lesser(self.within_jerk(wanted), best));
         // Where the ramp's last piece is coarse (a tick in which most of the speed goes), it ends as planned all the same.
         let even = (speed * speed - aim * aim) / (2.0 * way);
-        if distance <= way && aim < 0.5 * speed && gone.end.speed > aim && even <= all {
-            return Gone { seconds: 2.0 * way / (speed + aim), end: State { speed: aim, acceleration: 0.0 } };
-        }
-        gone
+        let coarse = distance <= way && aim < 0.5 * speed && gone.end.speed > aim && even <= all;
+        if coarse { self.at_speed(aim, 0.0) } else { gone }
     }
 
-    /// The end of a way on which the braking comes to rest: the block goes on to its end, which it leaves no faster than planned.
+    /// The end of a way on which the braking comes to rest: to its end, which it leaves no faster than planned.
     #[inline(never)]
-    fn come_to_rest(planner: &Planner<N, [Block<N>]>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Gone {
-        let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
+    fn come_to_rest(&self) -> Gone {
+        let Self { state: State { speed, .. }, way, left, .. } = *self;
+        let exit = if left > way { speed } else { lesser(speed, self.planner.target(0, left, self.bounds).speed) };
         // To rest with an even jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
         Gone { seconds, end: State { speed: exit, acceleration: 0.0 } }
