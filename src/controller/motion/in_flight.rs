@@ -9,7 +9,7 @@ const RING: usize = SEGMENTS_DEPTH + 4;
 
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Record<const N: usize> {
+pub(super) struct InFlightSegment<const N: usize> {
     /// Machine steps of the tool at its end, and how far the motors lead it.
     pub position: PerAxis<i32, N>,
     pub lead: [i32; N],
@@ -21,7 +21,7 @@ pub(super) struct Record<const N: usize> {
     pub power: u16,
 }
 
-impl<const N: usize> Record<N> {
+impl<const N: usize> InFlightSegment<N> {
     const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
         Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0 }
     }
@@ -34,22 +34,22 @@ impl<const N: usize> Record<N> {
 
 /// The records of segments not begun, and that of the one begun last.
 #[derive(Clone, Debug)]
-pub(super) struct Flight<const N: usize> {
-    ring: [Record<N>; RING],
+pub(super) struct SegmentsInFlight<const N: usize> {
+    ring: [InFlightSegment<N>; RING],
     first: usize,
     len: usize,
     /// Time of all records in the ring.
     queued: u32,
     /// Count of the step task at which the first record of the ring is still to begin.
     begun: u32,
-    current: Record<N>,
+    current: InFlightSegment<N>,
     /// The one before it.
-    before: Record<N>,
+    before: InFlightSegment<N>,
 }
 
-impl<const N: usize> Flight<N> {
+impl<const N: usize> SegmentsInFlight<N> {
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
-        let record = Record::still(position, [0; N]);
+        let record = InFlightSegment::still(position, [0; N]);
         Self { ring: [record; RING], first: 0, len: 0, queued: 0, begun: 0, current: record, before: record }
     }
 
@@ -68,16 +68,16 @@ impl<const N: usize> Flight<N> {
         self.queued
     }
 
-    pub(super) fn current(&self) -> &Record<N> {
+    pub(super) fn current(&self) -> &InFlightSegment<N> {
         &self.current
     }
 
     /// What had been done before the segment begun last.
-    pub(super) fn before(&self) -> &Record<N> {
+    pub(super) fn before(&self) -> &InFlightSegment<N> {
         &self.before
     }
 
-    pub(super) fn push(&mut self, record: Record<N>) {
+    pub(super) fn push(&mut self, record: InFlightSegment<N>) {
         let index = self.first + self.len;
         let index = if index >= RING { index - RING } else { index };
         if let Some(slot) = self.ring.get_mut(index) {
@@ -114,7 +114,7 @@ impl<const N: usize> Flight<N> {
     pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;
-        self.current = Record::still(position, lead);
+        self.current = InFlightSegment::still(position, lead);
         self.before = self.current;
     }
 }

@@ -1,24 +1,21 @@
 //! Moves on their way in: from a target to a block of the queue.
 
 use super::arc::Arc;
-use super::backlash;
+use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
+use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
-use super::curvature::{NOTICEABLE, Piece};
-use super::measure::Measure;
-use super::planner::{SQUARE_CORNER, UNLIMITED2};
-use super::profile::{greater, lesser, square_root};
-use super::{
-    AnyMotion, GREATEST_ACCELERATION, GREATEST_SPEED, LEAST_SPEED, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE,
-    Motors, Move, Speed, bounded, signed_steps, unsigned_steps,
-};
+use super::curvature::{NOTICEABLE, PathPiece};
+use super::junction::UNLIMITED2;
+use super::measure::{Measure, signed_add};
+use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
+use super::trapezoid::{greater, lesser, square_root};
+use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};
 use crate::messages::Leg;
 use crate::units::Coordinate;
 
 /// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
 const MOST_OVERRIDE: f32 = 2.0;
-/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
-const LEAST_EASE: f32 = 0.004;
 
 /// The steps of a chord with its true ends, which are told in terms of the axes. With very many steps it is stepped as a
 /// line: a part of a step is nothing to it.
@@ -32,6 +29,23 @@ fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32
         }
     }
     legs
+}
+
+/// Steps with their direction.
+fn signed_steps<const N: usize>(steps: &[u32; N], directions: u8) -> [i32; N] {
+    let mut signed = [0; N];
+    for (bit, (signed, steps)) in signed.iter_mut().zip(steps).enumerate() {
+        *signed = signed_add(0, *steps, directions >> bit & 1 != 0);
+    }
+    signed
+}
+
+fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
+    let mut directions = 0;
+    for (bit, steps) in signed.iter().enumerate() {
+        directions |= u8::from(*steps < 0) << bit;
+    }
+    (signed.map(i32::unsigned_abs), directions)
 }
 
 /// From the end of the last block to the target of a move.
@@ -58,6 +72,11 @@ struct MotorSteps<const N: usize> {
     steps: [u32; N],
     /// A bit for each motor: set if it turns to negative.
     directions: u8,
+}
+
+/// How large the steps of a block are.
+#[derive(Clone, Copy)]
+struct StepSizes {
     /// Steps of the motor that has most.
     dominant: u32,
     /// The way that the steps stand for, less half a step: how long the path must be at least, mm.
@@ -66,26 +85,26 @@ struct MotorSteps<const N: usize> {
     coarsest_mm: f32,
 }
 
-impl<const N: usize> AnyMotion<N> {
+impl<const N: usize> AnyQueue<N> {
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
-    pub fn line(&mut self, m: &Move<N>) -> bool {
+    pub(super) fn line(&mut self, m: &Move<N>) -> bool {
         self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of an arc: [`AnyMotion::line`], not faster than the arc's own curve allows, and stepped along its true
+    /// Queues a chord of an arc: [`MoveQueue::line`], not faster than the arc's own curve allows, and stepped along its true
     /// ends instead of the steps next to them.
-    pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
+    pub(super) fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
-        for (axis, most) in Axis::of_machine::<N>().zip(self.turns.acceleration) {
+        for (axis, most) in Axis::of_machine::<N>().zip(self.limits.turns.acceleration) {
             if arc.bends(axis) {
                 acceleration = lesser(acceleration, most);
             }
         }
-        acceleration *= self.turns.curve_share;
+        acceleration *= self.limits.turns.curve_share;
         self.queue(m, acceleration * arc.curve_radius(), true)
     }
 
-    fn queue(&mut self, m: &Move<N>, bend2: f32, chord: bool) -> bool {
+    fn queue(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) -> bool {
         if self.free_blocks() == 0 {
             return false;
         }
@@ -93,7 +112,7 @@ impl<const N: usize> AnyMotion<N> {
         let m = match m.speed {
             // The time is that of the whole, and a piece of it may be cut off.
             Speed::Duration(seconds) if self.backlash.is_on() => {
-                timed = Move { speed: Speed::Feed(self.distance(&m.target) / seconds), ..*m };
+                timed = Move { speed: Speed::Feed(self.end.distance(&m.target) / seconds), ..*m };
                 &timed
             }
             _ => m,
@@ -103,7 +122,7 @@ impl<const N: usize> AnyMotion<N> {
             if !chord {
                 self.take_up_before_plunge(m);
             }
-            self.begin_taking_up(m, bend2, chord);
+            self.begin_taking_up(m, curve_speed2, chord);
         }
         let steps = self.kinematics.steps(&m.target);
         let mut most = 0;
@@ -111,16 +130,16 @@ impl<const N: usize> AnyMotion<N> {
             most = most.max(new.abs_diff(*old));
         }
         if most < MAX_STEPS {
-            self.append(m, &steps, bend2, chord);
+            self.append(m, &steps, curve_speed2, chord);
             return true;
         }
         let mut whole = *m;
         if let Speed::Duration(seconds) = m.speed {
-            whole.speed = Speed::Feed(self.distance(&m.target) / seconds);
+            whole.speed = Speed::Feed(self.end.distance(&m.target) / seconds);
         }
         // One piece more than the quotient: a piece's own rounding may add a step.
         let pieces = most / (MAX_STEPS / 2) + 1;
-        self.long = Some(LongMove { start: self.end.planned, whole, bend2, pieces, next: 1 });
+        self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
         true
     }
@@ -155,45 +174,35 @@ impl<const N: usize> AnyMotion<N> {
             }
             let steps = self.kinematics.steps(&piece.target);
             // Pieces have more steps than can begin or end between them.
-            self.append(&piece, &steps, long.bend2, false);
+            self.append(&piece, &steps, long.curve_speed2, false);
         }
     }
 
-    /// mm from the end of the queue.
-    pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
-        let mut square = 0.0;
-        for (to, from) in target.iter().zip(self.end.planned.iter()) {
-            let way = (*to - *from).to_mm();
-            square += way * way;
-        }
-        square_root(square)
-    }
-
-    /// Makes a block of a move; there is room and it is not too long. `bend2`: greatest speed² on its curve, if it knows.
-    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, bend2: f32, chord: bool) {
+    /// Makes a block of a move; there is room and it is not too long. `curve_speed2`: greatest speed² on its curve, if it knows.
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, curve_speed2: f32, chord: bool) {
         let promised2 =
-            if self.looks_ahead() { self.join(m, target_steps, bend2 >= UNLIMITED2 && !chord) } else { 0.0 };
+            if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
         let path = self.path_to(&m.target);
         self.end.planned = m.target;
-        let mut motors = self.steps_to(target_steps);
-        if motors.dominant == 0 {
-            self.end.carried = path.length;
+        let (mut motors, sizes) = self.steps_to(target_steps);
+        if sizes.dominant == 0 {
+            self.end.length_carry = path.length;
             return;
         }
         // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
         // too fast, so the block is taken as longer, and the next one as shorter by as much.
-        let length = greater(path.length, motors.least_mm);
-        self.end.carried = greater(path.length - length, -motors.least_mm);
+        let length = greater(path.length, sizes.least_mm);
+        self.end.length_carry = greater(path.length - length, -sizes.least_mm);
         let start = core::mem::replace(&mut self.end.block_end, m.target);
         self.end.planned_steps = *target_steps;
 
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let mut block = Block::<N> { length, line_number: m.line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved =
-            if path.length < motors.least_mm { self.way_of_steps(&motors, length, &path.way) } else { path.way };
-        let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, bend2);
+        let moved = if path.length < sizes.least_mm { self.way_of_steps(&motors, length, &path.way) } else { path.way };
+        let timed = if path.length < sizes.least_mm { length } else { path.own };
+        let rapid = self.set_speeds(&mut block, m, timed, &moved, &mut motors, curve_speed2);
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         block.directions = motors.directions;
@@ -202,7 +211,7 @@ impl<const N: usize> AnyMotion<N> {
             None => motors.steps.map(Leg::on_steps),
         };
         let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
-        let piece = Piece {
+        let piece = PathPiece {
             start: &start,
             end: &m.target,
             direction: &unit,
@@ -211,72 +220,71 @@ impl<const N: usize> AnyMotion<N> {
             fast2: fastest * fastest,
             digit: self.chain.last_digit(m.digit),
         };
-        block.corner2 = greater(self.entry_corner2(&piece, path.leads_nowhere(motors.coarsest_mm)), promised2);
+        block.corner2 = greater(self.entry_corner2(&piece, path.leads_nowhere(sizes.coarsest_mm)), promised2);
         self.end.direction = unit;
-        if bend2 < NOTICEABLE * piece.fast2 {
-            block.curve = CurveLoad::new(bend2, self.least_acceleration(&moved));
+        if curve_speed2 < NOTICEABLE * piece.fast2 {
+            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&moved));
         }
         self.push(block, &piece);
     }
 
     /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
-    /// steps. Gives the flag of a rapid.
+    /// steps. `timed`: what is gone in the time of a move that has one, mm. Gives the flag of a rapid.
     #[inline]
     fn set_speeds(
         &mut self,
         block: &mut Block<N>,
         m: &Move<N>,
-        path: &Path<N>,
+        timed: f32,
         moved: &PerAxis<f32, N>,
         motors: &mut MotorSteps<N>,
-        bend2: f32,
+        curve_speed2: f32,
     ) -> u8 {
         let length = block.length;
-        let (mut acceleration, mut limit) = self.limits(moved, length);
-        block.jerk = self.jerk_along(moved, length, acceleration);
+        let (mut acceleration, mut limit) = self.limits.along(moved, length);
+        block.jerk = self.limits.jerk_along(moved, length, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
-            Speed::Duration(seconds) => (if path.length < motors.least_mm { length } else { path.own } / seconds, 0),
+            Speed::Duration(seconds) => (timed / seconds, 0),
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
             if let Some(way) = self.take_up(motors, moved, length, acceleration, speed) {
-                (acceleration, limit) = self.limits(&way, length);
-                block.jerk = self.jerk_along(&way, length, acceleration);
+                (acceleration, limit) = self.limits.along(&way, length);
+                block.jerk = self.limits.jerk_along(&way, length, acceleration);
                 self.join.close();
             }
         }
         block.acceleration = acceleration;
-        block.programmed = bounded(programmed, LEAST_SPEED, GREATEST_SPEED);
-        block.limit = if bend2 < limit * limit { square_root(bend2) } else { limit };
+        block.programmed = bounded_speed(programmed);
+        block.limit = if curve_speed2 < limit * limit { square_root(curve_speed2) } else { limit };
         rapid
     }
 
     /// Greatest speed² at the corner before a piece; `waits`: its block takes the time of moves that led nowhere, so it has
     /// corners before and behind it.
     #[inline]
-    fn entry_corner2(&mut self, piece: &Piece<'_, N>, waits: bool) -> f32 {
-        if self.end.tool_stands {
+    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, waits: bool) -> f32 {
+        if self.end.motors_only {
             self.chain.restart(piece.start);
         }
-        let mut corner2 = self.chain.corner2(piece, &self.turns);
-        if waits || self.end.waited {
-            let square = self.turns.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
-            corner2 = lesser(corner2, square * self.turns.deviation * SQUARE_CORNER);
+        let mut corner2 = self.chain.corner2(piece, &self.limits.turns);
+        if waits || self.end.had_stepless_moves {
+            corner2 = lesser(corner2, self.limits.turns.square_corner2());
             self.join.close();
         }
-        self.end.waited = waits;
-        if core::mem::take(&mut self.end.tool_stands) { 0.0 } else { corner2 }
+        self.end.had_stepless_moves = waits;
+        if core::mem::take(&mut self.end.motors_only) { 0.0 } else { corner2 }
     }
 
     /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
     #[inline]
-    fn push(&mut self, block: Block<N>, piece: &Piece<'_, N>) {
+    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>) {
         self.planner.push(block, self.overrides);
         if self.looks_ahead() && !self.join.keeps(piece) {
             let planner = &mut self.planner;
-            self.chain.extend(piece, &self.turns, &mut |bend| planner.limit(&bend));
+            self.chain.extend(piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
         self.planner.plan();
     }
@@ -290,14 +298,15 @@ impl<const N: usize> AnyMotion<N> {
             square += part * part;
         }
         let straight = square_root(square);
-        let own = if self.end.planned == self.end.block_end { straight } else { self.distance(target) };
-        Path { way, straight, own, length: own + self.end.carried }
+        let own = if self.end.planned == self.end.block_end { straight } else { self.end.distance(target) };
+        Path { way, straight, own, length: own + self.end.length_carry }
     }
 
     /// The steps from the end of the last block.
     #[inline]
-    fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> MotorSteps<N> {
-        let mut motors = MotorSteps { steps: [0; N], directions: 0, dominant: 0, least_mm: 0.0_f32, coarsest_mm: 0.0 };
+    fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
+        let mut motors = MotorSteps { steps: [0; N], directions: 0 };
+        let mut sizes = StepSizes { dominant: 0, least_mm: 0.0, coarsest_mm: 0.0 };
         let places = target_steps.iter().zip(self.end.planned_steps.iter());
         let axes = motors.steps.iter_mut().zip(self.kinematics.least_mm);
         for (bit, ((to, from), (steps, mm))) in places.zip(axes).enumerate() {
@@ -306,12 +315,12 @@ impl<const N: usize> AnyMotion<N> {
                 motors.directions |= 1 << bit;
             }
             if *steps > 0 {
-                motors.least_mm = greater((*steps as f32 - 0.5) * mm, motors.least_mm);
-                motors.coarsest_mm = greater(mm, motors.coarsest_mm);
+                sizes.least_mm = greater((*steps as f32 - 0.5) * mm, sizes.least_mm);
+                sizes.coarsest_mm = greater(mm, sizes.coarsest_mm);
             }
-            motors.dominant = motors.dominant.max(*steps);
+            sizes.dominant = sizes.dominant.max(*steps);
         }
-        motors
+        (motors, sizes)
     }
 
     /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
@@ -333,62 +342,20 @@ impl<const N: usize> AnyMotion<N> {
         target_steps: &PerAxis<i32, N>,
         chord: bool,
     ) -> Option<[[i32; N]; 2]> {
-        let start = self.beyond.take();
+        let start = self.substep_offset.take();
         if !chord {
             return None;
         }
         let start =
             start.unwrap_or_else(|| self.kinematics.sevenths_beyond(&self.end.planned, &self.end.planned_steps));
         let end = self.kinematics.sevenths_beyond(target, target_steps);
-        self.beyond = Some(end);
+        self.substep_offset = Some(end);
         Some([start, end])
-    }
-
-    /// Greatest acceleration and speed along a way of this length at which no axis goes beyond its own.
-    #[inline]
-    pub(super) fn limits(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
-        let mut acceleration = GREATEST_ACCELERATION;
-        let mut limit = GREATEST_SPEED;
-        for ((part, most), rate) in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {
-            if *part == 0.0 {
-                continue;
-            }
-            let share = part.abs() / length;
-            if share * acceleration > most {
-                acceleration = most / share;
-            }
-            if share * limit > rate {
-                limit = rate / share;
-            }
-        }
-        (acceleration, limit)
-    }
-
-    /// The acceleration that all axes of a way take, whatever its direction.
-    #[inline(never)]
-    fn least_acceleration(&self, way: &PerAxis<f32, N>) -> f32 {
-        let moving = way.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);
-        moving.fold(GREATEST_ACCELERATION, |least, (_, own)| lesser(own, least))
-    }
-
-    /// Greatest jerk along a way of this length at which no axis goes beyond its own.
-    #[inline]
-    pub(super) fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
-        let mut jerk = acceleration / LEAST_EASE;
-        if self.planner.jerk_limited {
-            for (part, most) in way.iter().zip(self.jerk) {
-                let share = part.abs() / length;
-                if share * jerk > most {
-                    jerk = most / share;
-                }
-            }
-        }
-        jerk
     }
 
     /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
     #[inline(never)]
-    fn begin_taking_up(&mut self, m: &Move<N>, bend2: f32, chord: bool) {
+    fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
         let moved = steps.zip(&self.end.planned_steps, i32::wrapping_sub);
         let mut after = self.backlash;
@@ -396,15 +363,15 @@ impl<const N: usize> AnyMotion<N> {
         if !after.is_outstanding() || moved.iter().all(|steps| *steps == 0) {
             return;
         }
-        let distance = self.distance(&m.target);
+        let distance = self.end.distance(&m.target);
         let way = m.target.zip(&self.end.planned, |to, from| (to - from).to_mm());
-        let (acceleration, limit) = self.limits(&way, distance);
+        let (acceleration, limit) = self.limits.along(&way, distance);
         let feed = match m.speed {
             Speed::Rapid => limit,
             Speed::Feed(feed) => feed,
             Speed::Duration(seconds) => distance / seconds,
         };
-        let share = backlash::share(acceleration, self.turns.deviation, lesser(feed, limit));
+        let share = backlash::share(acceleration, self.limits.turns.deviation, lesser(feed, limit));
         let mut needed = 0.0;
         for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
             needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
@@ -416,7 +383,7 @@ impl<const N: usize> AnyMotion<N> {
             let steps = self.kinematics.steps(&target);
             let most = steps.iter().zip(self.end.planned_steps.iter()).map(|(to, from)| to.abs_diff(*from)).max();
             if most.is_some_and(|most| most < MAX_STEPS) {
-                self.append(&Move { target, speed, ..*m }, &steps, bend2, chord);
+                self.append(&Move { target, speed, ..*m }, &steps, curve_speed2, chord);
             }
         }
     }
@@ -437,7 +404,7 @@ impl<const N: usize> AnyMotion<N> {
         if !self.backlash.is_outstanding() {
             return None;
         }
-        let room = backlash::share(acceleration, self.turns.deviation, speed) * length;
+        let room = backlash::share(acceleration, self.limits.turns.deviation, speed) * length;
         let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
         for (most, moved) in most.iter_mut().zip(moved) {
             *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);
@@ -452,11 +419,11 @@ impl<const N: usize> AnyMotion<N> {
     }
 
     /// The queue is empty, at a place of the motors. If slack is left, because the last moves were too short: a block of its
-    /// own, from rest to rest, in which the tool stands still or comes to its place.
+    /// own, from rest to rest, in which the tool is at rest or comes to its position.
     #[inline(never)]
-    pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>) {
+    pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
-        self.turn_motors(&taken, self.feed.running.line_number);
+        self.turn_motors(&taken, line_number);
     }
 
     /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
@@ -490,13 +457,13 @@ impl<const N: usize> AnyMotion<N> {
         block.legs = steps.map(Leg::on_steps);
         block.line_number = line_number;
         block.length = length;
-        (block.acceleration, block.limit) = self.limits(&way, length);
-        block.jerk = self.jerk_along(&way, length, block.acceleration);
+        (block.acceleration, block.limit) = self.limits.along(&way, length);
+        block.jerk = self.limits.jerk_along(&way, length, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE;
-        // The tool stands: a beam would burn a hole.
+        // The tool does not move: a beam would burn a hole.
         block.power = 0;
-        self.end.tool_stands = true;
+        self.end.motors_only = true;
         self.end_join();
         self.planner.push(block, self.overrides);
         self.planner.plan();
