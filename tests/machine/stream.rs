@@ -223,7 +223,7 @@ impl Stream {
             self.unread[at..].lines().next().expect("a line").to_string()
         };
         self.read();
-        let place = numbers(&report, "MPos").expect("a machine position");
+        let place = numbers::<3>(&report, "MPos").expect("a machine position");
         // The report runs ahead by up to the segment being executed while the machine moves.
         if !report.starts_with("<Run") && !report.starts_with("<Jog") && !report.starts_with("<Hold:1") {
             for (axis, mm) in place.iter().enumerate() {

@@ -161,7 +161,7 @@ fn session(seed: u64) {
         match random.below(12) {
             0..=6 => {
                 let mut bytes = line(&mut random).into_bytes();
-                bytes.extend(of(&mut random, &["\n", "\n", "\r\n", "\r"]).bytes());
+                bytes.extend(random.of(&["\n", "\n", "\r\n", "\r"]).bytes());
                 if random.below(6) == 0 {
                     let at = random.below(bytes.len() as u64) as usize;
                     let byte = match random.below(4) {
@@ -191,10 +191,9 @@ fn session(seed: u64) {
                 bench.send([byte]);
             }
             9 => {
-                let pin = of(
-                    &mut random,
-                    &["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"],
-                );
+                let pin = random.of(&[
+                    "door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault",
+                ]);
                 let text = format!("{pin} {}", random.below(2));
                 write!(history, "{text} ").unwrap();
                 bench.pin(&text);

@@ -1,6 +1,7 @@
 //! A machine on the bench: the simulator in process, what it said, and where its pulses have brought it.
 
 use oxmill_simulator::{Fittings, Options, Simulator, boards};
+use oxmill_test_support::numbers;
 use std::time::Duration;
 
 pub const AXES: usize = boards::AXES;
@@ -136,7 +137,7 @@ impl Bench {
     /// The machine position as reported, in steps.
     pub fn reported(&mut self) -> [f64; AXES] {
         let status = self.status();
-        numbers(&status, "MPos").unwrap_or_else(|| panic!("no MPos in {status}")).map(|mm| mm * STEPS)
+        numbers::<AXES>(&status, "MPos").unwrap_or_else(|| panic!("no MPos in {status}")).map(|mm| mm * STEPS)
     }
 }
 

@@ -32,9 +32,10 @@ struct Mutant {
     edits: &'static [Edit],
 }
 
-const INTAKE: &str = "src/controller/motion/intake.rs";
-const MOTION: &str = "src/controller/motion/mod.rs";
-const HANDOVER: &str = "src/controller/motion/handover.rs";
+const AXIS_LIMITS: &str = "src/controller/motion/axis_limits.rs";
+const QUEUE: &str = "src/controller/motion/queue.rs";
+const RUNNING: &str = "src/controller/motion/running.rs";
+const SEGMENT_FEED: &str = "src/controller/motion/segment_feed.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
 const CURVATURE: &str = "src/controller/motion/curvature.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";
@@ -51,7 +52,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "one-axis-ignored",
         edits: &[Edit {
-            file: INTAKE,
+            file: AXIS_LIMITS,
             find: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {",
             replace: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate).skip(1) {",
         }],
@@ -60,8 +61,8 @@ const MUTANTS: &[Mutant] = &[
         name: "no-junction-rule",
         edits: &[Edit {
             file: CURVATURE,
-            find: "        self.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
-            replace: "        1.0e9 * self.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
+            find: "        rule.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
+            replace: "        1.0e9 * rule.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
         }],
     },
     Mutant {
@@ -91,8 +92,8 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "late-bend-leaves-too-little",
         edits: &[Edit {
-            file: HANDOVER,
-            find: "if self.feed.pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {",
+            file: RUNNING,
+            find: "if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {",
             replace: "if planned > 0.0 {",
         }],
     },
@@ -131,17 +132,17 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "hold-without-ramp",
         edits: &[Edit {
-            file: MOTION,
-            find: "self.feed.hold = if self.feed.rest { Hold::Held } else { Hold::Ramp };",
-            replace: "self.feed.hold = Hold::Held;",
+            file: SEGMENT_FEED,
+            find: "self.state = if self.rest { FeedState::Held } else { FeedState::Braking };",
+            replace: "self.state = FeedState::Held;",
         }],
     },
     Mutant {
         name: "hold-twice-as-hard",
         edits: &[Edit {
-            file: HANDOVER,
-            find: "let way = self.feed.pace.speed2 / (2.0 * acceleration);",
-            replace: "let way = self.feed.pace.speed2 / (4.0 * acceleration);",
+            file: RUNNING,
+            find: "let way = pace.speed2 / (2.0 * acceleration);",
+            replace: "let way = pace.speed2 / (4.0 * acceleration);",
         }],
     },
     Mutant {
@@ -165,16 +166,16 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "override-in-one-jump",
         edits: &[Edit {
-            file: MOTION,
-            find: "        self.feed.running.nominal2 = nominal2;\n",
-            replace: "        self.feed.running.nominal2 = nominal2;\n        self.feed.pace = Pace { speed: nominal, speed2: nominal2 };\n",
+            file: SEGMENT_FEED,
+            find: "        self.running.nominal2 = nominal2;\n",
+            replace: "        self.running.nominal2 = nominal2;\n        self.motion.pace = Pace { speed: nominal, speed2: nominal2 };\n",
         }],
     },
     Mutant {
         name: "no-jerk-rule",
         edits: &[Edit {
-            file: MOTION,
-            find: "self.planner.jerk_limited = settings.jerk.iter().any(|jerk| *jerk > 0.0);",
+            file: QUEUE,
+            find: "self.planner.jerk_limited = self.limits.is_jerk_limited();",
             replace: "self.planner.jerk_limited = false;",
         }],
     },
@@ -189,7 +190,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "jerk-of-one-axis-ignored",
         edits: &[Edit {
-            file: INTAKE,
+            file: AXIS_LIMITS,
             find: "for (part, most) in way.iter().zip(self.jerk) {",
             replace: "for (part, most) in way.iter().zip(self.jerk).skip(1) {",
         }],

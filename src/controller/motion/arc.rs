@@ -2,7 +2,7 @@
 //! turned in 2^-30 fixed point and kept at length 1, so the radius does not drift however many chords or turns there are.
 //! The last chord ends at the target exactly. Checking that the arc makes sense is left to the G-code rooms.
 
-use super::profile::square_root;
+use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
 use crate::units::{Coordinate, integer_root, wide_to_f32};
 

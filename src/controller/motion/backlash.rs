@@ -9,7 +9,8 @@
 //! have been taken, and that the place of the tool is known at any moment: the tool follows its motor as a carriage with
 //! play does. Steps here are steps of motors.
 
-use super::profile::{lesser, square_root};
+use super::trapezoid::{lesser, square_root};
+use crate::axes::PerAxis;
 
 /// Least share of a move's length that is taken up in it, whatever the corner rule says: less would stretch the error over
 /// a long way (and with a junction deviation of 0 for ever).
@@ -31,6 +32,22 @@ pub(super) struct Backlash<const N: usize> {
 /// How far each motor leads its tool, in steps.
 pub(super) type Lead<const N: usize> = [i32; N];
 
+/// Motors, and how far each leads its tool because of backlash.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Motors<const N: usize> {
+    pub steps: PerAxis<i32, N>,
+    pub lead: Lead<N>,
+}
+
+impl<const N: usize> Motors<N> {
+    pub(super) const ZERO: Self = Self { steps: PerAxis::all(0), lead: [0; N] };
+
+    /// The step at which the tool is.
+    pub(super) fn tool(&self) -> PerAxis<i32, N> {
+        self.steps.zip(&PerAxis(self.lead), i32::wrapping_sub)
+    }
+}
+
 impl<const N: usize> Backlash<N> {
     pub(super) const NONE: Self = Self { slack: [0; N], lead: [0; N], wanted: [0; N] };
 
@@ -48,7 +65,7 @@ impl<const N: usize> Backlash<N> {
         lead
     }
 
-    /// The queue begins anew with this lead.
+    /// The queue is empty, and begins with this lead.
     pub(super) fn rest(&mut self, lead: Lead<N>) {
         self.lead = self.lead_within(lead);
         self.wanted = self.lead;
@@ -131,11 +148,17 @@ impl<const N: usize> Backlash<N> {
         }
         after
     }
+
+    /// The motors after they have turned to other steps, each in one direction.
+    pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
+        let turned = steps.zip(&from.steps, i32::wrapping_sub);
+        Motors { steps, lead: self.follow(&from.lead, &turned.0) }
+    }
 }
 
 /// The share of a move's length that a motor may take up in it: half of the bend in the motors' path that the corner rule
 /// takes at `speed` (mm/s). The other half is for bends that the tool's path has already, as between chords of an arc. For
-/// a small angle φ the rule is v² = 8·a·d/φ² (`planner::corner_speed2`).
+/// a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
     // Not a number counts as none.
@@ -182,5 +205,8 @@ mod tests {
         assert_eq!(backlash.follow(&[3], &[100]), [5]);
         assert_eq!(backlash.follow(&[5], &[-2]), [3]);
         assert_eq!(backlash.follow(&[3], &[-100]), [0]);
+        let followed = backlash.followed(&Motors { steps: PerAxis([10]), lead: [3] }, PerAxis([14]));
+        assert_eq!(followed, Motors { steps: PerAxis([14]), lead: [5] });
+        assert_eq!(followed.tool(), PerAxis([9]));
     }
 }

@@ -1,7 +1,7 @@
 //! A block: one straight move with everything that planning and stepping need to know of it, in 68 bytes at most.
 
 use super::jerk::Bounds;
-use super::profile::{greater, lesser, square_root};
+use super::trapezoid::{greater, lesser, square_root};
 use crate::messages::Leg;
 
 /// What a block's programmed speed means.
@@ -16,9 +16,14 @@ pub(super) const MAX_STEPS: u32 = 1 << Leg::STEP_BITS;
 
 /// Factors on programmed feeds and on rapids.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Overrides {
+pub(super) struct OverrideFactors {
     pub feed: f32,
     pub rapid: f32,
+}
+
+impl OverrideFactors {
+    /// As programmed.
+    pub(super) const NONE: Self = Self { feed: 1.0, rapid: 1.0 };
 }
 
 /// A straight move. Lengths in mm, speeds in mm/s; `2` at the end of a name means squared.
@@ -28,11 +33,11 @@ pub struct Block<const N: usize> {
     pub(super) line_number: u32,
     /// Path length, lengths of moves too short for a step included.
     pub(super) length: f32,
-    /// Greatest acceleration along the path that no axis minds.
+    /// Greatest acceleration along the path at which no axis goes beyond its own, mm/s².
     pub(super) acceleration: f32,
     /// Speed as programmed, before overrides.
     pub(super) programmed: f32,
-    /// Greatest speed along the path that no axis minds.
+    /// Greatest speed along the path at which no axis goes beyond its own, mm/s.
     pub(super) limit: f32,
     /// What the corner with the block before allows, whatever the nominal speeds are.
     pub(super) corner2: f32,
@@ -41,7 +46,7 @@ pub struct Block<const N: usize> {
     /// Planned entry speed: from it the rest of the queue can be braked to a stop. With a jerk limit, that of the anchor
     /// that `ramp` leads to.
     pub(super) entry2: f32,
-    /// Greatest jerk along the path that no axis minds; means nothing without a jerk limit.
+    /// Greatest jerk along the path at which no axis goes beyond its own, mm/s³; means nothing without a jerk limit.
     pub(super) jerk: f32,
     /// How the entry is planned with a jerk limit.
     pub(super) ramp: Ramp,
@@ -192,7 +197,7 @@ impl<const N: usize> Block<N> {
 
     /// The speed to run at under overrides.
     #[inline]
-    pub(super) fn nominal(&self, overrides: Overrides) -> f32 {
+    pub(super) fn nominal(&self, overrides: OverrideFactors) -> f32 {
         let wanted = if self.flags & NO_OVERRIDE != 0 {
             self.programmed
         } else if self.flags & RAPID != 0 {

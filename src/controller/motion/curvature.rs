@@ -22,8 +22,8 @@
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
 use super::block::CurveLoad;
-use super::planner::{SQUARE_CORNER, UNLIMITED2};
-use super::profile::{greater, lesser, square_root};
+use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, radius_of, turn2};
+use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
 
@@ -35,14 +35,8 @@ const SHORTEST: f32 = 1.0 / 256.0;
 const HISTORY: usize = 4;
 /// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
 const DIGITS_ASIDE: f32 = 1.5;
-/// A turn of which noise can explain less than this share is taken as it is.
-const CERTAIN: f32 = 1.0 / 64.0;
 /// A span whose ends are closer than this share of its path is no chord of a bend: that of half a circle has 0.64.
 const STRAIGHTNESS: f32 = 0.6;
-/// q² below which a path is straight: the cosine of 0.999999 at which Grbl stops to compute.
-const STRAIGHT: f32 = 2.0e-6;
-/// q² beyond which a move turns back on itself.
-const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// q² of 0.6 rad: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
 /// faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
@@ -71,17 +65,6 @@ pub(super) struct Bend {
     pub curve: CurveLoad,
     pub nearest: usize,
     pub farthest: usize,
-}
-
-/// What the rule must know of the machine.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TurnRule<const N: usize> {
-    /// Of each axis, mm/s².
-    pub acceleration: [f32; N],
-    /// Junction deviation, mm.
-    pub deviation: f32,
-    /// Share of the acceleration that bends may take.
-    pub curve_share: f32,
 }
 
 /// A span of the path with the direction from its start to its end.
@@ -126,7 +109,7 @@ impl<const N: usize> Span<N> {
     };
 
     /// A single piece.
-    fn of(piece: &Piece<'_, N>) -> Self {
+    fn of(piece: &PathPiece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
         let noise = if straight { DIGITS_ASIDE * piece.digit / piece.length } else { 0.0 };
         Self {
@@ -145,11 +128,68 @@ impl<const N: usize> Span<N> {
     fn half(&self) -> f32 {
         if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
     }
+
+    /// Greatest speed² at the corner with the piece before; both are single pieces.
+    #[inline]
+    fn corner2(&self, before: &Self, rule: &TurnRule<N>) -> f32 {
+        let all2 = turn2(&before.direction, &self.direction);
+        if !before.straight || !self.straight {
+            return UNLIMITED2;
+        }
+        let Some((turn2, sine)) = certain(all2, before.noise + self.noise) else { return UNLIMITED2 };
+        if turn2 > REVERSAL {
+            return 0.0;
+        }
+        let across = rule.across(&before.direction, &self.direction, square_root(all2));
+        rule.junction2(across, sine, turn2)
+    }
+
+    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
+    #[inline(never)]
+    fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+        let all2 = turn2(&old.direction, &self.direction);
+        let (turn2, sine) = certain(all2, old.noise + self.noise)?;
+        let radius = (between + old.half() + self.half()) * radius_of(turn2, sine);
+        let bend2 = rule.in_plane(&old.direction, &self.direction, all2) * rule.curve_share * radius;
+        if bend2 > fast2 {
+            return None;
+        }
+        let junction2 = if turn2 > REVERSAL {
+            0.0
+        } else {
+            rule.junction2(rule.across(&old.direction, &self.direction, square_root(all2)), sine, turn2)
+        };
+        let speed2 = if old.blocks == 1 && self.blocks == 1 {
+            let speed = 0.5 * (square_root(junction2) + square_root(junction2 + 4.0 * bend2));
+            speed * speed
+        } else {
+            junction2 + bend2
+        };
+        (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
+    }
+
+    /// Notes how it continues the one before: the bend only if it tells at the speeds there.
+    #[inline]
+    fn note_turn(&mut self, old: &Self, rule: &TurnRule<N>) {
+        if old.blocks == 0 || !old.straight || !self.straight {
+            return;
+        }
+        self.turned2 = turn2(&old.direction, &self.direction);
+        let Some((turn2, sine)) = certain(self.turned2, old.noise + self.noise) else { return };
+        if turn2 < GENTLE2 {
+            let radius = 0.5 * (old.path + self.path) * radius_of(turn2, sine);
+            let acceleration = rule.in_plane(&old.direction, &self.direction, self.turned2);
+            let curve2 = acceleration * rule.curve_share * radius;
+            if curve2 < NOTICEABLE * greater(old.fast2, self.fast2) {
+                self.curve = CurveLoad::new(curve2, acceleration);
+            }
+        }
+    }
 }
 
 /// A straight piece of the path: the newest block.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece<'a, const N: usize> {
+pub(super) struct PathPiece<'a, const N: usize> {
     pub start: &'a PerAxis<Coordinate, N>,
     pub end: &'a PerAxis<Coordinate, N>,
     /// Unit vector.
@@ -175,7 +215,7 @@ impl<const N: usize> History<N> {
     #[inline(never)]
     fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, third, _] = &self.0;
-        rule.note_turn(first, &mut new);
+        new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
         let own = usize::from(new.blocks);
@@ -188,7 +228,7 @@ impl<const N: usize> History<N> {
             let corner = index == 0 && own == 1 && old.blocks == 1;
             if old.straight
                 && !corner
-                && let Some(limit) = rule.span(old, &new, between, fast2)
+                && let Some(limit) = new.limit_after(old, between, fast2, rule)
             {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
@@ -295,139 +335,6 @@ pub(super) struct Chain<const N: usize> {
     digit: LastDigit,
 }
 
-/// q² of two unit vectors.
-#[inline]
-fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
-    let mut square = 0.0;
-    for (a, b) in before.iter().zip(after) {
-        square += (b - a) * (b - a);
-    }
-    square
-}
-
-/// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
-#[inline]
-fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
-    if turn2 < STRAIGHT || turn2 <= noise * noise {
-        return None;
-    }
-    let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
-    if noise * noise <= CERTAIN * CERTAIN * turn2 {
-        return Some((turn2, sine));
-    }
-    // q = 2·sin(t/2) and s = cos(t/2) of an angle that is smaller by the noise.
-    let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
-    let cosine = 1.0 - 0.125 * noise * noise;
-    let turn = square_root(turn2);
-    let less = turn * cosine - 2.0 * sine * half;
-    let less2 = less * less;
-    (less > 0.0 && less2 >= STRAIGHT).then_some((less2, sine * cosine + 0.5 * turn * half))
-}
-
-impl<const N: usize> TurnRule<N> {
-    /// Greatest acceleration along the change of direction at which no axis exceeds its own.
-    #[inline(never)]
-    fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
-        let mut least = UNLIMITED2;
-        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
-            let part = (after - before).abs();
-            if part * least > limit * turn {
-                least = limit * turn / part;
-            }
-        }
-        least
-    }
-
-    /// Greatest acceleration that every axis takes in any direction of the plane of a turn: with the normal n and the
-    /// tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the bend. So the speed on a circle is even.
-    #[inline(never)]
-    fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
-        let normal = 1.0 / turn2;
-        // Of a turn straight back only the normal is known; the shorter spans know the rest.
-        let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
-        let mut least2 = UNLIMITED2;
-        for ((a, b), limit) in before.iter().zip(after).zip(self.acceleration) {
-            let (difference, sum) = (b - a, b + a);
-            let share2 = difference * difference * normal + sum * sum * tangent;
-            if share2 * least2 > limit * limit {
-                least2 = limit * limit / share2;
-            }
-        }
-        square_root(least2)
-    }
-
-    /// J² of a turn: v² = a·d·s / (1 - s). 1 - s is a small difference for gentle turns; with q² = 4·(1 - s²) it is
-    /// computed as q² / (4·(1 + s)) instead.
-    #[inline]
-    fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
-        across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
-    }
-
-    /// Greatest speed² at the corner between two pieces.
-    #[inline]
-    fn corner2(&self, before: &Span<N>, after: &Span<N>) -> f32 {
-        let all2 = turn2(&before.direction, &after.direction);
-        if !before.straight || !after.straight {
-            return UNLIMITED2;
-        }
-        let Some((turn2, sine)) = certain(all2, before.noise + after.noise) else { return UNLIMITED2 };
-        if turn2 > REVERSAL {
-            return 0.0;
-        }
-        let across = self.across(&before.direction, &after.direction, square_root(all2));
-        self.junction2(across, sine, turn2)
-    }
-
-    /// What is granted between two spans with so much path `between` them; `None` if it is no limit for `fast2`.
-    #[inline(never)]
-    fn span(&self, old: &Span<N>, new: &Span<N>, between: f32, fast2: f32) -> Option<Limit> {
-        let all2 = turn2(&old.direction, &new.direction);
-        let (turn2, sine) = certain(all2, old.noise + new.noise)?;
-        let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
-        let bend2 = self.in_plane(&old.direction, &new.direction, all2) * self.curve_share * radius;
-        if bend2 > fast2 {
-            return None;
-        }
-        let junction2 = if turn2 > REVERSAL {
-            0.0
-        } else {
-            self.junction2(self.across(&old.direction, &new.direction, square_root(all2)), sine, turn2)
-        };
-        let speed2 = if old.blocks == 1 && new.blocks == 1 {
-            let speed = 0.5 * (square_root(junction2) + square_root(junction2 + 4.0 * bend2));
-            speed * speed
-        } else {
-            junction2 + bend2
-        };
-        (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
-    }
-
-    /// Notes in a span how it continues the one before: the bend only if it tells at the speeds there.
-    #[inline]
-    fn note_turn(&self, old: &Span<N>, new: &mut Span<N>) {
-        if old.blocks == 0 || !old.straight || !new.straight {
-            return;
-        }
-        new.turned2 = turn2(&old.direction, &new.direction);
-        let Some((turn2, sine)) = certain(new.turned2, old.noise + new.noise) else { return };
-        if turn2 < GENTLE2 {
-            let radius = 0.5 * (old.path + new.path) * radius_of(turn2, sine);
-            let acceleration = self.in_plane(&old.direction, &new.direction, new.turned2);
-            let curve2 = acceleration * self.curve_share * radius;
-            if curve2 < NOTICEABLE * greater(old.fast2, new.fast2) {
-                new.curve = CurveLoad::new(curve2, acceleration);
-            }
-        }
-    }
-}
-
-/// Radius of a bend for its length: 1/t, t = 3·q / (2 + s) within 0.2 % up to a right angle and 5 % up to half a turn
-/// (Shafer's approximation of the arc tangent).
-#[inline]
-fn radius_of(turn2: f32, sine: f32) -> f32 {
-    (2.0 + sine) / (3.0 * square_root(turn2))
-}
-
 impl<const N: usize> Chain<N> {
     pub(super) const fn new() -> Self {
         let none = History([Span::NONE; HISTORY]);
@@ -452,14 +359,14 @@ impl<const N: usize> Chain<N> {
 
     /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.
     #[inline(never)]
-    pub(super) fn corner2(&self, piece: &Piece<'_, N>, rule: &TurnRule<N>) -> f32 {
+    pub(super) fn corner2(&self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>) -> f32 {
         let [before, ..] = &self.pieces.0;
-        if before.blocks == 0 { UNLIMITED2 } else { rule.corner2(before, &Span::of(piece)) }
+        if before.blocks == 0 { UNLIMITED2 } else { Span::of(piece).corner2(before, rule) }
     }
 
     /// Adds the newest block, which has been pushed already, and tells what bends are found.
     #[inline(never)]
-    pub(super) fn extend(&mut self, piece: &Piece<'_, N>, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+    pub(super) fn extend(&mut self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let digit = piece.digit;
         let new = Span::of(piece);
         let mut scale_length = SHORTEST;
@@ -496,7 +403,7 @@ impl<const N: usize> Chain<N> {
     #[inline(never)]
     fn end_before(
         &mut self,
-        piece: &Piece<'_, N>,
+        piece: &PathPiece<'_, N>,
         new: &Span<N>,
         whole: usize,
         rule: &TurnRule<N>,

@@ -1,4 +1,4 @@
-//! Changes of speed with bounded jerk: how far they reach, and how a machine in motion goes on.
+//! Changes of speed with bounded jerk: how far they reach, and what a machine in motion may do next.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___
@@ -11,11 +11,11 @@
 //! ```
 //! Millimetres and seconds. Only + - * / and the root, so that every machine computes the same.
 
-use super::profile::{greater, lesser, square_root};
+use super::trapezoid::{greater, lesser, square_root};
 
 /// The state of motion along the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct State {
+pub(super) struct PathState {
     pub speed: f32,
     pub acceleration: f32,
 }
@@ -106,7 +106,7 @@ pub(super) fn cube_root(value: f32) -> f32 {
     root
 }
 
-impl State {
+impl PathState {
     /// The speed without acceleration that belongs to this state: after easing off an acceleration, or before a braking
     /// set in; and how far ahead it lies (behind, if negative).
     #[inline]
@@ -131,7 +131,7 @@ impl State {
             return true;
         }
         if valley <= 0.0 {
-            // Too slow to ease off before it stands: the way to the target's speed while it does.
+            // Too slow to ease off before it comes to rest: the way to the target's speed while it does.
             let change = self.speed - target;
             let root = square_root(greater(self.acceleration * self.acceleration - 2.0 * bounds.jerk * change, 0.0));
             let time = 2.0 * change / (root - self.acceleration);
@@ -232,12 +232,12 @@ mod tests {
         assert_eq!(cube_root(0.0), 0.0);
     }
 
-    /// A state in the midst of a ramp belongs to that ramp's summit, and can land where the ramp ends and no sooner.
+    /// A state within a ramp belongs to that ramp's summit, and can land where the ramp ends and no sooner.
     #[test]
     fn states_within_a_ramp_belong_to_it() {
         let (from, to) = (80.0_f32, 20.0);
         let whole = ramp_distance(from, to, BOUNDS);
-        let mut state = State { speed: from, acceleration: 0.0 };
+        let mut state = PathState { speed: from, acceleration: 0.0 };
         let mut way = 0.0;
         for _ in 0..45 {
             let time = 0.001;
@@ -261,7 +261,7 @@ mod tests {
             let random = |salt: u32, most: f32| {
                 (k.wrapping_mul(2_654_435_761).wrapping_mul(salt) >> 8) as f32 / 16_777_216.0 * most
             };
-            let state = State { speed: random(3, 30.0), acceleration: -random(5, 500.0) };
+            let state = PathState { speed: random(3, 30.0), acceleration: -random(5, 500.0) };
             let (target, distance) = (if k % 3 == 0 { 0.0 } else { random(7, 15.0) }, random(11, 0.5));
             let (valley, _) = state.valley(jerk);
             if state.speed <= target || valley > target || state.acceleration == 0.0 {

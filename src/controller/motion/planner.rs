@@ -29,15 +29,10 @@
 //! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
 //! ramp begins in the middle of a block or from another state.
 
-use super::block::{Block, CurveLoad, Overrides, Ramp};
+use super::block::{Block, CurveLoad, OverrideFactors, Ramp};
 use super::curvature::Bend;
-use super::jerk::{Bounds, State, ramp_distance, ramp_speed};
-use super::profile::{greater, lesser, square_root};
-
-/// Speed² of a corner that sets no limit; the nominal speeds do.
-pub(super) const UNLIMITED2: f32 = 1.0e30;
-/// Speed² of a square corner by acceleration and deviation: s / (1 - s) with s = √(1/2).
-pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
+use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
+use super::trapezoid::{greater, lesser, square_root};
 
 /// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
 /// anchor at each of them would cost more than the tighter bounds.
@@ -90,7 +85,7 @@ impl Fall {
     const NONE: Self = Self { speed2: 0.0, delay: 0.0, top2: 0.0 };
 
     /// With bounded jerk an acceleration is eased off first, and the braking is built up.
-    fn from<const N: usize>(state: State, block: &Block<N>) -> Self {
+    fn from<const N: usize>(state: PathState, block: &Block<N>) -> Self {
         let (top, ahead) = state.summit(block.jerk);
         let top = greater(top, state.speed);
         let delay = greater(ahead, 0.0) + top * block.acceleration_at(top * top) / block.jerk;
@@ -109,7 +104,7 @@ impl Fall {
 }
 
 /// Groups of neighbouring places of the ring of which the planner keeps in mind what an ease-off across them must know: it
-/// may span hundreds of blocks and is looked at anew with each segment. With 512 blocks two groups of 16 are walked through
+/// may span hundreds of blocks and is looked at with each segment. With 512 blocks two groups of 16 are walked through
 /// at most, the first and the last, and 31 taken as a whole.
 const GROUPS: usize = 32;
 
@@ -153,6 +148,8 @@ impl Stretch {
 pub(super) struct Planner<const N: usize, R: ?Sized> {
     first: usize,
     len: usize,
+    /// The first block is running, or the machine comes to it with a speed: it stays as it is.
+    entered: bool,
     /// Limits have changed from this place on.
     changed: usize,
     /// Of the groups that are in the queue as a whole; with a jerk limit only.
@@ -168,18 +165,27 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
     #[inline(always)]
     pub(super) const fn new() -> Self {
         let groups = [Stretch::NONE; GROUPS];
-        let blocks = [Block::EMPTY; BLOCKS];
-        Self { first: 0, len: 0, changed: 0, groups, jerk_limited: false, raised: false, blocks }
+        Self {
+            first: 0,
+            len: 0,
+            entered: false,
+            changed: 0,
+            groups,
+            jerk_limited: false,
+            raised: false,
+            blocks: [Block::EMPTY; BLOCKS],
+        }
     }
 }
 
 // Not derived: what may be unsized cannot be cloned.
 impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
     fn clone(&self) -> Self {
-        let Self { first, len, changed, groups, jerk_limited, raised, blocks } = self;
+        let Self { first, len, entered, changed, groups, jerk_limited, raised, blocks } = self;
         Self {
             first: *first,
             len: *len,
+            entered: *entered,
             changed: *changed,
             groups: *groups,
             jerk_limited: *jerk_limited,
@@ -237,13 +243,30 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     pub(super) fn clear(&mut self) {
         self.first = 0;
         self.len = 0;
+        self.entered = false;
     }
 
-    pub(super) fn pop(&mut self) {
+    /// The first block, which runs from now on.
+    #[inline]
+    pub(super) fn begin(&mut self) -> Option<&Block<N>> {
+        self.entered = self.len > 0;
+        self.first()
+    }
+
+    /// The first block has been run, and the next one is entered with a speed or from rest.
+    #[inline]
+    pub(super) fn pop(&mut self, moving: bool) {
         if self.len > 0 {
             self.first = self.slot(1);
             self.len -= 1;
         }
+        self.entered = moving;
+    }
+
+    /// Whether the first block is running or will be entered with a speed that it has been given.
+    #[inline]
+    pub(super) fn is_entered(&self) -> bool {
+        self.entered
     }
 
     pub(super) fn last(&self) -> Option<&Block<N>> {
@@ -256,7 +279,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
-    pub(super) fn push(&mut self, mut block: Block<N>, overrides: Overrides) -> bool {
+    pub(super) fn push(&mut self, mut block: Block<N>, overrides: OverrideFactors) -> bool {
         if self.len >= self.blocks.len() {
             return false;
         }
@@ -314,7 +337,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 
     /// Applies new overrides to all blocks, the first of which is left in this state after `left` mm.
-    pub(super) fn replan(&mut self, overrides: Overrides, state: State, left: f32) {
+    pub(super) fn replan(&mut self, overrides: OverrideFactors, state: PathState, left: f32) {
         let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;
         self.raised = false;
@@ -427,7 +450,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         if let Some(start) = from.checked_sub(within) {
             place = start;
         } else {
-            // The first blocks of this group are gone, so nobody asks for it as a whole.
+            // The first blocks of this group are gone, so it is never asked for as a whole.
             place += self.group_size(self.slot(from) - within) - within;
         }
         while place < self.len {
@@ -476,7 +499,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// Whether a machine `left` mm before the end of the first block may be in this state: whether it can ease off its
     /// acceleration, or go on braking, and meet all that is planned behind. If so, the least acceleration bound on the way
     /// on which it would ease off.
-    pub(super) fn allows(&self, state: State, left: f32, nominal: f32) -> Option<f32> {
+    pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {
             let target = self.target(0, left, first.bounds());
@@ -505,7 +528,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             }
             end += stretch.length;
         }
-        let stands = State { speed: summit, acceleration: 0.0 };
+        let stands = PathState { speed: summit, acceleration: 0.0 };
         self.target(place, end - ahead, own).is_met(stands).then_some(acceleration)
     }
 
@@ -569,7 +592,7 @@ impl Target {
     }
 
     /// Whether a machine in this state, not accelerating, can come down in time.
-    pub(super) fn is_met(&self, state: State) -> bool {
+    pub(super) fn is_met(&self, state: PathState) -> bool {
         let (speed, distance) = self.nearest(state.speed);
         state.lands(speed, distance, self.bounds)
     }

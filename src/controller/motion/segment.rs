@@ -4,8 +4,8 @@
 //! ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
 //! cannot hold goes into the next segment, so no time is lost or gained.
 
-use super::profile::{Curve, Pace, lesser};
 use super::stepper::MAX_LEVEL;
+use super::trapezoid::{Pace, Trapezoid, lesser};
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
 /// Longest segment of several ticks, in seconds: how old the acceleration may get.
@@ -68,12 +68,12 @@ fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
 
 /// A piece of about a millisecond: units of a tick, and how many ticks.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
+pub(super) struct SegmentSize {
     pub grain: u32,
     pub ticks: u32,
 }
 
-impl Piece {
+impl SegmentSize {
     /// The piece that a machine of this pace and acceleration (units, seconds) goes next.
     #[inline]
     pub(super) fn next(pace: Pace, acceleration: f32, done: u32, left: u32) -> Self {
@@ -113,7 +113,7 @@ impl Piece {
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
 #[inline]
-pub(super) fn cut(curve: &Curve, done: u32, left: u32, pace: Pace) -> Cut {
+pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace) -> Cut {
     let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);
     let mut level = level_for(speed);

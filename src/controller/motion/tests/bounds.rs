@@ -1,6 +1,6 @@
 //! What the queue bounds a braking with, against the blocks one by one.
 
-use super::super::block::{Block, CurveLoad, Overrides};
+use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::planner::Planner;
 use proptest::prelude::*;
 
@@ -30,7 +30,7 @@ proptest! {
         let planner: &mut Planner<3, [Block<3>]> = &mut *ring;
         planner.jerk_limited = true;
         for block in &blocks {
-            planner.push(*block, Overrides { feed: 1.0, rapid: 1.0 });
+            planner.push(*block, OverrideFactors { feed: 1.0, rapid: 1.0 });
         }
         planner.plan();
         let left = begun * blocks[0].length;
@@ -64,7 +64,7 @@ fn a_wider_bend_of_a_slower_axis_counts() {
             curve,
             ..Block::EMPTY
         };
-        planner.push(block, Overrides { feed: 1.0, rapid: 1.0 });
+        planner.push(block, OverrideFactors { feed: 1.0, rapid: 1.0 });
     }
     planner.plan();
     let bound = planner.bounds_within(1.5, 1.0, 100.0).acceleration;

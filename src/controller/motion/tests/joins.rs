@@ -225,7 +225,7 @@ proptest! {
         for point in points.iter().take(early) {
             rig.motion.line(&to(*point, FEED));
             if machine.jerk > 0.0 {
-                rig.motion.planner.assert_consistent();
+                rig.motion.queue.planner.assert_consistent();
             }
         }
         rig.moves.extend(points.iter().skip(early).map(|point| to(*point, FEED)));

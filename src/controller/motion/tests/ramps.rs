@@ -66,8 +66,8 @@ impl<const B: usize> Course<B> {
             self.next = self.moves.next();
         }
         self.fills += 1;
-        if self.fills % 64 == 1 && self.motion.planner.jerk_limited {
-            self.motion.planner.assert_consistent();
+        if self.fills % 64 == 1 && self.motion.queue.planner.jerk_limited {
+            self.motion.queue.planner.assert_consistent();
         }
         self.motion.start();
     }
@@ -78,21 +78,21 @@ impl<const B: usize> Course<B> {
         let ToStep::Segment(segment) = message else {
             if let ToStep::Block { .. } = message {
                 self.blocks += 1;
-                self.entries.push(f64::from(self.motion.feed.pace.speed / self.motion.feed.running.scale));
+                self.entries.push(f64::from(self.motion.feed.motion.pace.speed / self.motion.feed.running.scale));
             }
             return true;
         };
         self.observed.segments_begun += 1;
         let ticks = f64::from(segment.ticks);
         let clocks = f64::from(segment.interval) * ticks + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
-        let seconds = clocks / 4096.0 / f64::from(self.motion.step_clock_hz);
+        let seconds = clocks / 4096.0 / f64::from(self.motion.feed.step_clock_hz());
         self.time += seconds;
         let run = &self.motion.feed.running;
         let scale = f64::from(run.scale);
-        let speed = f64::from(self.motion.feed.pace.speed) / if run.active { scale } else { 1.0 };
+        let speed = f64::from(self.motion.feed.motion.pace.speed) / if run.is_active() { scale } else { 1.0 };
         let old = self.points.last().filter(|p| p.block == self.blocks).copied();
         let motion: &AnyMotion<3> = &self.motion;
-        let first = motion.planner.first();
+        let first = motion.queue.planner.first();
         let (jerk, corner) = match (old, first) {
             (Some(old), _) => (old.jerk, old.corner),
             (None, Some(block)) => (f64::from(block.jerk), f64::from(block.max_entry2).sqrt()),
@@ -109,7 +109,7 @@ impl<const B: usize> Course<B> {
             time: self.time,
             seconds,
             speed,
-            acceleration: f64::from(self.motion.feed.pull),
+            acceleration: f64::from(self.motion.feed.motion.acceleration),
             bound: f64::from(run.acceleration) / scale,
             jerk,
             nominal: f64::from(run.nominal2).sqrt() / scale,
@@ -309,7 +309,7 @@ proptest! {
                 6 => course.motion.set_overrides(0.7, 1.0),
                 _ => course.fill(moves),
             }
-            course.motion.planner.assert_consistent();
+            course.motion.queue.planner.assert_consistent();
         }
         course.motion.resume();
         course.run();

@@ -33,7 +33,7 @@ const MOST_PHASES: u32 = 8;
 
 /// What bounds the speed in the rest of a block.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Curve {
+pub(super) struct Trapezoid {
     pub acceleration: f32,
     pub nominal2: f32,
     pub exit2: f32,
@@ -57,7 +57,7 @@ impl Pace {
 
 /// A stretch with one acceleration.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Phase {
+pub(super) struct TrapezoidPhase {
     /// +1, 0 or -1 times the acceleration.
     pub sign: f32,
     /// Distance until it ends.
@@ -66,37 +66,43 @@ pub(super) struct Phase {
     end2: f32,
 }
 
-impl Curve {
+impl Trapezoid {
     /// The phase at a speed² with `left` units to the end of the block.
     #[inline]
-    pub(super) fn phase(&self, speed2: f32, left: f32) -> Phase {
+    pub(super) fn phase(&self, speed2: f32, left: f32) -> TrapezoidPhase {
         let slope = 2.0 * self.acceleration;
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
             // On the falling edge; or above it, when it is left at the end of the block with what speed remains.
             let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
-            return Phase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
+            return TrapezoidPhase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
         let missing2 = self.nominal2 - speed2;
         if missing2 < -SAME * speed2 {
-            return Phase { sign: -1.0, length: -missing2 / slope, end2: self.nominal2 };
+            return TrapezoidPhase { sign: -1.0, length: -missing2 / slope, end2: self.nominal2 };
         }
         if missing2 <= SAME * speed2 {
-            return Phase { sign: 0.0, length: (brake2 - self.nominal2) / slope, end2: self.nominal2 };
+            return TrapezoidPhase { sign: 0.0, length: (brake2 - self.nominal2) / slope, end2: self.nominal2 };
         }
         // Where the rising edge meets the falling one it is half as high above the lower of the two as they are apart.
         let meet2 = 0.5 * (brake2 - speed2);
         if meet2 < missing2 {
-            Phase { sign: 1.0, length: meet2 / slope, end2: speed2 + meet2 }
+            TrapezoidPhase { sign: 1.0, length: meet2 / slope, end2: speed2 + meet2 }
         } else {
-            Phase { sign: 1.0, length: missing2 / slope, end2: self.nominal2 }
+            TrapezoidPhase { sign: 1.0, length: missing2 / slope, end2: self.nominal2 }
         }
     }
 
     /// Goes on by `distance` of the `left` units, beginning in `phase`: seconds and the pace after it. Exact also from and to
     /// rest.
     #[inline]
-    pub(super) fn advance(&self, from: Pace, mut phase: Phase, mut left: f32, mut distance: f32) -> (f32, Pace) {
+    pub(super) fn advance(
+        &self,
+        from: Pace,
+        mut phase: TrapezoidPhase,
+        mut left: f32,
+        mut distance: f32,
+    ) -> (f32, Pace) {
         let slope = 2.0 * self.acceleration;
         let Pace { mut speed, mut speed2 } = from;
         let mut time = 0.0;

@@ -11,7 +11,7 @@ const RING: usize = MOST + 2;
 
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Record<const N: usize> {
+pub(super) struct InFlightSegment<const N: usize> {
     /// Machine steps of the tool at its end, and how far the motors lead it.
     pub position: PerAxis<i32, N>,
     pub lead: [i32; N],
@@ -23,7 +23,7 @@ pub(super) struct Record<const N: usize> {
     pub power: u16,
 }
 
-impl<const N: usize> Record<N> {
+impl<const N: usize> InFlightSegment<N> {
     /// Where an index would be out of the ring, which none is.
     const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
 
@@ -39,9 +39,9 @@ impl<const N: usize> Record<N> {
 
 /// The records of segments not begun, and that of the one begun last.
 #[derive(Clone, Debug)]
-pub(super) struct Flight<const N: usize> {
+pub(super) struct SegmentsInFlight<const N: usize> {
     /// A ring buffer. In the two slots before `first` are the segment begun last and the one before it.
-    ring: [Record<N>; RING],
+    ring: [InFlightSegment<N>; RING],
     first: usize,
     len: usize,
     /// Time of all records in the ring.
@@ -50,9 +50,9 @@ pub(super) struct Flight<const N: usize> {
     begun: u32,
 }
 
-impl<const N: usize> Flight<N> {
+impl<const N: usize> SegmentsInFlight<N> {
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
-        Self { ring: [Record::still(position, [0; N]); RING], first: 0, len: 0, queued: 0, begun: 0 }
+        Self { ring: [InFlightSegment::still(position, [0; N]); RING], first: 0, len: 0, queued: 0, begun: 0 }
     }
 
     #[inline]
@@ -71,17 +71,17 @@ impl<const N: usize> Flight<N> {
     }
 
     /// The segment begun last.
-    pub(super) fn current(&self) -> &Record<N> {
+    pub(super) fn current(&self) -> &InFlightSegment<N> {
         self.begun_before(1)
     }
 
     /// What had been done before the segment begun last.
-    pub(super) fn before(&self) -> &Record<N> {
+    pub(super) fn before(&self) -> &InFlightSegment<N> {
         self.begun_before(2)
     }
 
-    fn begun_before(&self, many: usize) -> &Record<N> {
-        self.ring.get(self.slot(many)).unwrap_or(&Record::NONE)
+    fn begun_before(&self, many: usize) -> &InFlightSegment<N> {
+        self.ring.get(self.slot(many)).unwrap_or(&InFlightSegment::NONE)
     }
 
     /// The slot so many before the first.
@@ -90,7 +90,7 @@ impl<const N: usize> Flight<N> {
         if self.first >= many { self.first - many } else { self.first + RING - many }
     }
 
-    pub(super) fn push(&mut self, record: Record<N>) {
+    pub(super) fn push(&mut self, record: InFlightSegment<N>) {
         let index = self.first + self.len;
         let index = if index >= RING { index - RING } else { index };
         if let Some(slot) = self.ring.get_mut(index) {
@@ -127,7 +127,7 @@ impl<const N: usize> Flight<N> {
         self.queued = 0;
         for slot in [self.slot(1), self.slot(2)] {
             if let Some(begun) = self.ring.get_mut(slot) {
-                *begun = Record::still(position, lead);
+                *begun = InFlightSegment::still(position, lead);
             }
         }
     }

@@ -1,0 +1,160 @@
+//! What each axis can do, and what that allows along a path: the most at which no axis goes beyond its own.
+
+use super::MotionSettings;
+use super::junction::TurnRule;
+use super::trapezoid::lesser;
+use crate::axes::PerAxis;
+
+/// Least speed, mm/s: a step per minute with 40,000 steps/mm.
+const LEAST_SPEED: f32 = 4.0e-7;
+/// Greatest speed and acceleration, far beyond any machine: squares stay within `f32`.
+const GREATEST_SPEED: f32 = 1.0e5;
+const LEAST_ACCELERATION: f32 = 1.0e-3;
+pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
+/// Shares of the acceleration that curves may take.
+const LEAST_CURVE_SHARE: f32 = 0.01;
+const GREATEST_CURVE_SHARE: f32 = 100.0;
+const GREATEST_DEVIATION: f32 = 1.0e3;
+/// Jerk within what the settings allow, and what stands for none.
+const LEAST_JERK: f32 = 1.0;
+const GREATEST_JERK: f32 = 1.0e10;
+/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
+const LEAST_EASE: f32 = 0.004;
+
+/// `value` within bounds, the least one for a NaN.
+pub(super) fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
+    if value > least { lesser(value, greatest) } else { least }
+}
+
+/// A speed that can be computed with, mm/s.
+#[inline]
+pub(super) fn bounded_speed(speed: f32) -> f32 {
+    bounded(speed, LEAST_SPEED, GREATEST_SPEED)
+}
+
+/// The limits of all axes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AxisLimits<const N: usize> {
+    /// Acceleration of each axis, and how much of it turns may take.
+    pub turns: TurnRule<N>,
+    /// mm/s.
+    max_rate: [f32; N],
+    /// mm/s³.
+    jerk: [f32; N],
+    /// Whether any axis has a jerk limit.
+    jerk_limited: bool,
+}
+
+impl<const N: usize> AxisLimits<N> {
+    /// Before there are settings.
+    pub(super) const ONE: Self = Self {
+        turns: TurnRule { acceleration: [1.0; N], deviation: 0.0, curve_share: 1.0 },
+        max_rate: [1.0; N],
+        jerk: [GREATEST_JERK; N],
+        jerk_limited: false,
+    };
+
+    pub(super) fn new(settings: &MotionSettings<N>) -> Self {
+        let jerk = |jerk| if jerk > 0.0 { bounded(jerk, LEAST_JERK, GREATEST_JERK) } else { GREATEST_JERK };
+        Self {
+            turns: TurnRule {
+                acceleration: settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION)),
+                deviation: bounded(settings.junction_deviation, 0.0, GREATEST_DEVIATION),
+                curve_share: bounded(settings.curve_share, LEAST_CURVE_SHARE, GREATEST_CURVE_SHARE),
+            },
+            max_rate: settings.max_rate.0.map(bounded_speed),
+            jerk: settings.jerk.0.map(jerk),
+            jerk_limited: settings.jerk.iter().any(|jerk| *jerk > 0.0),
+        }
+    }
+
+    #[inline]
+    pub(super) fn is_jerk_limited(&self) -> bool {
+        self.jerk_limited
+    }
+
+    /// Greatest acceleration and speed along a way of this length.
+    #[inline]
+    pub(super) fn along(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
+        let mut acceleration = GREATEST_ACCELERATION;
+        let mut limit = GREATEST_SPEED;
+        for ((part, most), rate) in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {
+            if *part == 0.0 {
+                continue;
+            }
+            let share = part.abs() / length;
+            if share * acceleration > most {
+                acceleration = most / share;
+            }
+            if share * limit > rate {
+                limit = rate / share;
+            }
+        }
+        (acceleration, limit)
+    }
+
+    /// Greatest jerk along a way of this length, which has this acceleration.
+    #[inline]
+    pub(super) fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+        let mut jerk = acceleration / LEAST_EASE;
+        if self.jerk_limited {
+            for (part, most) in way.iter().zip(self.jerk) {
+                let share = part.abs() / length;
+                if share * jerk > most {
+                    jerk = most / share;
+                }
+            }
+        }
+        jerk
+    }
+
+    /// The acceleration that all axes of a way take, whatever its direction.
+    #[inline(never)]
+    pub(super) fn least_acceleration(&self, way: &PerAxis<f32, N>) -> f32 {
+        let moving = way.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);
+        moving.fold(GREATEST_ACCELERATION, |least, (_, own)| lesser(own, least))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limits(jerk: [f32; 2]) -> AxisLimits<2> {
+        AxisLimits {
+            turns: TurnRule { acceleration: [500.0, 100.0], deviation: 0.01, curve_share: 1.0 },
+            max_rate: [100.0, 50.0],
+            jerk: jerk.map(|jerk| if jerk > 0.0 { jerk } else { GREATEST_JERK }),
+            jerk_limited: jerk.iter().any(|jerk| *jerk > 0.0),
+        }
+    }
+
+    #[test]
+    fn an_axis_that_does_not_move_sets_no_limit() {
+        let limits = limits([0.0; 2]);
+        assert_eq!(limits.along(&PerAxis([-2.0, 0.0]), 2.0), (500.0, 100.0));
+        assert_eq!(limits.along(&PerAxis([0.0, 3.0]), 3.0), (100.0, 50.0));
+        assert_eq!(limits.least_acceleration(&PerAxis([1.0, 0.0])), 500.0);
+        assert_eq!(limits.least_acceleration(&PerAxis([1.0, 1.0e-3])), 100.0);
+    }
+
+    #[test]
+    fn along_a_diagonal_no_axis_goes_beyond_its_own() {
+        let (acceleration, speed) = limits([0.0; 2]).along(&PerAxis([3.0, -4.0]), 5.0);
+        assert_eq!((acceleration, speed), (100.0 / 0.8, 50.0 / 0.8));
+    }
+
+    #[test]
+    fn jerk_is_that_of_the_axis_that_has_least_for_its_share() {
+        let way = PerAxis([3.0, -4.0]);
+        assert_eq!(limits([0.0; 2]).jerk_along(&way, 5.0, 100.0), 100.0 / LEAST_EASE);
+        assert_eq!(limits([600.0, 0.0]).jerk_along(&way, 5.0, 100.0), 600.0 / 0.6);
+        assert_eq!(limits([600.0, 400.0]).jerk_along(&way, 5.0, 100.0), 400.0 / 0.8);
+    }
+
+    #[test]
+    fn what_is_not_a_number_counts_as_the_least() {
+        assert_eq!(bounded(f32::NAN, 1.0, 2.0), 1.0);
+        assert_eq!((bounded(3.0, 1.0, 2.0), bounded(-1.0, 1.0, 2.0), bounded(1.5, 1.0, 2.0)), (2.0, 1.0, 1.5));
+    }
+}

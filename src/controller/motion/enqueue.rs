@@ -1,0 +1,471 @@
+//! Moves on their way in: from a target to a block of the queue.
+
+use super::arc::Arc;
+use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
+use super::backlash::{self, Motors};
+use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
+use super::curvature::{NOTICEABLE, PathPiece};
+use super::junction::UNLIMITED2;
+use super::measure::{Measure, signed_add};
+use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
+use super::trapezoid::{greater, lesser, square_root};
+use super::{Move, Speed};
+use crate::axes::{Axis, PerAxis};
+use crate::messages::Leg;
+use crate::units::Coordinate;
+
+/// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
+const MOST_OVERRIDE: f32 = 2.0;
+
+/// The steps of a chord with its true ends, which are told in terms of the axes. With very many steps it is stepped as a
+/// line: a part of a step is nothing to it.
+fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [Leg; N] {
+    let mut legs = steps.map(Leg::on_steps);
+    if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
+        let [starts, ends] = ends;
+        for (bit, (leg, (start, end))) in legs.iter_mut().zip(starts.iter().zip(ends)).enumerate() {
+            let sign = if directions >> bit & 1 != 0 { -1 } else { 1 };
+            *leg = Leg::with_ends(leg.steps(), sign * start, sign * end);
+        }
+    }
+    legs
+}
+
+/// Steps with their direction.
+fn signed_steps<const N: usize>(steps: &[u32; N], directions: u8) -> [i32; N] {
+    let mut signed = [0; N];
+    for (bit, (signed, steps)) in signed.iter_mut().zip(steps).enumerate() {
+        *signed = signed_add(0, *steps, directions >> bit & 1 != 0);
+    }
+    signed
+}
+
+fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
+    let mut directions = 0;
+    for (bit, steps) in signed.iter().enumerate() {
+        directions |= u8::from(*steps < 0) << bit;
+    }
+    (signed.map(i32::unsigned_abs), directions)
+}
+
+/// From the end of the last block to the target of a move.
+struct Path<const N: usize> {
+    /// The displacement of each axis, and the length of the straight line, mm.
+    way: PerAxis<f32, N>,
+    straight: f32,
+    /// Length of the move alone, mm.
+    own: f32,
+    /// The same with moves without a step before it, and less what the last block was given too much.
+    length: f32,
+}
+
+impl<const N: usize> Path<N> {
+    /// Whether it stands for moves without a step that led away and back, some of these steps' worth of them.
+    #[inline]
+    fn leads_nowhere(&self, step_mm: f32) -> bool {
+        self.length > 1.1 * self.straight && self.length - self.straight > 2.0 * step_mm
+    }
+}
+
+/// The steps of a block.
+struct MotorSteps<const N: usize> {
+    steps: [u32; N],
+    /// A bit for each motor: set if it turns to negative.
+    directions: u8,
+}
+
+/// How large the steps of a block are.
+#[derive(Clone, Copy)]
+struct StepSizes {
+    /// Steps of the motor that has most.
+    dominant: u32,
+    /// The way that the steps stand for, less half a step: how long the path must be at least, mm.
+    least_mm: f32,
+    /// A step of the coarsest motor that moves, mm.
+    coarsest_mm: f32,
+}
+
+impl<const N: usize> AnyQueue<N> {
+    /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
+    pub(super) fn line(&mut self, m: &Move<N>) -> bool {
+        self.queue(m, UNLIMITED2, false)
+    }
+
+    /// Queues a chord of an arc: [`MoveQueue::line`], not faster than the arc's own curve allows, and stepped along its true
+    /// ends instead of the steps next to them.
+    pub(super) fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
+        let mut acceleration = GREATEST_ACCELERATION;
+        for (axis, most) in Axis::of_machine::<N>().zip(self.limits.turns.acceleration) {
+            if arc.bends(axis) {
+                acceleration = lesser(acceleration, most);
+            }
+        }
+        acceleration *= self.limits.turns.curve_share;
+        self.queue(m, acceleration * arc.curve_radius(), true)
+    }
+
+    fn queue(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) -> bool {
+        if self.free_blocks() == 0 {
+            return false;
+        }
+        let timed;
+        let m = match m.speed {
+            // The time is that of the whole, and a piece of it may be cut off.
+            Speed::Duration(seconds) if self.backlash.is_on() => {
+                timed = Move { speed: Speed::Feed(self.end.distance(&m.target) / seconds), ..*m };
+                &timed
+            }
+            _ => m,
+        };
+        // A probe brakes within its own block.
+        if self.backlash.is_on() && !m.no_feed_override {
+            if !chord {
+                self.take_up_before_plunge(m);
+            }
+            self.begin_taking_up(m, curve_speed2, chord);
+        }
+        let steps = self.kinematics.steps(&m.target);
+        let mut most = 0;
+        for (new, old) in steps.iter().zip(self.end.planned_steps.iter()) {
+            most = most.max(new.abs_diff(*old));
+        }
+        if most < MAX_STEPS {
+            self.append(m, &steps, curve_speed2, chord);
+            return true;
+        }
+        let mut whole = *m;
+        if let Speed::Duration(seconds) = m.speed {
+            whole.speed = Speed::Feed(self.end.distance(&m.target) / seconds);
+        }
+        // One piece more than the quotient: a piece's own rounding may add a step.
+        let pieces = most / (MAX_STEPS / 2) + 1;
+        self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
+        self.continue_long_move();
+        true
+    }
+
+    /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
+    #[inline]
+    fn looks_ahead(&self) -> bool {
+        self.planner.capacity() > 2
+    }
+
+    #[inline]
+    pub(super) fn continue_long_move(&mut self) {
+        if self.long.is_some() {
+            self.cut_long_move();
+        }
+    }
+
+    #[inline(never)]
+    fn cut_long_move(&mut self) {
+        while let Some(mut long) = self.long {
+            if self.planner.free() == 0 {
+                return;
+            }
+            let mut piece = long.whole;
+            if long.next < long.pieces {
+                let (part, parts) = (i64::from(long.next), i64::from(long.pieces));
+                piece.target = long.start.zip(&long.whole.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / parts));
+                long.next += 1;
+                self.long = Some(long);
+            } else {
+                self.long = None;
+            }
+            let steps = self.kinematics.steps(&piece.target);
+            // Pieces have more steps than can begin or end between them.
+            self.append(&piece, &steps, long.curve_speed2, false);
+        }
+    }
+
+    /// Makes a block of a move; there is room and it is not too long. `curve_speed2`: greatest speed² on its curve, if it knows.
+    fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, curve_speed2: f32, chord: bool) {
+        let promised2 =
+            if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
+        let ends = self.true_ends(&m.target, target_steps, chord);
+        let path = self.path_to(&m.target);
+        self.end.planned = m.target;
+        let (mut motors, sizes) = self.steps_to(target_steps);
+        if sizes.dominant == 0 {
+            self.end.length_carry = path.length;
+            return;
+        }
+        // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
+        // too fast, so the block is taken as longer, and the next one as shorter by as much.
+        let length = greater(path.length, sizes.least_mm);
+        self.end.length_carry = greater(path.length - length, -sizes.least_mm);
+        let start = core::mem::replace(&mut self.end.block_end, m.target);
+        self.end.planned_steps = *target_steps;
+
+        let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
+        let mut block = Block::<N> { length, line_number: m.line_number, power: m.power, ..Block::EMPTY };
+        // What the axes move: in a block that is taken as longer, that is the way of its steps.
+        let moved = if path.length < sizes.least_mm { self.way_of_steps(&motors, length, &path.way) } else { path.way };
+        let timed = if path.length < sizes.least_mm { length } else { path.own };
+        let rapid = self.set_speeds(&mut block, m, timed, &moved, &mut motors, curve_speed2);
+        block.flags =
+            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
+        block.directions = motors.directions;
+        block.legs = match ends {
+            Some(ends) => legs_with_ends(&motors.steps, motors.directions, &ends),
+            None => motors.steps.map(Leg::on_steps),
+        };
+        let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
+        let piece = PathPiece {
+            start: &start,
+            end: &m.target,
+            direction: &unit,
+            length: path.straight,
+            path: length,
+            fast2: fastest * fastest,
+            digit: self.chain.last_digit(m.digit),
+        };
+        block.corner2 = greater(self.entry_corner2(&piece, path.leads_nowhere(sizes.coarsest_mm)), promised2);
+        self.end.direction = unit;
+        if curve_speed2 < NOTICEABLE * piece.fast2 {
+            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&moved));
+        }
+        self.push(block, &piece);
+    }
+
+    /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
+    /// steps. `timed`: what is gone in the time of a move that has one, mm. Gives the flag of a rapid.
+    #[inline]
+    fn set_speeds(
+        &mut self,
+        block: &mut Block<N>,
+        m: &Move<N>,
+        timed: f32,
+        moved: &PerAxis<f32, N>,
+        motors: &mut MotorSteps<N>,
+        curve_speed2: f32,
+    ) -> u8 {
+        let length = block.length;
+        let (mut acceleration, mut limit) = self.limits.along(moved, length);
+        block.jerk = self.limits.jerk_along(moved, length, acceleration);
+        let (programmed, rapid) = match m.speed {
+            Speed::Rapid => (limit, RAPID),
+            Speed::Feed(feed) => (feed, 0),
+            Speed::Duration(seconds) => (timed / seconds, 0),
+        };
+        if self.backlash.is_on() {
+            let speed = lesser(programmed, limit);
+            if let Some(way) = self.take_up(motors, moved, length, acceleration, speed) {
+                (acceleration, limit) = self.limits.along(&way, length);
+                block.jerk = self.limits.jerk_along(&way, length, acceleration);
+                self.join.close();
+            }
+        }
+        block.acceleration = acceleration;
+        block.programmed = bounded_speed(programmed);
+        block.limit = if curve_speed2 < limit * limit { square_root(curve_speed2) } else { limit };
+        rapid
+    }
+
+    /// Greatest speed² at the corner before a piece; `waits`: its block takes the time of moves that led nowhere, so it has
+    /// corners before and behind it.
+    #[inline]
+    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, waits: bool) -> f32 {
+        if self.end.motors_only {
+            self.chain.restart(piece.start);
+        }
+        let mut corner2 = self.chain.corner2(piece, &self.limits.turns);
+        if waits || self.end.had_stepless_moves {
+            corner2 = lesser(corner2, self.limits.turns.square_corner2());
+            self.join.close();
+        }
+        self.end.had_stepless_moves = waits;
+        if core::mem::take(&mut self.end.motors_only) { 0.0 } else { corner2 }
+    }
+
+    /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
+    #[inline]
+    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>) {
+        self.planner.push(block, self.overrides);
+        if self.looks_ahead() && !self.join.keeps(piece) {
+            let planner = &mut self.planner;
+            self.chain.extend(piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+        }
+        self.planner.plan();
+    }
+
+    /// The path from the end of the last block.
+    #[inline]
+    fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
+        let way: PerAxis<f32, N> = target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
+        let mut square = 0.0;
+        for part in way.iter() {
+            square += part * part;
+        }
+        let straight = square_root(square);
+        let own = if self.end.planned == self.end.block_end { straight } else { self.end.distance(target) };
+        Path { way, straight, own, length: own + self.end.length_carry }
+    }
+
+    /// The steps from the end of the last block.
+    #[inline]
+    fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
+        let mut motors = MotorSteps { steps: [0; N], directions: 0 };
+        let mut sizes = StepSizes { dominant: 0, least_mm: 0.0, coarsest_mm: 0.0 };
+        let places = target_steps.iter().zip(self.end.planned_steps.iter());
+        let axes = motors.steps.iter_mut().zip(self.kinematics.least_mm);
+        for (bit, ((to, from), (steps, mm))) in places.zip(axes).enumerate() {
+            *steps = to.abs_diff(*from);
+            if to < from {
+                motors.directions |= 1 << bit;
+            }
+            if *steps > 0 {
+                sizes.least_mm = greater((*steps as f32 - 0.5) * mm, sizes.least_mm);
+                sizes.coarsest_mm = greater(mm, sizes.coarsest_mm);
+            }
+            sizes.dominant = sizes.dominant.max(*steps);
+        }
+        (motors, sizes)
+    }
+
+    /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
+    #[cold]
+    fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
+        let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
+        let share = length / square_root(stepped.iter().fold(0.0, |sum, part| sum + part * part));
+        way.zip(
+            &PerAxis(stepped),
+            |way, stepped| if way.abs() > (stepped * share).abs() { way } else { stepped * share },
+        )
+    }
+
+    /// How far the ends of a move are beyond their steps, in sevenths of a step; for chords only.
+    #[inline]
+    fn true_ends(
+        &mut self,
+        target: &PerAxis<Coordinate, N>,
+        target_steps: &PerAxis<i32, N>,
+        chord: bool,
+    ) -> Option<[[i32; N]; 2]> {
+        let start = self.substep_offset.take();
+        if !chord {
+            return None;
+        }
+        let start =
+            start.unwrap_or_else(|| self.kinematics.sevenths_beyond(&self.end.planned, &self.end.planned_steps));
+        let end = self.kinematics.sevenths_beyond(target, target_steps);
+        self.substep_offset = Some(end);
+        Some([start, end])
+    }
+
+    /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
+    #[inline(never)]
+    fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
+        let steps = self.kinematics.steps(&m.target);
+        let moved = steps.zip(&self.end.planned_steps, i32::wrapping_sub);
+        let mut after = self.backlash;
+        after.turn(&moved.0);
+        if !after.is_outstanding() || moved.iter().all(|steps| *steps == 0) {
+            return;
+        }
+        let distance = self.end.distance(&m.target);
+        let way = m.target.zip(&self.end.planned, |to, from| (to - from).to_mm());
+        let (acceleration, limit) = self.limits.along(&way, distance);
+        let feed = match m.speed {
+            Speed::Rapid => limit,
+            Speed::Feed(feed) => feed,
+            Speed::Duration(seconds) => distance / seconds,
+        };
+        let share = backlash::share(acceleration, self.limits.turns.deviation, lesser(feed, limit));
+        let mut needed = 0.0;
+        for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
+            needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
+        }
+        if needed * 1.5 < distance {
+            let part = (needed / distance * 65_536.0) as i64 + 1;
+            let speed = if m.speed == Speed::Rapid { m.speed } else { Speed::Feed(feed) };
+            let target = self.end.planned.zip(&m.target, |a, b| Coordinate(a.0 + (b.0 - a.0) * part / 65_536));
+            let steps = self.kinematics.steps(&target);
+            let most = steps.iter().zip(self.end.planned_steps.iter()).map(|(to, from)| to.abs_diff(*from)).max();
+            if most.is_some_and(|most| most < MAX_STEPS) {
+                self.append(&Move { target, speed, ..*m }, &steps, curve_speed2, chord);
+            }
+        }
+    }
+
+    /// Adds to the steps of a block what it takes up of the slack. `None`: nothing; else the way of the motors, in terms
+    /// of the axes.
+    #[inline(never)]
+    fn take_up(
+        &mut self,
+        motors: &mut MotorSteps<N>,
+        way: &PerAxis<f32, N>,
+        length: f32,
+        acceleration: f32,
+        speed: f32,
+    ) -> Option<PerAxis<f32, N>> {
+        let mut moved = signed_steps(&motors.steps, motors.directions);
+        self.backlash.turn(&moved);
+        if !self.backlash.is_outstanding() {
+            return None;
+        }
+        let room = backlash::share(acceleration, self.limits.turns.deviation, speed) * length;
+        let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        for (most, moved) in most.iter_mut().zip(moved) {
+            *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);
+        }
+        let taken = self.backlash.take_up(&most);
+        for (moved, taken) in moved.iter_mut().zip(taken) {
+            *moved += taken;
+        }
+        (motors.steps, motors.directions) = unsigned_steps(&moved);
+        let extra = self.kinematics.way_of_axes(&taken);
+        Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
+    }
+
+    /// The queue is empty, at a place of the motors. If slack is left, because the last moves were too short: a block of its
+    /// own, from rest to rest, in which the tool is at rest or comes to its position.
+    #[inline(never)]
+    pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
+        let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
+        self.turn_motors(&taken, line_number);
+    }
+
+    /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
+    #[inline(never)]
+    fn take_up_before_plunge(&mut self, m: &Move<N>) {
+        // After a way in X and Y the corner is slow anyway; a profile in Z must not be interrupted.
+        let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
+        if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
+            return;
+        }
+        let moved = self.kinematics.steps(&m.target).zip(&self.end.planned_steps, i32::wrapping_sub);
+        let aside = moved.iter().take(2).any(|steps| *steps != 0);
+        if !aside && moved.iter().any(|steps| *steps != 0) {
+            let mut most = [0; N];
+            most.iter_mut().take(2).for_each(|most| *most = MOST_BACKLASH);
+            let taken = self.backlash.take_up(&most);
+            self.turn_motors(&taken, m.line_number);
+        }
+    }
+
+    /// A block in which motors turn by themselves, from rest to rest.
+    fn turn_motors(&mut self, taken: &[i32; N], line_number: u32) {
+        if *taken == [0; N] {
+            return;
+        }
+        let way = PerAxis(self.kinematics.way_of_axes(taken));
+        let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        let mut block = Block::<N>::EMPTY;
+        let steps;
+        (steps, block.directions) = unsigned_steps(taken);
+        block.legs = steps.map(Leg::on_steps);
+        block.line_number = line_number;
+        block.length = length;
+        (block.acceleration, block.limit) = self.limits.along(&way, length);
+        block.jerk = self.limits.jerk_along(&way, length, block.acceleration);
+        block.programmed = block.limit;
+        block.flags = NO_OVERRIDE;
+        // The tool does not move: a beam would burn a hole.
+        block.power = 0;
+        self.end.motors_only = true;
+        self.end_join();
+        self.planner.push(block, self.overrides);
+        self.planner.plan();
+    }
+}

@@ -1,0 +1,229 @@
+//! Cuts the next segment with bounded jerk: from the state that the machine is in, as fast as what is planned allows.
+//!
+//! Each segment chooses the greatest of these for its end: the acceleration that leads to the nominal speed soonest; the
+//! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.
+//! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
+//! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
+
+use super::block::Block;
+use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
+use super::planner::Planner;
+use super::running::{PathMotion, Running};
+use super::segment::{self, Cut, SegmentSize};
+use super::trapezoid::{Pace, greater, lesser, square_root};
+use crate::messages::UNITS_PER_STEP;
+
+/// Share by which a speed may be off the nominal one and count as it: some hundred roundings.
+const SAME_SPEED: f32 = 1.0e-5;
+/// Where the rest of an ease-off is less than this share of the speed, it is taken in one segment.
+const SNAP: f32 = 1.0e-4;
+
+/// A segment's time and the state at its end.
+#[derive(Clone, Copy, Debug)]
+struct Travelled {
+    seconds: f32,
+    end: PathState,
+}
+
+/// The next piece of the running block; `None` for a stop at this very position.
+#[inline(never)]
+pub(super) fn next_cut<const N: usize>(
+    run: &Running<N>,
+    motion: &mut PathMotion,
+    braking: bool,
+    planner: &Planner<N, [Block<N>]>,
+) -> Option<Cut> {
+    let bounds = planner.first()?.bounds();
+    let millimetre = 1.0 / run.scale;
+    let state = PathState { speed: motion.pace.speed * millimetre, acceleration: motion.acceleration };
+    let nominal = if braking { 0.0 } else { square_root(run.nominal2) * millimetre };
+    // Changes of speed within a step: the motor sees nothing of how they go.
+    let fastest = greater(nominal, state.speed);
+    if ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
+        let (curve, left) = run.trapezoid(motion.pace, braking, planner)?;
+        return Some(segment::cut(&curve, run.done, left, motion.pace));
+    }
+    let units = run.left();
+    let left = units as f32 * millimetre;
+    let size = SegmentSize::next(motion.pace, state.acceleration * run.scale, run.done, units);
+    let way = (size.grain * size.ticks) as f32 * millimetre;
+    let last = size.grain * size.ticks == units;
+
+    let from_rest = start(way, bounds);
+    let at_rest = state.speed <= 0.0 || size.ticks == 1 && state.speed <= 0.25 * from_rest.end.speed;
+    let left = if last && !at_rest { way } else { left };
+    let next = SegmentStart::new(state, way, left, nominal, bounds, planner);
+    let limit = &mut motion.ease_off_limit;
+    let travelled = if at_rest { next.leave_rest(from_rest, limit) } else { next.keep_moving(braking, limit) };
+    let speed = travelled.end.speed * run.scale;
+    let end = Pace { speed, speed2: speed * speed };
+    let mut cut = size.cut(motion.pace.speed, end, travelled.seconds);
+    cut.acceleration = travelled.end.acceleration;
+    Some(cut)
+}
+
+/// What the next segment begins with.
+struct SegmentStart<'a, const N: usize> {
+    state: PathState,
+    /// Its way, and the way to the end of the block, mm.
+    way: f32,
+    left: f32,
+    nominal: f32,
+    bounds: Bounds,
+    /// About how long it takes, s, and by how much the acceleration may change meanwhile.
+    guess: f32,
+    change: f32,
+    planner: &'a Planner<N, [Block<N>]>,
+}
+
+impl<'a, const N: usize> SegmentStart<'a, N> {
+    #[inline]
+    fn new(
+        state: PathState,
+        way: f32,
+        left: f32,
+        nominal: f32,
+        bounds: Bounds,
+        planner: &'a Planner<N, [Block<N>]>,
+    ) -> Self {
+        let time = way / state.speed;
+        let guess = way / greater(state.speed + 0.5 * state.acceleration * time, 0.5 * state.speed);
+        Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
+    }
+
+    /// From rest with an even jerk; where that would be too fast already, as slowly as it must be.
+    fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
+        let Self { way, nominal, bounds, .. } = *self;
+        let rest = self.left - way;
+        if let Some(ahead) = self.planner.allows(free.end, rest, nominal) {
+            *ease_off_limit = ahead;
+            return free;
+        }
+        let target = self.planner.target(0, rest, bounds);
+        let slow = lesser(lesser(ramp_speed(target.speed, target.distance, target.bounds), nominal), free.end.speed);
+        let end = PathState { speed: slow, acceleration: 0.0 };
+        if slow > 0.1 * free.end.speed {
+            return Travelled { seconds: 2.0 * way / slow, end };
+        }
+        // From rest to rest the jerk changes its sign at a quarter and three quarters of the time.
+        Travelled { seconds: cube_root(32.0 * way / bounds.jerk), end }
+    }
+
+    /// In motion: the greatest acceleration that is allowed, or a ramp down.
+    fn keep_moving(&self, braking: bool, ease_off_limit: &mut f32) -> Travelled {
+        let Self { state, nominal, bounds, planner, .. } = *self;
+        let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, *ease_off_limit), ..bounds };
+        let too_fast = state.speed > nominal * (1.0 + SNAP);
+        if too_fast {
+            // The tightest bounds of all blocks that the braking will cross until it is eased off.
+            let (_, ease) = state.valley(bounds.jerk);
+            allowed = planner.bounds_within(ease, self.left, state.speed * state.speed);
+        }
+        let best = self.within_jerk(state.towards(nominal, self.guess, allowed));
+        // A hold has no speed to come down to in time, but the corners on its way are those of the queue.
+        let most = if braking { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
+        if let Some((ahead, travelled)) = self.to_nominal(best, most).or_else(|| self.as_before(best, most)) {
+            *ease_off_limit = ahead;
+            return travelled;
+        }
+        *ease_off_limit = bounds.acceleration;
+        // Where the way is too short for the planned ramp, the running block's own bounds count, or those of the blocks in
+        // which the braking for another reason would be eased off.
+        self.ramp_down(best, if too_fast { allowed.acceleration } else { bounds.acceleration })
+    }
+
+    /// The acceleration next to a wanted one that the jerk allows.
+    #[inline]
+    fn within_jerk(&self, wanted: f32) -> f32 {
+        let acceleration = self.state.acceleration;
+        greater(lesser(wanted, acceleration + self.change), acceleration - self.change)
+    }
+
+    /// To another acceleration at the end. The mean of both acts on the way, as if it were even: in a millisecond that is a
+    /// hundredth of a micrometre off.
+    #[inline]
+    fn to(&self, end: f32) -> Travelled {
+        let PathState { speed, acceleration } = self.state;
+        let end2 = speed * speed + (acceleration + end) * self.way;
+        if end2 <= 0.0 {
+            return Self::come_to_rest(self.planner, speed, self.way, self.left, self.bounds);
+        }
+        let last = square_root(end2);
+        self.at_speed(last, end)
+    }
+
+    /// To a speed and acceleration at the end.
+    #[inline]
+    fn at_speed(&self, speed: f32, acceleration: f32) -> Travelled {
+        Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
+    }
+
+    /// With the acceleration that leads to the nominal speed soonest, if it is allowed; and the least bound on easing it off.
+    #[inline]
+    fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
+        let travelled = self.to(best);
+        let ahead = self.planner.allows(travelled.end, self.left - self.way, most)?;
+        if travelled.end.acceleration > ahead && best >= self.state.acceleration {
+            return None;
+        }
+        let off = (travelled.end.speed - self.nominal).abs();
+        let slight =
+            self.state.acceleration.abs() <= self.change && travelled.end.acceleration.abs() <= 0.5 * self.change;
+        let arrives = slight && off <= SNAP * self.nominal;
+        Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
+    }
+
+    /// With the acceleration that it has, if it is less than the best one and allowed.
+    #[inline]
+    fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
+        let acceleration = self.state.acceleration;
+        if acceleration < 0.0 || acceleration >= best {
+            return None;
+        }
+        let travelled = self.to(acceleration);
+        let ahead = self.planner.allows(travelled.end, self.left - self.way, most)?;
+        (travelled.end.acceleration <= ahead).then_some((ahead, travelled))
+    }
+
+    /// Down to the next anchor, where the way is too short with `steepest`.
+    #[inline]
+    fn ramp_down(&self, best: f32, steepest: f32) -> Travelled {
+        let Self { state, way, .. } = *self;
+        let PathState { speed, acceleration } = state;
+        let target = self.planner.target(0, self.left, self.bounds);
+        let (aim, distance) = target.beyond(speed, way);
+        if aim <= 0.0 && distance <= way {
+            return Travelled { seconds: 3.0 * (way / speed), end: PathState { speed: 0.0, acceleration: 0.0 } };
+        }
+        // The bounds of a block that lies ahead plan a ramp.
+        let planned = target.bounds.acceleration;
+        // A raised override or a bend that is noticed late leaves less in a bend than was counted on: all of it is taken then.
+        let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
+        let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
+        if acceleration <= 0.0 {
+            let next = speed + acceleration * self.guess;
+            let land = if next > aim { landing(next, aim, greater(distance - way, 0.0)) } else { 0.0 };
+            wanted = greater(wanted, land);
+        }
+        let travelled = self.to(lesser(self.within_jerk(wanted), best));
+        // Where the ramp's last piece is coarse (a tick in which most of the speed goes), it ends as planned all the same.
+        let even = (speed * speed - aim * aim) / (2.0 * way);
+        let coarse = distance <= way && aim < 0.5 * speed && travelled.end.speed > aim && even <= all;
+        if coarse { self.at_speed(aim, 0.0) } else { travelled }
+    }
+
+    /// The end of a way on which the braking comes to rest: to its end, which it leaves no faster than planned.
+    #[inline(never)]
+    fn come_to_rest(planner: &Planner<N, [Block<N>]>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
+        let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
+        // To rest with an even jerk.
+        let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
+        Travelled { seconds, end: PathState { speed: exit, acceleration: 0.0 } }
+    }
+}
+
+/// The first way from rest: with an even jerk, which is lower than the bound if the acceleration would become too great.
+fn start(way: f32, bounds: Bounds) -> Travelled {
+    let seconds = greater(cube_root(6.0 * way / bounds.jerk), square_root(6.0 * way / bounds.acceleration));
+    Travelled { seconds, end: PathState { speed: 3.0 * way / seconds, acceleration: 6.0 * way / (seconds * seconds) } }
+}

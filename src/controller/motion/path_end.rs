@@ -1,0 +1,68 @@
+//! The end of the queue: where the next move begins, as programmed and in steps, and what the last block has left over.
+
+use super::trapezoid::square_root;
+use crate::axes::PerAxis;
+use crate::units::Coordinate;
+
+/// The end of the queue, before which the last block ends.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PathEnd<const N: usize> {
+    /// As programmed, where the last block ended, and in steps.
+    pub planned: PerAxis<Coordinate, N>,
+    pub block_end: PerAxis<Coordinate, N>,
+    pub planned_steps: PerAxis<i32, N>,
+    /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
+    pub length_carry: f32,
+    /// Unit vector of the last block.
+    pub direction: [f32; N],
+    /// The last block has taken the time of moves without a step that led nowhere.
+    pub had_stepless_moves: bool,
+    /// The last block moves motors and no tool: what follows begins at rest.
+    pub motors_only: bool,
+}
+
+impl<const N: usize> PathEnd<N> {
+    pub(super) const ZERO: Self = Self {
+        planned: PerAxis::all(Coordinate::ZERO),
+        block_end: PerAxis::all(Coordinate::ZERO),
+        planned_steps: PerAxis::all(0),
+        length_carry: 0.0,
+        direction: [0.0; N],
+        had_stepless_moves: false,
+        motors_only: false,
+    };
+
+    /// At rest at a position.
+    pub(super) fn restart(&mut self, steps: PerAxis<i32, N>, position: PerAxis<Coordinate, N>) {
+        self.length_carry = 0.0;
+        self.planned_steps = steps;
+        self.planned = position;
+        self.block_end = position;
+        self.motors_only = false;
+        self.had_stepless_moves = false;
+    }
+
+    /// mm to a target.
+    pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
+        let mut square = 0.0;
+        for (to, from) in target.iter().zip(self.planned.iter()) {
+            let way = (*to - *from).to_mm();
+            square += way * way;
+        }
+        square_root(square)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_distance_is_measured_from_the_programmed_end() {
+        let mut end = PathEnd::<2>::ZERO;
+        end.restart(PerAxis([80, 0]), PerAxis([Coordinate::mm(1), Coordinate::ZERO]));
+        assert_eq!(end.distance(&PerAxis([Coordinate::mm(4), Coordinate::mm(4)])), 5.0);
+        end.planned = PerAxis([Coordinate::mm(4), Coordinate::mm(1)]);
+        assert_eq!(end.distance(&PerAxis([Coordinate::mm(4), Coordinate::mm(4)])), 3.0);
+    }
+}

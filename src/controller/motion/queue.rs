@@ -1,0 +1,156 @@
+//! The queue of blocks, and all that is known of its end: from there the next move begins. [`super::enqueue`] makes blocks
+//! of moves, [`super::short_moves`] one block of short ones.
+
+use super::axis_limits::AxisLimits;
+use super::backlash::{Backlash, Motors};
+use super::block::{Block, OverrideFactors};
+use super::curvature::Chain;
+use super::join::Join;
+use super::kinematics::Kinematics;
+use super::path_end::PathEnd;
+use super::planner::Planner;
+use super::{MotionSettings, Move};
+use crate::axes::PerAxis;
+use crate::units::Coordinate;
+
+/// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
+pub(super) const MOST_BACKLASH: i32 = 10_000;
+/// With backlash: what is left of it before a plunge, a cut, the rest of the move.
+pub(super) const MOST_BLOCKS_OF_A_MOVE: usize = 3;
+
+/// A move with more steps than a block can have, cut into equal pieces as there is room.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LongMove<const N: usize> {
+    pub start: PerAxis<Coordinate, N>,
+    pub whole: Move<N>,
+    pub curve_speed2: f32,
+    pub pieces: u32,
+    pub next: u32,
+}
+
+/// What a move becomes a block with, and the blocks.
+// In this order, small things first: one instruction reaches 4 KiB from the base.
+#[derive(Debug)]
+#[repr(C)]
+pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
+    pub kinematics: Kinematics<N>,
+    pub backlash: Backlash<N>,
+    pub limits: AxisLimits<N>,
+    pub overrides: OverrideFactors,
+    pub end: PathEnd<N>,
+    /// How far the end is beyond its steps, in substeps (sevenths of a step); known after a chord of an arc only.
+    pub substep_offset: Option<[i32; N]>,
+    pub long: Option<LongMove<N>>,
+    /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
+    pub chain: Chain<N>,
+    /// The last block, as far as short moves may continue it.
+    pub join: Join<N>,
+    pub planner: Planner<N, R>,
+}
+
+/// The same whatever the length of its ring.
+pub(super) type AnyQueue<const N: usize> = MoveQueue<N, [Block<N>]>;
+
+impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
+    /// Empty, before there are settings.
+    pub(super) const fn new() -> Self {
+        Self {
+            kinematics: Kinematics::ONE,
+            backlash: Backlash::NONE,
+            limits: AxisLimits::ONE,
+            overrides: OverrideFactors::NONE,
+            end: PathEnd::ZERO,
+            substep_offset: None,
+            long: None,
+            chain: Chain::new(),
+            join: Join::NONE,
+            planner: Planner::new(),
+        }
+    }
+}
+
+// Not derived: what may be unsized cannot be cloned.
+impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOCKS]> {
+    fn clone(&self) -> Self {
+        Self {
+            kinematics: self.kinematics,
+            backlash: self.backlash,
+            limits: self.limits,
+            overrides: self.overrides,
+            end: self.end,
+            substep_offset: self.substep_offset,
+            long: self.long,
+            chain: self.chain.clone(),
+            join: self.join.clone(),
+            planner: self.planner.clone(),
+        }
+    }
+}
+
+impl<const N: usize> AnyQueue<N> {
+    /// Takes over settings; empty only, and [`MoveQueue::restart`] has to follow.
+    pub(super) fn configure(&mut self, settings: &MotionSettings<N>) {
+        self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
+        self.join.configure(&self.kinematics);
+        self.limits = AxisLimits::new(settings);
+        self.planner.jerk_limited = self.limits.is_jerk_limited();
+        let slack = settings.backlash.zip(&settings.steps_per_mm, |mm, scale| (mm * scale.to_f32() + 0.5) as i32);
+        self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
+    }
+
+    /// Forgets everything: the next move begins with the motors here. Gives them with a lead within the slack.
+    pub(super) fn restart(&mut self, motors: Motors<N>) -> Motors<N> {
+        self.backlash.rest(motors.lead);
+        let motors = Motors { lead: self.backlash.lead(), ..motors };
+        let steps = motors.tool();
+        self.planner.clear();
+        self.join.forget();
+        self.long = None;
+        self.end.restart(steps, self.kinematics.place(&steps));
+        self.substep_offset = None;
+        self.chain.restart(&self.end.planned);
+        motors
+    }
+
+    /// The next move is measured from here, a position within the step at which the queue, which is empty, ends.
+    pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
+        self.end.planned = *position;
+        self.end.block_end = *position;
+        self.chain.restart(position);
+    }
+
+    /// Whether there is nothing more to be done.
+    #[inline]
+    pub(super) fn is_empty(&self) -> bool {
+        self.planner.len() == 0 && self.long.is_none()
+    }
+
+    /// Room for moves. None while a move of more than 2^26 steps is still being cut.
+    pub(super) fn free_blocks(&self) -> usize {
+        let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(self.planner.capacity()) - 1 } else { 0 };
+        if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare) }
+    }
+
+    /// The end of all moves, as programmed.
+    pub(super) fn planned_position(&self) -> PerAxis<Coordinate, N> {
+        self.long.map_or(self.end.planned, |long| long.whole.target)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn backlash_keeps_blocks_back_for_what_a_move_takes_up() {
+        let mut queue = MoveQueue::<2, [Block<2>; 8]>::new();
+        let any: &mut AnyQueue<2> = &mut queue;
+        assert_eq!((any.free_blocks(), any.is_empty()), (8, true));
+        any.backlash.configure([5, 0]);
+        assert_eq!(any.free_blocks(), 6);
+        any.planner.push(Block::EMPTY, OverrideFactors::NONE);
+        assert_eq!((any.free_blocks(), any.is_empty()), (5, false));
+        any.restart(Motors::ZERO);
+        assert!(any.is_empty());
+    }
+}

@@ -1,0 +1,323 @@
+//! The block that is being cut into segments, and which trapezoid its rest follows.
+
+use super::block::{Block, OverrideFactors, RAPID, SCALE_POWER};
+use super::measure::{Measure, signed_add, steps_taken};
+use super::planner::Planner;
+use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
+use crate::axes::PerAxis;
+use crate::messages::{Leg, ToStep};
+
+/// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
+const CRAWL_S: f32 = 0.001;
+
+/// What the step task has to be told next of a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BlockStage {
+    /// There is no block.
+    Nothing,
+    /// Steps of the axes beyond the first three.
+    UpperAxes,
+    /// Steps of the first three axes, and directions.
+    Block,
+    /// That the block was left part-way for moves of another kind.
+    Reenter,
+    /// The first segment since the block was announced.
+    FirstSegment,
+    /// Segments.
+    Segments,
+}
+
+/// How the machine moves at the end of what has been handed over to the segment buffer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PathMotion {
+    /// In units/s of the running block, mm/s between blocks.
+    pub pace: Pace,
+    /// Acceleration along the path, mm/s²; with a jerk limit only.
+    pub acceleration: f32,
+    /// The least bound on it as far as it takes to ease it off; with a jerk limit only.
+    pub ease_off_limit: f32,
+}
+
+impl PathMotion {
+    pub(super) const REST: Self = Self { pace: Pace::REST, acceleration: 0.0, ease_off_limit: 0.0 };
+
+    /// Comes to rest.
+    #[inline]
+    pub(super) fn stop(&mut self) {
+        self.pace = Pace::REST;
+        self.acceleration = 0.0;
+    }
+}
+
+/// The running block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Running<const N: usize> {
+    pub stage: BlockStage,
+    legs: [Leg; N],
+    directions: u8,
+    flags: u8,
+    power: u16,
+    pub line_number: u32,
+    /// See [`Measure`].
+    threshold: u32,
+    rates: [u32; N],
+    credits: [u32; N],
+    /// Units of the whole block and those cut off so far.
+    pub total: u32,
+    pub done: u32,
+    /// Units of a millimetre.
+    pub scale: f32,
+    /// In units/s², units²/s².
+    pub acceleration: f32,
+    pub nominal2: f32,
+    /// mm/s before overrides.
+    programmed: f32,
+}
+
+impl<const N: usize> Running<N> {
+    pub(super) const NONE: Self = Self {
+        stage: BlockStage::Nothing,
+        legs: [Leg::on_steps(0); N],
+        directions: 0,
+        flags: 0,
+        power: 0,
+        line_number: 0,
+        threshold: 0,
+        rates: [0; N],
+        credits: [0; N],
+        total: 0,
+        done: 0,
+        scale: 1.0,
+        acceleration: 1.0,
+        nominal2: 1.0,
+        programmed: 1.0,
+    };
+
+    /// The beginning of a block.
+    #[inline]
+    pub(super) fn of(block: &Block<N>, overrides: OverrideFactors) -> Self {
+        let measure = Measure::of(&block.legs);
+        let scale = measure.total as f32 / block.length;
+        let nominal = block.nominal(overrides) * scale;
+        Self {
+            stage: Self::ANNOUNCE,
+            legs: block.legs,
+            directions: block.directions,
+            flags: block.flags,
+            power: block.power,
+            line_number: block.line_number,
+            threshold: measure.threshold,
+            rates: block.legs.map(|leg| measure.rate(leg)),
+            credits: block.legs.map(|leg| measure.credit(leg)),
+            total: measure.total,
+            done: 0,
+            scale,
+            acceleration: block.acceleration * scale,
+            nominal2: nominal * nominal,
+            programmed: if block.flags & RAPID != 0 { block.limit } else { block.programmed },
+        }
+    }
+
+    /// How the announcement of a block begins.
+    const ANNOUNCE: BlockStage = if N > 3 { BlockStage::UpperAxes } else { BlockStage::Block };
+
+    /// Whether there is a block.
+    #[inline]
+    pub(super) fn is_active(&self) -> bool {
+        self.stage != BlockStage::Nothing
+    }
+
+    /// The block has to be announced once more, for the step task has done something else meanwhile.
+    pub(super) fn announce_again(&mut self) {
+        if self.is_active() {
+            self.stage = Self::ANNOUNCE;
+        }
+    }
+
+    /// The next message of the announcement; `None`: it is time for a segment.
+    #[inline]
+    pub(super) fn announce(&mut self) -> Option<ToStep> {
+        let mut legs = [Leg::default(); 3];
+        match self.stage {
+            BlockStage::UpperAxes => {
+                self.stage = BlockStage::Block;
+                for (out, own) in legs.iter_mut().zip(self.legs.iter().skip(3)) {
+                    *out = *own;
+                }
+                Some(ToStep::BlockRest { legs })
+            }
+            BlockStage::Block => {
+                self.stage = if self.done > 0 { BlockStage::Reenter } else { BlockStage::FirstSegment };
+                for (out, own) in legs.iter_mut().zip(self.legs.iter()) {
+                    *out = *own;
+                }
+                Some(ToStep::Block { legs, directions: self.directions })
+            }
+            BlockStage::Reenter => {
+                self.stage = BlockStage::FirstSegment;
+                Some(ToStep::Reenter { units: self.done })
+            }
+            BlockStage::Nothing | BlockStage::FirstSegment | BlockStage::Segments => None,
+        }
+    }
+
+    /// Units still to be cut off.
+    #[inline]
+    pub(super) fn left(&self) -> u32 {
+        self.total - self.done
+    }
+
+    /// Whether all of it has been cut off.
+    #[inline]
+    pub(super) fn is_done(&self) -> bool {
+        self.done >= self.total
+    }
+
+    #[inline]
+    pub(super) fn is_rapid(&self) -> bool {
+        self.flags & RAPID != 0
+    }
+
+    /// Spindle or laser power at a speed, mm/s.
+    #[inline]
+    pub(super) fn power_at(&self, speed: f32) -> u16 {
+        if self.flags & SCALE_POWER == 0 {
+            return self.power;
+        }
+        (f32::from(self.power) * (speed / self.programmed)) as u16
+    }
+
+    /// Where the motors are that began the block here.
+    #[inline]
+    pub(super) fn steps_from(&self, start: &PerAxis<i32, N>) -> PerAxis<i32, N> {
+        let mut position = *start;
+        let axes = self.legs.iter().zip(self.rates.iter().zip(self.credits));
+        for (bit, (value, (leg, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
+            let taken = if self.done == self.total {
+                leg.steps()
+            } else {
+                steps_taken(*rate, credit, self.threshold, self.done)
+            };
+            *value = signed_add(*value, taken, self.directions >> bit & 1 != 0);
+        }
+        position
+    }
+
+    /// The trapezoid of the rest of the block and how many units are left of it; `None` for a stop at this very position.
+    #[inline]
+    pub(super) fn trapezoid(
+        &self,
+        pace: Pace,
+        braking: bool,
+        planner: &Planner<N, [Block<N>]>,
+    ) -> Option<(Trapezoid, u32)> {
+        let left = self.left();
+        let planned2 = planner.exit2();
+        let acceleration = self.acceleration_towards(planned2, pace, planner);
+        if braking {
+            return self.braking(pace, acceleration);
+        }
+        let exit2 = planned2 * (self.scale * self.scale);
+        Some((Trapezoid { acceleration, nominal2: self.nominal2, exit2 }, left))
+    }
+
+    /// The same while braking to a stop as soon as may be.
+    #[inline]
+    fn braking(&self, pace: Pace, acceleration: f32) -> Option<(Trapezoid, u32)> {
+        let left = self.left();
+        if pace.speed2 <= 0.0 {
+            return None;
+        }
+        let way = pace.speed2 / (2.0 * acceleration);
+        if way < 1.0 && pace.speed * CRAWL_S < 2.0 {
+            return None;
+        }
+        if way >= left as f32 {
+            // All of this block brakes, and the next one begins with what speed is left.
+            let exit2 = (pace.speed2 - 2.0 * acceleration * left as f32).max(0.0);
+            return Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2 }, left));
+        }
+        // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
+        let mut stop = way as u32;
+        if (stop as f32) < way {
+            stop += 1;
+        }
+        let stop = stop.clamp(1, left);
+        let acceleration = pace.speed2 / (2.0 * stop as f32);
+        Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2: 0.0 }, stop))
+    }
+
+    /// The acceleration, in units/s²: in a bend what it leaves at the lower of the present speed and the planned exit
+    /// speed², as the reverse pass has counted on. A machine that is too fast for that exit, because the bend was seen when
+    /// the blocks behind had counted on all of the acceleration, brakes as hard as it needs.
+    #[inline]
+    fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N, [Block<N>]>) -> f32 {
+        match planner.first() {
+            Some(block) if !block.curve.is_none() => {
+                let speed2 = pace.speed2 / (self.scale * self.scale);
+                let planned = block.acceleration_at(lesser(speed2, exit2)) * self.scale;
+                let (exit2, twice_left) = (exit2 * self.scale * self.scale, 2.0 * self.left() as f32);
+                if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {
+                    return planned;
+                }
+                lesser((pace.speed2 - exit2) / twice_left, self.acceleration)
+            }
+            _ => self.acceleration,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stages<const N: usize>(run: &mut Running<N>) -> Vec<BlockStage> {
+        let mut stages = vec![run.stage];
+        while run.announce().is_some() {
+            stages.push(run.stage);
+        }
+        stages
+    }
+
+    fn block<const N: usize>() -> Block<N> {
+        Block { legs: [Leg::on_steps(10); N], length: 1.0, programmed: 10.0, limit: 10.0, ..Block::EMPTY }
+    }
+
+    #[test]
+    fn a_block_is_announced_before_its_first_segment() {
+        let mut run = Running::of(&block::<3>(), OverrideFactors::NONE);
+        assert_eq!(stages(&mut run), [BlockStage::Block, BlockStage::FirstSegment]);
+        let mut run = Running::of(&block::<6>(), OverrideFactors::NONE);
+        assert_eq!(stages(&mut run), [BlockStage::UpperAxes, BlockStage::Block, BlockStage::FirstSegment]);
+    }
+
+    #[test]
+    fn a_block_that_was_left_part_way_is_entered_there() {
+        let mut run = Running::of(&block::<3>(), OverrideFactors::NONE);
+        run.announce();
+        run.done = 32;
+        run.announce_again();
+        assert_eq!(stages(&mut run), [BlockStage::Block, BlockStage::Reenter, BlockStage::FirstSegment]);
+        let mut none = Running::<3>::NONE;
+        none.announce_again();
+        assert!(!none.is_active() && none.announce().is_none());
+    }
+
+    #[test]
+    fn the_motors_are_where_the_units_have_brought_them() {
+        let mut run = Running::of(&Block { directions: 0b10, ..block::<2>() }, OverrideFactors::NONE);
+        run.done = run.total / 2;
+        assert_eq!(run.steps_from(&PerAxis([100, 100])), PerAxis([105, 95]));
+        run.done = run.total;
+        assert_eq!(run.steps_from(&PerAxis([100, 100])), PerAxis([110, 90]));
+        assert!(run.is_done() && run.left() == 0);
+    }
+
+    #[test]
+    fn power_follows_the_speed_only_if_it_is_asked_to() {
+        let whole = Block { power: 1000, ..block::<3>() };
+        assert_eq!(Running::of(&whole, OverrideFactors::NONE).power_at(5.0), 1000);
+        let scaled = Block { flags: SCALE_POWER, ..whole };
+        assert_eq!(Running::of(&scaled, OverrideFactors::NONE).power_at(5.0), 500);
+    }
+}

@@ -1,0 +1,161 @@
+//! Which short moves become one block with the last one ([`super::join`]), and what the queue does for that.
+
+use super::Move;
+use super::curvature::PathPiece;
+use super::queue::AnyQueue;
+use super::trapezoid::{lesser, square_root};
+use crate::axes::PerAxis;
+use crate::units::{Coordinate, DECIMAL_ONE};
+
+/// Longest move that is joined, the sum of its ways in all axes: 512 blocks that are longer make a look-ahead of 16 mm at
+/// least, in which 100 mm/s are braked at 313 mm/s². They stay the blocks that they are.
+const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
+/// Longest joined move, mm.
+const MOST_JOINED: f32 = 0.5;
+/// Path by straight line beyond which points wind for a purpose: rounding to digits makes it the square root of 3 at most.
+const MOST_WINDING: f32 = 1.75;
+
+impl<const N: usize> AnyQueue<N> {
+    /// Before a move is made a block: takes back the last block if this move continues it, so that the new block begins where
+    /// that one did. Gives the speed² at which the blocks before may already count on entering it.
+    #[inline]
+    pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
+        let ends = m.target.iter().zip(self.end.block_end.iter());
+        let ways: i64 = ends.map(|(to, from)| (to.0 - from.0).abs()).sum();
+        if is_line && !m.no_feed_override && ways <= MOST_PIECE {
+            return self.join_short(m, target_steps);
+        }
+        self.join.open = false;
+        if self.join.kept && *target_steps != self.end.planned_steps {
+            self.end_join();
+        }
+        0.0
+    }
+
+    #[inline(never)]
+    fn join_short(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> f32 {
+        if self.planner.len() == 0 {
+            self.join.moves = 0;
+        }
+        self.join.open &= self.join.is_like(m);
+        self.join.digit = lesser(self.join.digit, m.digit);
+        if *target_steps == self.end.planned_steps {
+            // It makes no block, but is a point of the line.
+            self.join.open = self.join.open && self.pass_by(m);
+            return 0.0;
+        }
+        if self.join.open
+            && let Some(promised) = self.continues(m, target_steps)
+        {
+            self.join.moves += 1;
+            self.take_back();
+            return promised;
+        }
+        self.end_join();
+        self.join.remember(m, self.end);
+        0.0
+    }
+
+    /// Nothing more is joined to the last block: the chain gets its piece.
+    #[inline(never)]
+    pub(super) fn end_join(&mut self) {
+        let join = &mut self.join;
+        join.open = false;
+        if core::mem::take(&mut join.kept) {
+            let piece = PathPiece {
+                start: &join.before.block_end,
+                end: &self.end.block_end,
+                direction: &self.end.direction,
+                length: join.length,
+                path: join.block_path,
+                fast2: join.fast2,
+                digit: join.digit,
+            };
+            let planner = &mut self.planner;
+            self.chain.extend(&piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+        }
+    }
+
+    /// The ways of the motors from where the last block begins.
+    fn way_to(&self, place: &PerAxis<Coordinate, N>) -> [f32; N] {
+        self.kinematics.way_of_motors(&place.zip(&self.join.before.block_end, |to, from| (to - from).to_mm()).0)
+    }
+
+    /// A point from which no block is made. `false`: nothing continues the line.
+    fn pass_by(&mut self, m: &Move<N>) -> bool {
+        self.join.path += self.end.distance(&m.target);
+        let way = self.way_to(&m.target);
+        self.pass_end() && self.join.pass(&way)
+    }
+
+    /// The end of the first move is the first point.
+    fn pass_end(&mut self) -> bool {
+        if !self.join.fresh {
+            return true;
+        }
+        let end = self.way_to(&self.end.block_end);
+        self.join.pass(&end)
+    }
+
+    /// Whether a move continues the last block within its bounds, and if so, what speed² has been promised for its entry.
+    fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
+        // The only block may be on its way out, or the next one with a speed already given.
+        if self.planner.len() < 2 && self.planner.is_entered() {
+            return None;
+        }
+        let motors = self.way_to(&m.target);
+        if !self.pass_end() || !self.join.allows(&motors) {
+            return None;
+        }
+        let before = &self.join.before;
+        let way = m.target.zip(&before.block_end, |to, from| (to - from).to_mm());
+        let straight = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+        let path = self.join.path + self.end.distance(&m.target);
+        if straight > MOST_JOINED || path > MOST_WINDING * straight {
+            return None;
+        }
+        let skipped = before.planned.zip(&before.block_end, |to, from| (to - from).to_mm());
+        let own = way.zip(&skipped, |way, skipped| way - skipped);
+        let length = square_root(own.iter().fold(0.0, |sum, part| sum + part * part)) + before.length_carry;
+        let moved = target_steps.zip(&before.planned_steps, i32::wrapping_sub);
+        // Steps that stand for more than the length would bring other limits (`append`); none make no block.
+        let too_many = |(steps, mm): (&i32, f32)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length;
+        if moved.iter().all(|steps| *steps == 0) || moved.iter().zip(self.kinematics.least_mm).any(too_many) {
+            return None;
+        }
+        if self.backlash.is_on() {
+            let mut after = self.backlash;
+            after.turn(&target_steps.zip(&self.end.planned_steps, i32::wrapping_sub).0);
+            if after.is_outstanding() {
+                return None;
+            }
+        }
+        // From the speed at which the old block could have been braked to a stop, this one can.
+        let last = self.planner.last()?;
+        let (acceleration, _) = self.limits.along(&way, length);
+        let promised = last.acceleration * last.length;
+        if acceleration * length < promised {
+            return None;
+        }
+        let eased = last.jerk * last.length * last.length;
+        if self.planner.jerk_limited && self.limits.jerk_along(&way, length, acceleration) * length * length < eased {
+            return None;
+        }
+        let promised = lesser(last.max_entry2, 2.0 * promised);
+        self.join.path = path;
+        self.join.pass(&motors);
+        Some(promised)
+    }
+
+    /// The end of the queue as it was before the last block.
+    fn take_back(&mut self) {
+        self.end = self.join.before;
+        self.planner.take_back();
+    }
+
+    /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the
+    /// queue has room: reason enough to start.
+    pub(super) fn has_joined_enough(&self) -> bool {
+        self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
+    }
+}
