@@ -108,7 +108,7 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "joined-without-bound",
         edits: &[Edit {
-            file: "src/controller/motion/join.rs",
+            file: "src/controller/motion/short_moves.rs",
             find: "if !self.pass_end() || !self.join.allows(&motors) {",
             replace: "if !self.pass_end() || self.join.along(&motors).is_none() {",
         }],

@@ -200,9 +200,8 @@ impl<const N: usize> AnyQueue<N> {
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let mut block = Block::<N> { length, line_number: m.line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved = if path.length < sizes.least_mm { self.way_of_steps(&motors, length, &path.way) } else { path.way };
-        let timed = if path.length < sizes.least_mm { length } else { path.own };
-        let rapid = self.set_speeds(&mut block, m, timed, &moved, &mut motors, curve_speed2);
+        let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };
+        let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, curve_speed2);
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         block.directions = motors.directions;
@@ -220,7 +219,7 @@ impl<const N: usize> AnyQueue<N> {
             fast2: fastest * fastest,
             digit: self.chain.last_digit(m.digit),
         };
-        block.corner2 = greater(self.entry_corner2(&piece, path.leads_nowhere(sizes.coarsest_mm)), promised2);
+        block.corner2 = greater(self.entry_corner2(&piece, &path, sizes.coarsest_mm), promised2);
         self.end.direction = unit;
         if curve_speed2 < NOTICEABLE * piece.fast2 {
             block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&moved));
@@ -229,13 +228,13 @@ impl<const N: usize> AnyQueue<N> {
     }
 
     /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
-    /// steps. `timed`: what is gone in the time of a move that has one, mm. Gives the flag of a rapid.
+    /// steps. Gives the flag of a rapid.
     #[inline]
     fn set_speeds(
         &mut self,
         block: &mut Block<N>,
         m: &Move<N>,
-        timed: f32,
+        path: &Path<N>,
         moved: &PerAxis<f32, N>,
         motors: &mut MotorSteps<N>,
         curve_speed2: f32,
@@ -246,7 +245,7 @@ impl<const N: usize> AnyQueue<N> {
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
-            Speed::Duration(seconds) => (timed / seconds, 0),
+            Speed::Duration(seconds) => (if path.length < length { length } else { path.own } / seconds, 0),
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
@@ -262,14 +261,15 @@ impl<const N: usize> AnyQueue<N> {
         rapid
     }
 
-    /// Greatest speed² at the corner before a piece; `waits`: its block takes the time of moves that led nowhere, so it has
-    /// corners before and behind it.
+    /// Greatest speed² at the corner before the piece of a path, on which the coarsest motor has steps of so many mm. A block
+    /// that takes the time of moves that led nowhere has corners before and behind it.
     #[inline]
-    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, waits: bool) -> f32 {
+    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
             self.chain.restart(piece.start);
         }
         let mut corner2 = self.chain.corner2(piece, &self.limits.turns);
+        let waits = path.leads_nowhere(coarsest_mm);
         if waits || self.end.had_stepless_moves {
             corner2 = lesser(corner2, self.limits.turns.square_corner2());
             self.join.close();
