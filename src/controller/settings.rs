@@ -194,7 +194,7 @@ impl AxisKey {
 
 /// The index of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
+enum Index {
     Scalar(usize),
     PerAxis(usize, Axis),
 }
@@ -283,13 +283,13 @@ impl<const N: usize> Settings<N> {
         self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
     }
 
-    fn find(number: u16) -> Option<Place> {
+    fn find(number: u16) -> Option<Index> {
         if let Some(i) = SCALARS.iter().position(|e| e.number == number) {
-            return Some(Place::Scalar(i));
+            return Some(Index::Scalar(i));
         }
         PER_AXIS.iter().enumerate().find_map(|(i, e)| {
             let axis = Axis::ALL.get(usize::from(number.checked_sub(e.number)?)).copied()?;
-            (axis.index() < N).then_some(Place::PerAxis(i, axis))
+            (axis.index() < N).then_some(Index::PerAxis(i, axis))
         })
     }
 
@@ -317,8 +317,8 @@ impl<const N: usize> Settings<N> {
         }
         let place = Self::find(number).ok_or(Error::InvalidStatement)?;
         let entry = match place {
-            Place::Scalar(i) => SCALARS.get(i),
-            Place::PerAxis(i, _) => PER_AXIS.get(i),
+            Index::Scalar(i) => SCALARS.get(i),
+            Index::PerAxis(i, _) => PER_AXIS.get(i),
         }
         .ok_or(Error::InvalidStatement)?;
         let value = match entry.kind {
@@ -355,7 +355,7 @@ impl<const N: usize> Settings<N> {
         self.put(place, value);
         if number == HOMING && value == 0.0 {
             // Soft limits mean nothing without a homed position.
-            self.put(Place::Scalar(Key::SoftLimits as usize), 0.0);
+            self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
         }
         Ok(())
     }
@@ -374,7 +374,7 @@ impl<const N: usize> Settings<N> {
     pub fn settle(&mut self) {
         let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
         let on = kept && self.is_on(Key::SoftLimits);
-        self.put(Place::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
+        self.put(Index::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
     }
 
     /// The value of a setting by its number, for storing.
@@ -383,8 +383,8 @@ impl<const N: usize> Settings<N> {
             return Some(BEFORE_HOMING);
         }
         match Self::find(number)? {
-            Place::Scalar(i) => self.scalars.get(i).copied(),
-            Place::PerAxis(i, axis) => self.per_axis.get(i)?.get(axis),
+            Index::Scalar(i) => self.scalars.get(i).copied(),
+            Index::PerAxis(i, axis) => self.per_axis.get(i)?.get(axis),
         }
     }
 
@@ -398,15 +398,15 @@ impl<const N: usize> Settings<N> {
         *self = Self { revision: self.revision.wrapping_add(1), ..others };
     }
 
-    fn put(&mut self, place: Place, value: f32) {
+    fn put(&mut self, place: Index, value: f32) {
         self.revision = self.revision.wrapping_add(1);
         match place {
-            Place::Scalar(i) => {
+            Index::Scalar(i) => {
                 if let Some(slot) = self.scalars.get_mut(i) {
                     *slot = value;
                 }
             }
-            Place::PerAxis(i, axis) => {
+            Index::PerAxis(i, axis) => {
                 if let Some(slot) = self.per_axis.get_mut(i) {
                     slot.set(axis, value);
                 }

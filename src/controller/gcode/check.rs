@@ -320,7 +320,7 @@ impl<'a, const N: usize> Check<'a, N> {
             modal.motion = MotionMode::Linear;
             modal.feed_mode = FeedMode::PerMinute;
         }
-        if let Some(motion) = line.motion {
+        if let Some(motion) = line.modal.motion {
             modal.motion = motion;
         } else if dialect == Dialect::Seed
             && modal.motion == MotionMode::Cancelled
@@ -332,13 +332,13 @@ impl<'a, const N: usize> Check<'a, N> {
         if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
             modal.straight = modal.motion;
         }
-        modal.plane = line.plane.unwrap_or(modal.plane);
-        modal.distance = line.distance.unwrap_or(modal.distance);
-        modal.arc_distance = line.arc_distance.unwrap_or(modal.arc_distance);
-        modal.feed_mode = line.feed_mode.unwrap_or(modal.feed_mode);
-        modal.units = line.units.unwrap_or(modal.units);
-        modal.retract_to_r = line.retract_to_r.unwrap_or(modal.retract_to_r);
-        modal.coordinate_system = line.coordinate_system.unwrap_or(modal.coordinate_system);
+        modal.plane = line.modal.plane.unwrap_or(modal.plane);
+        modal.distance = line.modal.distance.unwrap_or(modal.distance);
+        modal.arc_distance = line.modal.arc_distance.unwrap_or(modal.arc_distance);
+        modal.feed_mode = line.modal.feed_mode.unwrap_or(modal.feed_mode);
+        modal.units = line.modal.units.unwrap_or(modal.units);
+        modal.retract_to_r = line.modal.retract_to_r.unwrap_or(modal.retract_to_r);
+        modal.coordinate_system = line.modal.coordinate_system.unwrap_or(modal.coordinate_system);
         // A full circle needs no axis word.
         let is_circle = dialect != Dialect::Grbl
             && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
@@ -351,7 +351,7 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     fn line_number(&mut self) -> Result<(), Error> {
-        let number = self.line.n.truncate();
+        let number = self.line.value.n.truncate();
         if number > LINE_NUMBER_MAX {
             return Err(Error::InvalidLineNumber);
         }
@@ -369,7 +369,7 @@ impl<'a, const N: usize> Check<'a, N> {
         let modal = self.checked.modal;
         self.checked.modal.feed = match (modal.feed_mode, given) {
             (_, false) if self.purpose == Purpose::Jog => return Err(Error::UndefinedFeed),
-            (FeedMode::InverseTime, true) => self.line.f,
+            (FeedMode::InverseTime, true) => self.line.value.f,
             (FeedMode::InverseTime, false) => {
                 let needed = !matches!(modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
                 if needed && self.claim == Claim::Motion {
@@ -377,7 +377,7 @@ impl<'a, const N: usize> Check<'a, N> {
                 }
                 Decimal::ZERO
             }
-            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.f).0),
+            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.value.f).0),
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
             (FeedMode::PerMinute, false) => Decimal::ZERO,
         };
@@ -387,7 +387,7 @@ impl<'a, const N: usize> Check<'a, N> {
     fn speed(&mut self) {
         let (line, modal) = (self.line, &mut self.checked.modal);
         if line.values.has(b'S') {
-            modal.speed = line.s.to_f32();
+            modal.speed = line.value.s.to_f32();
         }
         self.checked.speed = self.checked.modal.speed;
         self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
@@ -410,7 +410,7 @@ impl<'a, const N: usize> Check<'a, N> {
     /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
     fn parking_override(&mut self) {
         if self.line.parking_override {
-            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.p == Decimal::ZERO;
+            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.value.p == Decimal::ZERO;
             self.unused.remove(Letters::of(b"P"));
         }
     }
@@ -433,7 +433,7 @@ impl<'a, const N: usize> Check<'a, N> {
             return Err(Error::ValueWordMissing);
         }
         self.unused.remove(Letters::of(b"P"));
-        self.checked.dwell = Some(seconds(self.line.p));
+        self.checked.dwell = Some(seconds(self.line.value.p));
         Ok(())
     }
 
@@ -489,7 +489,7 @@ impl<'a, const N: usize> Check<'a, N> {
     /// the given coordinates. Distance mode plays no part.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
-        let of_tool = self.dialect != Dialect::Grbl && line.l == Decimal::from_int(1);
+        let of_tool = self.dialect != Dialect::Grbl && line.value.l == Decimal::from_int(1);
         if line.axes.is_empty() && !of_tool {
             return Err(Error::NoAxisWords);
         }
@@ -502,18 +502,18 @@ impl<'a, const N: usize> Check<'a, N> {
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
-            match whole(line.l)? {
+            match whole(line.value.l)? {
                 2 if line.values.has(b'R') => return Err(Error::NotSupported),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
                 _ => return Err(Error::UnsupportedCommand),
             }
         }
-        let system = self.system_of(line.p.truncate())?;
+        let system = self.system_of(line.value.p.truncate())?;
         if self.dialect != Dialect::Grbl {
-            whole(line.p)?;
+            whole(line.value.p)?;
         }
-        let from_position = match line.l.truncate() {
+        let from_position = match line.value.l.truncate() {
             2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
             2 => false,
             20 => true,
@@ -647,7 +647,7 @@ impl<'a, const N: usize> Check<'a, N> {
         );
         let centre = if self.line.values.has(b'R') {
             self.unused.remove(Letters::of(b"R"));
-            arc::centre_by_radius(chord, self.length(self.line.r), clockwise)?
+            arc::centre_by_radius(chord, self.length(self.line.value.r), clockwise)?
         } else {
             let centre = self.centre(axes)?;
             if !arc::radii_agree(chord, centre)? {
@@ -686,9 +686,9 @@ impl<'a, const N: usize> Check<'a, N> {
         self.unused.remove(CENTRE);
         let centre_along = |axis: Axis| {
             let value = self.length(match axis {
-                Axis::X => self.line.i,
-                Axis::Y => self.line.j,
-                _ => self.line.k,
+                Axis::X => self.line.value.i,
+                Axis::Y => self.line.value.j,
+                _ => self.line.value.k,
             });
             if absolute { value + self.work_offset(axis) - self.position(axis) } else { value }
         };
@@ -701,7 +701,7 @@ impl<'a, const N: usize> Check<'a, N> {
             return Ok(0);
         }
         self.unused.remove(Letters::of(b"P"));
-        let turns = whole(self.line.p)?;
+        let turns = whole(self.line.value.p)?;
         if !(1..=TURNS_MAX).contains(&turns) {
             return Err(Error::IntegerRequired);
         }

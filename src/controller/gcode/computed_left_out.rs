@@ -1,5 +1,6 @@
 //! Where expressions, parameters and O words are left out to save flash: what uses them is refused by its own error.
 
+use super::direction::{Direction, Held};
 use super::interpreter::Interpreter;
 use super::word::Word;
 use crate::axes::PerAxis;
@@ -29,32 +30,6 @@ impl<const N: usize> Computed<N> {
 
 /// A line of held text, of which there is none.
 pub type HeldLine = heapless::Vec<u8, 1>;
-
-/// What a line of the host is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// To be checked and carried out.
-    Check,
-    /// Done with.
-    Done,
-    /// Skipped or held.
-    LeftOut,
-    /// A call is to be run.
-    Call,
-    /// A loop is to be run.
-    Run,
-}
-
-/// What comes next of held text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Held {
-    /// This line is to be checked and carried out.
-    Line,
-    /// Nothing for others; ask again.
-    Again,
-    /// It has come to its end.
-    End,
-}
 
 impl<const N: usize> Interpreter<N> {
     /// Every line is to be checked.

@@ -339,16 +339,16 @@ impl<const N: usize> Check<'_, N> {
             words.depth = self.axis_length(axes.linear);
         }
         if self.take(b'R') {
-            words.r = self.length(line.r);
+            words.r = self.length(line.value.r);
         }
         if kind.pecks() && self.take(b'Q') {
-            words.peck = self.length(line.q);
+            words.peck = self.length(line.value.q);
             if words.peck <= Coordinate::ZERO {
                 return Err(Error::ValueOutOfRange);
             }
         }
         if kind.dwells() && self.take(b'P') {
-            words.dwell = super::check::seconds(line.p);
+            words.dwell = super::check::seconds(line.value.p);
         }
         Ok(words)
     }
@@ -358,8 +358,8 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'L') {
             return Ok(1);
         }
-        let count = self.line.l.truncate();
-        if Decimal::from_int(count) != self.line.l {
+        let count = self.line.value.l.truncate();
+        if Decimal::from_int(count) != self.line.value.l {
             return Err(Error::IntegerRequired);
         }
         if !(1..=REPEATS_MAX).contains(&count) {

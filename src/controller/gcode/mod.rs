@@ -18,6 +18,7 @@ mod computed;
 #[cfg(not(feature = "expressions"))]
 mod computed_left_out;
 mod cycle;
+mod direction;
 mod interpreter;
 mod jog;
 mod modal;
@@ -32,8 +33,9 @@ mod word;
 use computed_left_out as computed;
 
 pub use check::{ArcMove, Checked, Feed, Flow, Motion};
-pub use computed::{Direction, Held, HeldLine};
+pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
+pub use direction::{Direction, Held};
 pub use interpreter::Interpreter;
 pub use modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,

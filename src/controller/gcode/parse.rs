@@ -42,16 +42,8 @@ pub(super) struct Parsed<const N: usize> {
     /// Who asks for the axis words.
     pub claim: Claim,
     pub non_modal: Option<NonModal>,
-    pub motion: Option<MotionMode>,
-    pub plane: Option<Plane>,
-    pub distance: Option<Distance>,
-    pub arc_distance: Option<ArcDistance>,
-    pub feed_mode: Option<FeedMode>,
-    pub units: Option<Units>,
-    /// G98, G99.
-    pub retract_to_r: Option<bool>,
+    pub modal: ModalWords,
     pub tool_length: Option<ToolLength>,
-    pub coordinate_system: Option<CoordinateSystem>,
     /// M0 to M2.
     pub flow: Option<MWord>,
     pub spindle: Option<SpindleDirection>,
@@ -67,6 +59,26 @@ pub(super) struct Parsed<const N: usize> {
     pub axis: PerAxis<Decimal, N>,
     /// The most digits behind the point of an axis word.
     pub places: u8,
+    pub value: ValueWords,
+}
+
+/// The words that set modes which stay in force.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ModalWords {
+    pub motion: Option<MotionMode>,
+    pub plane: Option<Plane>,
+    pub distance: Option<Distance>,
+    pub arc_distance: Option<ArcDistance>,
+    pub feed_mode: Option<FeedMode>,
+    pub units: Option<Units>,
+    /// G98, G99.
+    pub retract_to_r: Option<bool>,
+    pub coordinate_system: Option<CoordinateSystem>,
+}
+
+/// The values of the letters that are no axes; 0 if the line has no such word ([`Parsed::values`]).
+#[derive(Clone, Debug, Default)]
+pub(super) struct ValueWords {
     pub i: Decimal,
     pub j: Decimal,
     pub k: Decimal,
@@ -84,20 +96,12 @@ pub(super) struct Parsed<const N: usize> {
 impl<const N: usize> Parsed<N> {
     /// No words.
     pub fn empty() -> Self {
-        let zero = Decimal::ZERO;
         Self {
             groups: Groups::default(),
             claim: Claim::Nobody,
             non_modal: None,
-            motion: None,
-            plane: None,
-            distance: None,
-            arc_distance: None,
-            feed_mode: None,
-            units: None,
-            retract_to_r: None,
+            modal: ModalWords::default(),
             tool_length: None,
-            coordinate_system: None,
             flow: None,
             spindle: None,
             coolant: None,
@@ -105,20 +109,9 @@ impl<const N: usize> Parsed<N> {
             extended: Extended::default(),
             values: Letters::default(),
             axes: AxisMask::NONE,
-            axis: PerAxis::all(zero),
+            axis: PerAxis::all(Decimal::ZERO),
             places: 0,
-            i: zero,
-            j: zero,
-            k: zero,
-            f: zero,
-            h: zero,
-            l: zero,
-            n: zero,
-            p: zero,
-            q: zero,
-            r: zero,
-            s: zero,
-            t: zero,
+            value: ValueWords::default(),
         }
     }
 
@@ -152,15 +145,15 @@ impl<const N: usize> Parsed<N> {
         }
         match word {
             GWord::NonModal(command) => self.non_modal = Some(command),
-            GWord::Motion(motion) => self.motion = Some(motion),
-            GWord::Plane(plane) => self.plane = Some(plane),
-            GWord::Distance(distance) => self.distance = Some(distance),
-            GWord::ArcDistance(distance) => self.arc_distance = Some(distance),
-            GWord::FeedMode(mode) => self.feed_mode = Some(mode),
-            GWord::Units(units) => self.units = Some(units),
-            GWord::Retract(to_r) => self.retract_to_r = Some(to_r),
+            GWord::Motion(motion) => self.modal.motion = Some(motion),
+            GWord::Plane(plane) => self.modal.plane = Some(plane),
+            GWord::Distance(distance) => self.modal.distance = Some(distance),
+            GWord::ArcDistance(distance) => self.modal.arc_distance = Some(distance),
+            GWord::FeedMode(mode) => self.modal.feed_mode = Some(mode),
+            GWord::Units(units) => self.modal.units = Some(units),
+            GWord::Retract(to_r) => self.modal.retract_to_r = Some(to_r),
             GWord::ToolLength(offset) => self.tool_length = Some(offset),
-            GWord::CoordinateSystem(system) => self.coordinate_system = Some(system),
+            GWord::CoordinateSystem(system) => self.modal.coordinate_system = Some(system),
             GWord::Path(path) => {
                 self.extended.path = Some(path);
                 self.extended.is_path_tolerance = code.whole == 64;
@@ -172,10 +165,10 @@ impl<const N: usize> Parsed<N> {
 
     /// Where G80 and another motion word meet, the other one holds; in either order.
     fn cancels_only(&mut self, word: GWord) -> bool {
-        match (word, self.motion) {
+        match (word, self.modal.motion) {
             (GWord::Motion(MotionMode::Cancelled), Some(other)) => other != MotionMode::Cancelled,
             (GWord::Motion(motion), Some(MotionMode::Cancelled)) => {
-                self.motion = Some(motion);
+                self.modal.motion = Some(motion);
                 motion != MotionMode::Cancelled
             }
             _ => false,
@@ -222,18 +215,18 @@ impl<const N: usize> Parsed<N> {
             self.places = self.places.max(places);
         }
         match letter {
-            b'F' => self.f = value,
-            b'H' => self.h = value,
-            b'I' => self.i = value,
-            b'J' => self.j = value,
-            b'K' => self.k = value,
-            b'L' => self.l = value,
-            b'N' => self.n = value,
-            b'P' => self.p = value,
-            b'Q' => self.q = value,
-            b'R' => self.r = value,
-            b'S' => self.s = value,
-            b'T' => self.t = value,
+            b'F' => self.value.f = value,
+            b'H' => self.value.h = value,
+            b'I' => self.value.i = value,
+            b'J' => self.value.j = value,
+            b'K' => self.value.k = value,
+            b'L' => self.value.l = value,
+            b'N' => self.value.n = value,
+            b'P' => self.value.p = value,
+            b'Q' => self.value.q = value,
+            b'R' => self.value.r = value,
+            b'S' => self.value.s = value,
+            b'T' => self.value.t = value,
             _ => {}
         }
         Ok(())

@@ -96,7 +96,7 @@ impl<const N: usize> Check<'_, N> {
     pub(super) fn tool(&mut self) {
         let modal = &mut self.checked.modal;
         if self.line.values.has(b'T') {
-            modal.tool = self.line.t.truncate().unsigned_abs();
+            modal.tool = self.line.value.t.truncate().unsigned_abs();
         } else if self.dialect == Dialect::Grbl {
             modal.tool = 0;
         }
@@ -131,7 +131,7 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = if self.take(b'H') { whole(self.line.h)?.unsigned_abs() } else { 0 };
+        let number = if self.take(b'H') { whole(self.line.value.h)?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
         self.state.tools.offset(number).ok_or(Error::UnknownTool)
     }
@@ -141,11 +141,11 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = whole(self.line.p)?.unsigned_abs();
+        let number = whole(self.line.value.p)?.unsigned_abs();
         if !self.line.values.has(b'P') {
             return Err(Error::ValueWordMissing);
         }
-        if self.line.p > Decimal::from_int(TOOL_MAX) {
+        if self.line.value.p > Decimal::from_int(TOOL_MAX) {
             return Err(Error::ToolNumberTooHigh);
         }
         let known = self.state.tools.offset(number);

@@ -15,7 +15,7 @@ pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
 const LEAST_CURVE_SHARE: f32 = 0.01;
 const GREATEST_CURVE_SHARE: f32 = 100.0;
 const GREATEST_DEVIATION: f32 = 1.0e3;
-/// Jerk within what the settings allow, and what stands for none.
+/// Jerk within what the settings allow, and the value for none.
 const LEAST_JERK: f32 = 1.0;
 const GREATEST_JERK: f32 = 1.0e10;
 /// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.

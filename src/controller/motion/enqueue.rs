@@ -60,7 +60,7 @@ struct Path<const N: usize> {
 }
 
 impl<const N: usize> Path<N> {
-    /// Whether it stands for moves without a step that led away and back, some of these steps' worth of them.
+    /// Whether it replaces moves without a step that led away and back, some of these steps' worth of them.
     #[inline]
     fn leads_nowhere(&self, step_mm: f32) -> bool {
         self.length > 1.1 * self.straight && self.length - self.straight > 2.0 * step_mm

@@ -84,7 +84,7 @@ struct Course<const N: usize> {
     threshold: u32,
     /// Units of the whole block.
     total: u32,
-    /// Units at which it is entered in its midst; 0 = at its start.
+    /// Units at which it is entered; 0 = at its start.
     entered: u32,
     directions: u8,
     /// Position at the start of the block and at its end.
@@ -126,7 +126,7 @@ pub struct Stepper<const N: usize> {
     /// Braking after a contact.
     brakes: bool,
     /// Where the probe has been seen.
-    touched: Place<N>,
+    touched: Contact<N>,
 }
 
 impl<const N: usize> Piece<N> {
@@ -217,7 +217,7 @@ impl<const N: usize> Stepper<N> {
             stops: 0,
             braking: 0.0,
             brakes: false,
-            touched: Place::START,
+            touched: Contact::START,
         }
     }
 
@@ -509,7 +509,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// The block before was left in its midst, for a detour.
+    /// The block before was left before its end, for a detour.
     #[cold]
     fn leave_midst(&mut self) {
         // With this tick its segment has ended.
@@ -581,7 +581,7 @@ impl<const N: usize> Stepper<N> {
     #[cold]
     fn note_touch(&mut self) {
         self.unnoted = false;
-        self.touched = self.place();
+        self.touched = self.contact();
         self.gate_shut = true;
         self.is_next = false;
         self.piece.last = true;
@@ -667,21 +667,21 @@ impl<const N: usize> Stepper<N> {
     }
 
     #[inline(always)]
-    fn place(&self) -> Place<N> {
-        Place { course: *self.course(false), left: self.left, units: self.units() }
+    fn contact(&self) -> Contact<N> {
+        Contact { course: *self.course(false), left: self.left, units: self.units() }
     }
 }
 
 /// All that a position follows from, so that no tick has to count and a probe's tick not to compute.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
-struct Place<const N: usize> {
+struct Contact<const N: usize> {
     course: Course<N>,
     left: [u32; N],
     units: u32,
 }
 
-impl<const N: usize> Place<N> {
+impl<const N: usize> Contact<N> {
     const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
 
     fn position(&self) -> PerAxis<i32, N> {
@@ -754,7 +754,7 @@ mod tests {
             }
         }
 
-        /// The position of a block that was entered in its midst is that of the steps before.
+        /// The position of a block that was not entered at its start is that of the steps before.
         #[test]
         fn the_position_needs_no_division(
             legs in legs(Measure::MOST_STEPS), line in any::<bool>(), way in 0.0..1.0_f64, back in 0_u8..8,
@@ -775,7 +775,7 @@ mod tests {
             }
         }
 
-        /// A block that is left in its midst for another, and entered again.
+        /// A block that is left before its end for another, and entered again.
         #[test]
         fn a_detour_leads_back(legs in legs(300), way in 0.0..1.0_f64, back in 0_u8..8, detour in legs(20)) {
             let total = Measure::of(&legs).total;

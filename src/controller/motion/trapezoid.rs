@@ -93,7 +93,7 @@ impl Trapezoid {
         }
     }
 
-    /// Goes on by `distance` of the `left` units, beginning in `phase`: seconds and the pace after it. Exact also from and to
+    /// Advances by `distance` of the `left` units, beginning in `phase`: seconds and the pace after it. Exact also from and to
     /// rest.
     #[inline]
     pub(super) fn advance(

@@ -249,7 +249,7 @@ fn two_failures_of_one_command_are_told_once() {
     assert_eq!(scribe.answer_to("$22=0\n"), format!("{NOT_STORED}ok\r\n"), "{:?}", scribe.log);
 }
 
-/// The processor stands while flash is written: what has come meanwhile is found with the store's answer.
+/// The processor is stalled while flash is written: what has come meanwhile is found with the store's answer.
 #[test]
 fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     let mut scribe = Scribe::<false>::new();

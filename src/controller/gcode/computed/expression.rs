@@ -16,7 +16,7 @@ const DEPTH: usize = 32;
 
 /// What `#` names. Names are capitals without blanks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Reference<'a> {
+pub(super) enum ParameterReference<'a> {
     Number(i64),
     Name(&'a [u8]),
 }
@@ -151,7 +151,7 @@ pub(super) fn begins(text: &[u8]) -> bool {
 }
 
 /// Reads the value at the start of a text: what it is, and how many bytes it takes.
-pub(super) fn value<F: Fn(Reference<'_>) -> Found>(text: &[u8], lookup: F) -> Result<(Real, usize), Error> {
+pub(super) fn value<F: Fn(ParameterReference<'_>) -> Found>(text: &[u8], lookup: F) -> Result<(Real, usize), Error> {
     let mut reader = Reader { rest: text, waiting: heapless::Vec::new(), lookup };
     loop {
         let value = reader.operand()?;
@@ -174,7 +174,7 @@ struct Reader<'a, F> {
     lookup: F,
 }
 
-impl<F: Fn(Reference<'_>) -> Found> Reader<'_, F> {
+impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
     /// Takes the text if it comes next.
     fn takes(&mut self, text: &[u8]) -> bool {
         match self.rest.strip_prefix(text) {
@@ -200,7 +200,7 @@ impl<F: Fn(Reference<'_>) -> Found> Reader<'_, F> {
             if self.takes(b"#<") {
                 let (name, rest) = name(self.rest)?;
                 self.rest = rest;
-                return (self.lookup)(Reference::Name(name))?.ok_or(Error::InvalidArgument);
+                return (self.lookup)(ParameterReference::Name(name))?.ok_or(Error::InvalidArgument);
             }
             if self.takes(b"EXISTS[#") {
                 return self.exists();
@@ -230,11 +230,11 @@ impl<F: Fn(Reference<'_>) -> Found> Reader<'_, F> {
         let found = if self.takes(b"<") {
             let (name, rest) = name(self.rest)?;
             self.rest = rest;
-            (self.lookup)(Reference::Name(name))?.is_some()
+            (self.lookup)(ParameterReference::Name(name))?.is_some()
         } else {
             let (number, used) = Real::read(self.rest).ok_or(Error::ExpressionSyntax)?;
             self.rest = self.rest.get(used..).unwrap_or(&[]);
-            number.whole().is_some_and(|number| (self.lookup)(Reference::Number(number)).is_ok())
+            number.whole().is_some_and(|number| (self.lookup)(ParameterReference::Number(number)).is_ok())
         };
         if self.takes(b"]") { Ok(Real::truth(found)) } else { Err(Error::ExpressionSyntax) }
     }
@@ -265,7 +265,7 @@ impl<F: Fn(Reference<'_>) -> Found> Reader<'_, F> {
 
     fn parameter(&self, number: Real) -> Result<Real, Error> {
         let number = number.whole().ok_or(Error::InvalidArgument)?;
-        Ok((self.lookup)(Reference::Number(number))?.unwrap_or(Real::ZERO))
+        Ok((self.lookup)(ParameterReference::Number(number))?.unwrap_or(Real::ZERO))
     }
 
     /// The value within a bracket: left sides up to it are computed, then the function before it. `None` if the second

@@ -13,7 +13,7 @@
 use super::Computed;
 use super::real::Real;
 use crate::error::Error;
-use crate::gcode::{Interpreter, split_remark};
+use crate::gcode::{Direction, Held, Interpreter, split_remark};
 
 /// Bytes of held text, with one more for each line.
 const TEXT: usize = 2048;
@@ -32,32 +32,6 @@ const STREAM: u16 = u16::MAX;
 
 /// A line of held text: words and message.
 pub type HeldLine = heapless::Vec<u8, 256>;
-
-/// What a line of the host is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// To be checked and carried out.
-    Check,
-    /// Done with: a condition.
-    Done,
-    /// Skipped, or held: its message is not to be told now.
-    LeftOut,
-    /// Done with, and what it calls is to be run: [`Interpreter::next_held`].
-    Call,
-    /// Held, and a loop is to be run of which it is the last line.
-    Run,
-}
-
-/// What comes next of held text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Held {
-    /// This line is to be checked and carried out.
-    Line,
-    /// Nothing for others; ask again.
-    Again,
-    /// It has come to its end.
-    End,
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Keyword {
@@ -99,15 +73,15 @@ const KEYWORDS: [(&[u8], Keyword); 15] = [
 
 /// A line with an O word.
 #[derive(Clone, Copy, Debug)]
-struct Order<'a> {
+struct OWord<'a> {
     label: &'a [u8],
     keyword: Keyword,
     arguments: &'a [u8],
 }
 
-impl<'a> Order<'a> {
+impl<'a> OWord<'a> {
     /// `None` for every other line; a message is no part of it. A number without a keyword, such as `O1000`, is one of them.
-    fn of(line: &'a [u8]) -> Option<Order<'a>> {
+    fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
         let line = match line.strip_prefix(b"N") {
             Some(numbered) => numbered.get(digits(numbered)..)?,
@@ -124,11 +98,11 @@ impl<'a> Order<'a> {
         };
         let (label, text) = text.split_at_checked(length).filter(|(label, _)| !label.is_empty())?;
         let (name, keyword) = KEYWORDS.iter().find(|(name, _)| text.starts_with(name))?;
-        Some(Order { label, keyword: *keyword, arguments: text.get(name.len()..)? })
+        Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
     /// The end of what this begins.
-    fn is_ended_by(&self, other: &Order) -> bool {
+    fn is_ended_by(&self, other: &OWord) -> bool {
         let end = match self.keyword {
             Keyword::Sub => Keyword::EndSub,
             Keyword::While => Keyword::EndWhile,
@@ -181,7 +155,7 @@ fn ends_program(line: &[u8]) -> bool {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
+enum FrameKind {
     /// A condition; whether one of its branches has been taken.
     If(bool),
     While,
@@ -194,7 +168,7 @@ enum Kind {
 /// A condition, loop or call under way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Frame {
-    kind: Kind,
+    kind: FrameKind,
     /// Bytes of its label.
     label: u8,
     /// Where a loop goes back to, or a call returns to.
@@ -216,7 +190,7 @@ enum State {
 
 /// Held text, and what is under way.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Flow {
+pub(super) struct FlowControl {
     text: heapless::Vec<u8, TEXT>,
     frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
@@ -239,7 +213,7 @@ pub(super) struct Flow {
     cut: Option<u32>,
 }
 
-impl Flow {
+impl FlowControl {
     pub const fn new() -> Self {
         Self {
             text: heapless::Vec::new(),
@@ -309,11 +283,11 @@ impl Flow {
     }
 
     /// The next line with an O word of some kind: where it begins and the next one does.
-    fn find_from(&self, from: u16, is_it: impl Fn(&Order) -> bool) -> Option<(u16, u16)> {
+    fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
         let mut at = from;
         while let Some(line) = self.line(at) {
             let behind = at + 1 + line.len() as u16;
-            if Order::of(line).is_some_and(|order| is_it(&order)) {
+            if OWord::of(line).is_some_and(|order| is_it(&order)) {
                 return Some((at, behind));
             }
             at = behind;
@@ -323,7 +297,7 @@ impl Flow {
 
     /// Drops a subroutine that has been defined again.
     fn drop_sub(&mut self, label: &[u8]) {
-        let is_end = |order: &Order| order.keyword == Keyword::EndSub && order.label == label;
+        let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
         if let Some((from, behind)) = self.find(label)
             && let Some((_, end)) = self.find_from(behind, is_end)
         {
@@ -332,7 +306,7 @@ impl Flow {
         }
     }
 
-    fn push(&mut self, kind: Kind, label: &[u8], at: u16) -> Result<(), Error> {
+    fn push(&mut self, kind: FrameKind, label: &[u8], at: u16) -> Result<(), Error> {
         let frame = Frame { kind, label: label.len() as u8, at, leaving: false, begun: self.line };
         if self.labels.len() + label.len() > LABELS || self.frames.push(frame).is_err() {
             return Err(Error::TooDeep);
@@ -404,7 +378,7 @@ impl<const N: usize> Interpreter<N> {
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
         }
-        self.direct_order(line, remark, Order::of(line))
+        self.direct_order(line, remark, OWord::of(line))
     }
 
     /// Lines that a condition has left out.
@@ -430,7 +404,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Behind an M2 or M30 that is skipped or recorded no line of its program can follow but an O word: any other is one of
     /// the next program.
-    fn look_for_end(&mut self, line: &[u8], order: Option<Order>) -> Result<(), Error> {
+    fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
         if line.is_empty() {
@@ -446,7 +420,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<Order>) -> Result<Direction, Error> {
+    fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         self.look_for_end(line, order)?;
         if let State::Recording(from, error) = self.computed.flow.state {
             return self.record(line, remark, order, from, error);
@@ -489,12 +463,12 @@ impl<const N: usize> Interpreter<N> {
         &mut self,
         line: &[u8],
         remark: &[u8],
-        order: Option<Order>,
+        order: Option<OWord>,
         from: u16,
         error: Option<Error>,
     ) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
-        let opening = flow.line(from).and_then(Order::of).ok_or(Error::FlowSyntax)?;
+        let opening = flow.line(from).and_then(OWord::of).ok_or(Error::FlowSyntax)?;
         let of_sub = opening.keyword == Keyword::Sub;
         let ends = order.is_some_and(|order| opening.is_ended_by(&order));
         let strange = order.is_some_and(|order| matches!(order.keyword, Keyword::Sub | Keyword::EndSub)) && !ends;
@@ -572,7 +546,7 @@ impl<const N: usize> Interpreter<N> {
         line.extend_from_slice(text).map_err(|_| Error::OutOfMemory)?;
         let at = flow.next;
         flow.next += 1 + text.len() as u16;
-        let Some(order) = Order::of(line) else {
+        let Some(order) = OWord::of(line) else {
             if !flow.skipping {
                 return Ok(Held::Line);
             }
@@ -602,11 +576,11 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// if, elseif, else, endif.
-    fn branch(&mut self, order: Order) -> Result<(), Error> {
+    fn branch(&mut self, order: OWord) -> Result<(), Error> {
         match order.keyword {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
-                flow.push(Kind::If(true), order.label, 0)?;
+                flow.push(FrameKind::If(true), order.label, 0)?;
                 // Unless the condition is found to hold no branch does.
                 flow.skipping = true;
                 let holds = self.condition(order.arguments)?;
@@ -635,47 +609,47 @@ impl<const N: usize> Interpreter<N> {
     /// Whether a branch of the innermost condition has been taken.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
         match self.computed.flow.last(label)?.kind {
-            Kind::If(taken) => Ok(taken),
+            FrameKind::If(taken) => Ok(taken),
             _ => Err(Error::FlowSyntax),
         }
     }
 
     fn take_branch(&mut self, label: &[u8], taken: bool, holds: bool) -> Result<(), Error> {
-        self.computed.flow.last(label)?.kind = Kind::If(taken);
+        self.computed.flow.last(label)?.kind = FrameKind::If(taken);
         self.computed.flow.skipping = !holds;
         Ok(())
     }
 
     /// while, do, repeat and their ends, break, continue; only in held text.
-    fn go_round(&mut self, order: Order, at: u16) -> Result<(), Error> {
+    fn go_round(&mut self, order: OWord, at: u16) -> Result<(), Error> {
         let next = self.computed.flow.next;
         match order.keyword {
-            Keyword::While if self.computed.flow.last(order.label).is_ok_and(|frame| frame.kind == Kind::Do) => {
+            Keyword::While if self.computed.flow.last(order.label).is_ok_and(|frame| frame.kind == FrameKind::Do) => {
                 let leaving = self.computed.flow.last(order.label)?.leaving;
                 let again = !leaving && self.condition(order.arguments)?;
                 self.end_pass(order.label, again)
             }
             Keyword::While => {
                 let holds = self.condition(order.arguments)?;
-                self.computed.flow.push(Kind::While, order.label, at)?;
+                self.computed.flow.push(FrameKind::While, order.label, at)?;
                 self.begin_pass(order.label, holds)
             }
             Keyword::Do => {
-                self.computed.flow.push(Kind::Do, order.label, next)?;
+                self.computed.flow.push(FrameKind::Do, order.label, next)?;
                 self.begin_pass(order.label, true)
             }
             Keyword::Repeat => {
                 let count = self.argument(order.arguments)?.ceiling();
                 let beyond = if count.is_negative() { 0 } else { i64::from(PASSES) };
                 let count = count.whole().unwrap_or(beyond).clamp(0, i64::from(PASSES)) as u32;
-                self.computed.flow.push(Kind::Repeat(count), order.label, next)?;
+                self.computed.flow.push(FrameKind::Repeat(count), order.label, next)?;
                 self.begin_pass(order.label, count > 0)
             }
             Keyword::EndWhile | Keyword::EndRepeat => {
                 let frame = self.computed.flow.last(order.label)?;
                 let again = match (&mut frame.kind, order.keyword) {
-                    (Kind::While, Keyword::EndWhile) => true,
-                    (Kind::Repeat(left), Keyword::EndRepeat) => {
+                    (FrameKind::While, Keyword::EndWhile) => true,
+                    (FrameKind::Repeat(left), Keyword::EndRepeat) => {
                         *left = left.saturating_sub(1);
                         *left > 0
                     }
@@ -699,7 +673,7 @@ impl<const N: usize> Interpreter<N> {
         let flow = &mut self.computed.flow;
         let frame = *flow.last(label)?;
         flow.skipping = false;
-        if !again || frame.kind == Kind::While {
+        if !again || frame.kind == FrameKind::While {
             // A while begins its next pass with its first line.
             flow.pop();
         }
@@ -707,16 +681,18 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// break, continue: what is within the loop is left, and the rest of the pass is skipped.
-    fn cut_pass(&mut self, order: Order) -> Result<(), Error> {
+    fn cut_pass(&mut self, order: OWord) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         while !flow.is_of_last(order.label) {
             match flow.frames.last() {
-                Some(frame) if frame.kind != Kind::Call && flow.frames.len() > usize::from(flow.below) => flow.pop(),
+                Some(frame) if frame.kind != FrameKind::Call && flow.frames.len() > usize::from(flow.below) => {
+                    flow.pop()
+                }
                 _ => return Err(Error::FlowSyntax),
             };
         }
         let frame = flow.last(order.label)?;
-        if matches!(frame.kind, Kind::If(_) | Kind::Call) {
+        if matches!(frame.kind, FrameKind::If(_) | FrameKind::Call) {
             return Err(Error::FlowSyntax);
         }
         frame.leaving = order.keyword == Keyword::Break;
@@ -724,9 +700,9 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn call(&mut self, order: Order, back: u16, arguments: &[Real]) -> Result<(), Error> {
+    fn call(&mut self, order: OWord, back: u16, arguments: &[Real]) -> Result<(), Error> {
         let Computed { flow, parameters, .. } = &mut self.computed;
-        let pushed = flow.push(Kind::Call, order.label, back).and_then(|()| parameters.enter_call(arguments));
+        let pushed = flow.push(FrameKind::Call, order.label, back).and_then(|()| parameters.enter_call(arguments));
         if pushed.is_err() && back == STREAM {
             self.abandon_held();
         }
@@ -734,16 +710,16 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// return, endsub: back to the line behind the call, with a value.
-    fn leave_call(&mut self, order: Order) -> Result<Held, Error> {
+    fn leave_call(&mut self, order: OWord) -> Result<Held, Error> {
         let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
         let Computed { flow, parameters, returned, .. } = &mut self.computed;
-        if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != Kind::Call {
+        if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != FrameKind::Call {
             return Err(Error::FlowSyntax);
         }
         while flow.frames.len() > usize::from(flow.below)
             && let Some(frame) = flow.pop()
         {
-            if frame.kind == Kind::Call {
+            if frame.kind == FrameKind::Call {
                 parameters.leave_call();
                 *returned = value;
                 flow.next = frame.at;

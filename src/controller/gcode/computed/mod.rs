@@ -17,12 +17,12 @@ use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::number;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
-use expression::Reference;
-use flow::Flow;
+use expression::ParameterReference;
+use flow::FlowControl;
 use parameters::Parameters;
 use real::Real;
 
-pub use flow::{Direction, Held, HeldLine};
+pub use flow::HeldLine;
 
 /// Letters of numbers that select something: a computed one is meant to have at most two digits behind the point.
 const SELECTORS: &[u8] = b"DGHLMNOPT";
@@ -31,7 +31,7 @@ const SELECTORS: &[u8] = b"DGHLMNOPT";
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Computed<const N: usize> {
     parameters: Parameters,
-    flow: Flow,
+    flow: FlowControl,
     /// What the last subroutine has returned.
     returned: Option<Real>,
     /// Where the last probing move found its contact, in work coordinates of then.
@@ -43,7 +43,7 @@ impl<const N: usize> Computed<N> {
     pub const fn new() -> Self {
         Self {
             parameters: Parameters::new(),
-            flow: Flow::new(),
+            flow: FlowControl::new(),
             returned: None,
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
@@ -106,18 +106,18 @@ impl<const N: usize> Interpreter<N> {
             rest = after;
             let value = if digits > 0 {
                 let number = Real::read(name).and_then(|(number, _)| number.whole()).unwrap_or(0);
-                self.shown(Reference::Number(number)).map(|value| value.unwrap_or(Real::ZERO))
+                self.shown(ParameterReference::Number(number)).map(|value| value.unwrap_or(Real::ZERO))
             } else {
                 let mut letters = heapless::Vec::<u8, { parameters::NAME_LENGTH }>::new();
                 let capitals = name.iter().filter(|byte| **byte > b' ').map(u8::to_ascii_uppercase);
                 letters.extend(capitals.take(parameters::NAME_LENGTH));
-                self.shown(Reference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
+                self.shown(ParameterReference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
             };
             write(value.ok(), out);
         }
     }
 
-    fn shown(&self, reference: Reference) -> Result<Option<Real>, Error> {
+    fn shown(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match self.of_machine(reference)? {
             Some(value) => Ok(Some(value)),
             None => self.computed.parameters.get_staged(reference),
@@ -142,11 +142,11 @@ impl<const N: usize> Interpreter<N> {
         let (target, rest) = match text.strip_prefix(b"<") {
             Some(text) => {
                 let (name, rest) = expression::name(text)?;
-                (Reference::Name(name), rest)
+                (ParameterReference::Name(name), rest)
             }
             None => {
                 let (number, rest) = self.value(text)?;
-                (Reference::Number(number.whole().ok_or(Error::InvalidArgument)?), rest)
+                (ParameterReference::Number(number.whole().ok_or(Error::InvalidArgument)?), rest)
             }
         };
         let text = rest.strip_prefix(b"=").ok_or(Error::ExpressionSyntax)?;
@@ -166,7 +166,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// A parameter; `None` if it has not been set.
-    fn parameter(&self, reference: Reference) -> Result<Option<Real>, Error> {
+    fn parameter(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match self.of_machine(reference)? {
             Some(value) => Ok(Some(value)),
             None => self.computed.parameters.get(reference),
@@ -174,11 +174,11 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// A parameter in which the machine shows its state; `None` for all others.
-    fn of_machine(&self, reference: Reference) -> Result<Option<Real>, Error> {
+    fn of_machine(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match reference {
-            Reference::Number(number) => Ok(self.numbered(number)),
-            Reference::Name([b'_', name @ ..]) => self.named(name),
-            Reference::Name(_) => Ok(None),
+            ParameterReference::Number(number) => Ok(self.numbered(number)),
+            ParameterReference::Name([b'_', name @ ..]) => self.named(name),
+            ParameterReference::Name(_) => Ok(None),
         }
     }
 

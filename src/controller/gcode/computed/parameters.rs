@@ -8,7 +8,7 @@
 //! a line sets comes behind what is in force, where its own expressions do not look; [`Parameters::commit`] takes it over,
 //! and the next line's check drops it if that does not come.
 
-use super::expression::Reference;
+use super::expression::ParameterReference;
 use super::real::Real;
 use crate::error::Error;
 
@@ -70,14 +70,14 @@ impl Parameters {
     }
 
     /// The value of a parameter; `None` if it has not been set.
-    pub fn get(&self, reference: Reference) -> Result<Option<Real>, Error> {
+    pub fn get(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
         let at = find(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
         Ok(at.and_then(|at| Cell::first(self.cells.get(at..)?)).map(|cell| cell.value))
     }
 
     /// The same, once the line being checked is committed.
-    pub fn get_staged(&self, reference: Reference) -> Result<Option<Real>, Error> {
+    pub fn get_staged(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
         let mut latest = None;
         let mut at = 0;
@@ -91,7 +91,7 @@ impl Parameters {
     }
 
     /// Sets a parameter once the line is committed.
-    pub fn stage(&mut self, reference: Reference, value: Real) -> Result<(), Error> {
+    pub fn stage(&mut self, reference: ParameterReference, value: Real) -> Result<(), Error> {
         let (key, level) = self.stored_as(reference)?;
         let size = HEAD + key.len() + TAIL;
         if find(&self.cells, &key, level).is_none() {
@@ -155,7 +155,7 @@ impl Parameters {
         self.level += 1;
         for (number, value) in (1..).zip(arguments) {
             self.drop_staged();
-            self.stage(Reference::Number(number), *value)?;
+            self.stage(ParameterReference::Number(number), *value)?;
             self.commit();
         }
         Ok(())
@@ -204,15 +204,15 @@ impl Parameters {
     }
 
     /// Key and level of a parameter.
-    fn stored_as(&self, reference: Reference) -> Result<(Key, u8), Error> {
+    fn stored_as(&self, reference: ParameterReference) -> Result<(Key, u8), Error> {
         match reference {
-            Reference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
+            ParameterReference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
                 // Its first byte is less than that of every name.
                 let key = Key::from_slice(&(number as u16).to_be_bytes()).unwrap_or_default();
                 Ok((key, if number <= LOCAL_END { self.level } else { GLOBAL }))
             }
-            Reference::Number(_) => Err(Error::InvalidArgument),
-            Reference::Name(name) => {
+            ParameterReference::Number(_) => Err(Error::InvalidArgument),
+            ParameterReference::Name(name) => {
                 let key = Key::from_slice(name).map_err(|_| Error::InvalidArgument)?;
                 Ok((key, if name.starts_with(b"_") { GLOBAL } else { self.level }))
             }

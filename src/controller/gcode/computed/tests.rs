@@ -1,11 +1,11 @@
 //! Expressions against `f64`, an evaluation of its own.
 
-use super::expression::{self, Reference};
+use super::expression::{self, ParameterReference};
 use super::real::Real;
 use crate::error::Error;
 use proptest::prelude::*;
 
-fn no_parameters(_: Reference) -> Result<Option<Real>, Error> {
+fn no_parameters(_: ParameterReference) -> Result<Option<Real>, Error> {
     Ok(None)
 }
 
@@ -152,8 +152,8 @@ fn errors() {
         ("EXISTS[#<a>", Error::ExpressionSyntax),
         ("#", Error::ExpressionSyntax),
     ] {
-        let lookup = |reference: Reference| match reference {
-            Reference::Number(0) => Err(Error::InvalidArgument),
+        let lookup = |reference: ParameterReference| match reference {
+            ParameterReference::Number(0) => Err(Error::InvalidArgument),
             _ => Ok(None),
         };
         let text = text.replace(' ', "");

@@ -262,7 +262,7 @@ proptest! {
         }
     }
 
-    /// A stop in the midst of joined moves forgets them: the place is exact, and what follows begins there.
+    /// A stop within joined moves forgets them: the place is exact, and what follows begins there.
     #[test]
     fn after_a_stop_nothing_is_joined_to_what_was_forgotten(points in polylines(), ticks in 1_usize..3000) {
         let mut rig = Rig::<3, 512>::new(settings(250.0, 100.0, 500.0));

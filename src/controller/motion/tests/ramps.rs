@@ -202,7 +202,7 @@ fn blocks_do_not_show_in_a_ramp() {
     }
 }
 
-/// Two blocks of a chain lean on an axis that takes but half of the acceleration, in the midst of the ramps up and down.
+/// Two blocks of a chain lean on an axis that takes but half of the acceleration, in the middle of the ramps up and down.
 #[test]
 fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     let mut config = machine(5.0e3);

@@ -15,7 +15,7 @@ pub struct Record {
     pub steps: u8,
     /// Direction levels that had been put out before this tick.
     pub directions: u8,
-    /// Path that the tick stands for, mm.
+    /// Path of the tick, mm.
     pub path: f64,
     pub level: u8,
     /// Limits of the block, mm/s and mm/s².

@@ -1,0 +1,27 @@
+//! What becomes of a line when there are O words: whether it is carried out now, held, or left out.
+
+/// What a line of the host is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// To be checked and carried out.
+    Check,
+    /// Done with: a condition.
+    Done,
+    /// Skipped, or held: its message is not to be told now.
+    LeftOut,
+    /// Done with, and what it calls is to be run: [`Interpreter::next_held`](super::Interpreter::next_held).
+    Call,
+    /// Held, and a loop is to be run of which it is the last line.
+    Run,
+}
+
+/// What comes next of held text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Held {
+    /// This line is to be checked and carried out.
+    Line,
+    /// Nothing for others; ask again.
+    Again,
+    /// It has come to its end.
+    End,
+}
