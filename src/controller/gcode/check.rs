@@ -273,15 +273,21 @@ pub(super) fn check<const N: usize>(
     checked: &mut Checked<N>,
 ) -> Result<(), Error> {
     let mut check = Check::begin(state, line, dialect, purpose, checked);
-    check.keep_state()?;
+    // Most lines have none of these, and every instruction counts.
+    let is_extended = line.extended.any;
+    if is_extended {
+        check.keep_state()?;
+    }
     check.line_number()?;
     check.feed()?;
     check.speed();
     check.tool();
     check.spindle_and_coolant();
     check.parking_override();
-    check.overrides()?;
-    check.path_control();
+    if is_extended {
+        check.overrides()?;
+        check.path_control();
+    }
     check.dwell()?;
     check.tool_length()?;
     check.non_modal()?;

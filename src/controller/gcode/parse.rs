@@ -23,6 +23,8 @@ const NOT_NEGATIVE: Letters = Letters::of(b"FHNPTS");
 /// Words that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
+    /// There is any of them but M6.
+    pub any: bool,
     pub path: Option<PathControl>,
     /// G64.
     pub is_path_tolerance: bool,
@@ -155,6 +157,7 @@ impl<const N: usize> Parsed<N> {
             GWord::ToolLength(offset) => self.tool_length = Some(offset),
             GWord::CoordinateSystem(system) => self.modal.coordinate_system = Some(system),
             GWord::Path(path) => {
+                self.extended.any = true;
                 self.extended.path = Some(path);
                 self.extended.is_path_tolerance = code.whole == 64;
             }
@@ -184,8 +187,10 @@ impl<const N: usize> Parsed<N> {
             MWord::Mist | MWord::Flood | MWord::NoCoolant => self.coolant = Some(word),
             MWord::ParkingOverride => self.parking_override = true,
             MWord::ToolChange => self.extended.tool_change = true,
-            MWord::Overrides(number) => self.extended.overrides = Some(number),
-            MWord::Keep(number) => self.extended.keep = Some(number),
+            MWord::Overrides(number) => {
+                self.extended = Extended { any: true, overrides: Some(number), ..self.extended }
+            }
+            MWord::Keep(number) => self.extended = Extended { any: true, keep: Some(number), ..self.extended },
         }
         Ok(())
     }

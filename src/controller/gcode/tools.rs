@@ -100,10 +100,11 @@ impl<const N: usize> Check<'_, N> {
         } else if self.dialect == Dialect::Grbl {
             modal.tool = 0;
         }
-        self.checked.tool_change = self.line.extended.tool_change && modal.tool != self.state.spindle_tool;
         self.checked.after.spindle_word = self.line.spindle.is_some();
-        self.checked.after.spindle_tool =
-            if self.line.extended.tool_change { modal.tool } else { self.state.spindle_tool };
+        if self.line.extended.tool_change {
+            self.checked.tool_change = modal.tool != self.state.spindle_tool;
+            self.checked.after.spindle_tool = modal.tool;
+        }
     }
 
     /// Group 8. Only the axes' next moves are affected.
