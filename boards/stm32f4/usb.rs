@@ -4,7 +4,7 @@
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
-//! Back-pressure: the hardware answers NAK from the end of one packet until software enables the endpoint again. The driver
+//! Flow control (back-pressure): the hardware answers NAK from the end of one packet until software enables the endpoint again. The driver
 //! would do that by itself, and a packet that is not fetched would then sit in the FIFO, call the interrupt for ever and
 //! keep the control endpoint behind it from being heard. So the entry that ends a packet is taken out of the FIFO here, and
 //! the endpoint is enabled when a whole packet fits: what is in the FIFO can always be fetched at once, and DTR, suspend

@@ -426,7 +426,7 @@ impl<const N: usize> Settings<N> {
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
     /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board
-    /// can keep with this step pulse (`$0`); a second motor that the board does not have or that CoreXY leaves
+    /// can keep with a step pulse of this length (`$0`): too many pulses a second; a second motor that the board does not have or that CoreXY leaves
     /// no place for.
     pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
         let greatest_hz = rates.greatest_hz(self.value(Key::StepPulse));

@@ -1,4 +1,4 @@
-//! Keeps the noise of switches and long wires away from the controller: a level changes after eight samples in a row
+//! Debounces inputs, and keeps the noise of long wires away from the controller: a level changes after eight samples in a row
 //! that contradict it. Lives in the inputs task.
 
 /// Samples in a second that the inputs task takes: a change passes after 0.4 ms.

@@ -1,4 +1,4 @@
-//! Cuts the next segment with bounded jerk: from the state that the machine is in, as fast as what is planned allows.
+//! Cuts the next segment with a jerk limit (S-curve): from the state that the machine is in, as fast as what is planned allows.
 //!
 //! Each segment chooses the greatest of these for its end: the acceleration that leads to the nominal speed soonest; the
 //! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.

@@ -1,4 +1,4 @@
-//! Short moves that continue a line become one block with it, so that the look-ahead reaches farther than its count of
+//! Short moves that continue a line (collinear ones) are merged into one block with it, so that the look-ahead reaches farther than its count of
 //! blocks.
 //!
 //! ```text

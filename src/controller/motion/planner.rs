@@ -336,7 +336,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.changed = usize::MAX;
     }
 
-    /// Applies new overrides to all blocks, the first of which is left in this state after `left` mm.
+    /// Applies new overrides of feed and rapids to all blocks, the first of which is left in this state after `left` mm.
     pub(super) fn replan(&mut self, overrides: OverrideFactors, state: PathState, left: f32) {
         let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;

@@ -221,7 +221,7 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: self.nominal2, exit2 }, left))
     }
 
-    /// The same while braking to a stop as soon as may be.
+    /// The same in a feed hold: braking to a stop as soon as may be.
     #[inline]
     fn braking(&self, pace: Pace, acceleration: f32) -> Option<(Trapezoid, u32)> {
         let left = self.left();

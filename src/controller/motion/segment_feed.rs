@@ -12,7 +12,7 @@ use super::trapezoid::{Pace, greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
-/// Step time handed to the step task in advance: enough for a control task that is late, and the latency of a hold.
+/// Milliseconds of motion handed to the step task in advance (the segment buffer): enough for a control task that is late, and the latency of a hold.
 pub const QUEUED_TIME_MS: u32 = 16;
 /// Ticks farther away than this are waited for in pieces of [`WAIT_MS`], so that a hold needs not wait for them.
 const FAR_MS: u32 = 4;

@@ -1,4 +1,4 @@
-//! Which short moves become one block with the last one ([`super::join`]), and what the queue does for that.
+//! Which short, nearly collinear moves are merged into one block with the last one ([`super::join`]), and what the queue does for that.
 
 use super::Move;
 use super::curvature::PathPiece;

@@ -396,6 +396,7 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
+    /// The DDA (Bresenham's algorithm): each axis counts down to its next step by its increment.
     #[inline(always)]
     fn step_axes(&mut self) -> u8 {
         let mut minus_steps = 0_i32;

@@ -1,7 +1,7 @@
 //! Which of the received line bytes still count, and the line that they make.
 //!
 //! Realtime commands and line bytes come through two queues that keep no order between them. Each byte carries the epoch
-//! it was received in ([`LineByte`]), and each reset, stop and jog cancel opens an epoch:
+//! it was received in ([`LineByte`]), and each soft reset (Ctrl-X), stop and jog cancel opens an epoch:
 //!
 //! ```text
 //!  byte of a later epoch      its command is still on the way: held until it has come

@@ -82,7 +82,7 @@ impl Entrance {
         queues.line(byte)
     }
 
-    /// Lets `ask` ask for the floor. Who loses it is cut short.
+    /// Lets `ask` ask for the floor. Who loses it is cut short: its half-sent line is void.
     fn turn_to<const OTHER: usize>(&mut self, other: &mut Link<OTHER>, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);

@@ -96,6 +96,7 @@ const BINARIES: [(&[u8], Binary); 15] = [
 ];
 
 impl Binary {
+    /// The precedence of the operator: a higher one binds more closely (RS274NGC, 3.3.2.3).
     fn level(self) -> u8 {
         match self {
             Binary::Power => 5,
