@@ -29,35 +29,33 @@ pub fn target(name: &str) -> Option<fn(&[u8])> {
 #[cfg(test)]
 mod tests {
     /// The inputs of the tree, which once reached something that no other does.
-    fn replay(name: &str, text: &str) {
+    fn replay(name: &str) {
         let run = super::target(name).expect("a target");
-        let inputs = oxmill_test_support::unpack(text);
+        let path = format!("{}/corpus/{name}.txt", env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(&path).unwrap_or_else(|why| panic!("{path}: {why}"));
+        let inputs = oxmill_test_support::unpack(&text);
         assert!(inputs.len() > 10, "{name}: {} inputs", inputs.len());
         inputs.iter().for_each(|input| run(input));
     }
 
-    #[test]
-    fn lines() {
-        replay("lines", include_str!("corpus/lines.txt"));
-    }
+    /// A test for each, so that they run side by side.
+    macro_rules! replays {
+        ($($name:ident),*) => {
+            $(#[test] fn $name() { replay(stringify!($name)); })*
 
-    #[test]
-    fn session() {
-        replay("session", include_str!("corpus/session.txt"));
+            #[test]
+            fn every_target_has_its_corpus() {
+                let mut files: Vec<_> = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/corpus"))
+                    .expect("a folder")
+                    .map(|file| file.expect("a file").file_name().into_string().expect("a name"))
+                    .collect();
+                files.sort();
+                let mut names = vec![$(concat!(stringify!($name), ".txt")),*];
+                names.sort();
+                assert_eq!(files, names);
+                assert_eq!(files.len(), super::TARGETS.len());
+            }
+        };
     }
-
-    #[test]
-    fn stored() {
-        replay("stored", include_str!("corpus/stored.txt"));
-    }
-
-    #[test]
-    fn steps() {
-        replay("steps", include_str!("corpus/steps.txt"));
-    }
-
-    #[test]
-    fn hosts() {
-        replay("hosts", include_str!("corpus/hosts.txt"));
-    }
+    replays!(lines, session, stored, steps, hosts);
 }

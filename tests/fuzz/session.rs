@@ -1,15 +1,18 @@
 //! A machine in the simulator and all that can happen to it: text, realtime commands, inputs, hosts that come and go, power
-//! cuts while a setting is written, and time.
+//! cuts while a record is written, and time.
 //!
-//! Promises: it always answers `?` with a report; a reset ends every motion; the position is that of the pulses; after
-//! the inputs are released and a reset it is told of its way back to idle.
+//! Promises: it always answers `?` with a report; a reset ends every motion; of a line that a power cut ends, all is
+//! stored or nothing; with its inputs released, its settings restored and a reset it is idle, and a jog makes just its
+//! steps and moves the reported position by them.
 
 use arbitrary::{Arbitrary, Unstructured};
-use oxmill_simulator::{Fittings, Options, Simulator};
+use oxmill_controller::messages::{Record, STORE_DAMAGED};
+use oxmill_simulator::{Fittings, Options, Simulator, Store};
+use oxmill_test_support::numbers;
 use std::time::Duration;
 
-/// A machine with switches and a plate, quick enough that a session is short.
-const MACHINE: &str = r#"
+/// A machine with switches and a plate, quick enough that a session is short. 250 steps/mm: a report shows each exactly.
+pub const MACHINE: &str = r#"
     steps_per_mm = [250, 250, 250]
     switch = [
         { axis = "x", at_mm = 2.0, side = "positive", bounce_us = 900 },
@@ -18,19 +21,25 @@ const MACHINE: &str = r#"
     ]
     plate = { axis = "z", at_mm = -3.0, side = "negative", bounce_us = 200 }
 "#;
-const SETTINGS: &str = "$110=3000\n$111=3000\n$112=3000\n$120=300\n$121=300\n$122=300\n$130=12\n$131=12\n$132=12\n\
-    $24=300\n$25=2000\n$26=20\n";
+/// Its settings, parted by spaces.
+pub const SETTINGS: &str =
+    "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
+/// Inputs by their names in the simulator's pin protocol.
+pub const PINS: [&str; 10] =
+    ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"];
 
 thread_local! {
     /// As it is after a start: a copy is cheaper than another start.
     static STARTED: Simulator = {
-        let fittings = Fittings::parse(MACHINE).expect("a machine");
-        let mut mill = Simulator::new(Options { keep_steps: true, fittings, ..Options::default() });
-        mill.send(SETTINGS);
-        mill.run_for(Duration::from_secs(2));
-        mill.take_output();
+        let mut mill = power_up(Store::in_memory());
+        ask_all(&mut mill, SETTINGS.split(' '));
         mill
     };
+}
+
+fn power_up(store: Store) -> Simulator {
+    let fittings = Fittings::parse(MACHINE).expect("a machine");
+    Simulator::new(Options { keep_steps: true, store, fittings, ..Options::default() })
 }
 
 #[derive(Arbitrary)]
@@ -41,6 +50,12 @@ enum Action<'a> {
     Pin(u8, bool),
     Wait(u8),
     Hosts(bool),
+    /// The power goes after so many words that this line writes, and comes back.
+    PowerCut {
+        line: Line,
+        after: u8,
+        torn: u32,
+    },
 }
 
 /// Lines that chance does not find soon.
@@ -57,7 +72,6 @@ const COMMANDS: [&str; 16] = [
     "$H", "$X", "$C", "$$", "$#", "$G", "$I", "$N", "$SLP", "$RST=#", "$N0=G20", "M0", "M6T1", "G4P.01", "M3S500",
     "M30",
 ];
-const PINS: [&str; 10] = ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"];
 
 impl Line {
     fn text(&self) -> String {
@@ -91,7 +105,7 @@ pub fn run(data: &[u8]) {
         act(&mut mill, &action);
         status(&mut mill);
     }
-    way_back(&mut mill);
+    back_to_idle(&mut mill, "");
 }
 
 fn act(mill: &mut Simulator, action: &Action) {
@@ -114,6 +128,7 @@ fn act(mill: &mut Simulator, action: &Action) {
         Action::Wait(time) => mill.run_for(Duration::from_micros(u64::from(*time) * 500)),
         Action::Hosts(true) => mill.connect(),
         Action::Hosts(false) => mill.disconnect(),
+        Action::PowerCut { line, after, torn } => cut_power(mill, &line.text(), u32::from(after % 32), *torn),
     }
 }
 
@@ -133,30 +148,77 @@ fn status(mill: &mut Simulator) -> String {
     report.unwrap_or_else(|| panic!("no report but {text:?}")).to_owned()
 }
 
-/// Inputs released, what may keep it still put back, and reset.
-fn way_back(mill: &mut Simulator) {
+fn cut_power(mill: &mut Simulator, line: &str, after: u32, torn: u32) {
+    let wait = Duration::from_millis(200);
+    mill.run_for(wait);
+    let old = records(mill);
+    let mut whole = mill.clone();
+    send(&mut whole, line.as_bytes());
+    whole.run_for(wait);
+    mill.store_mut().cut_power_after(after, torn);
+    send(mill, line.as_bytes());
+    mill.run_for(wait);
+    let found = records(mill);
+    let is_whole = found == old || found == records(&whole);
+    assert!(is_whole, "{line:?} after {after}: {found:?} of {old:?} and {:?}", records(&whole));
+    *mill = power_up(mill.store().power_cycled().expect("memory that is written"));
+}
+
+/// What a power cycle would leave.
+fn records(mill: &Simulator) -> Vec<Record> {
+    let mut records = mill.store().power_cycled().expect("memory that is written").records();
+    records.retain(|record| record.key != STORE_DAMAGED);
+    records.sort_by_key(|record| record.key);
+    records
+}
+
+/// Sends lines one after the other; each is carried out.
+fn ask_all<'a>(mill: &mut Simulator, lines: impl IntoIterator<Item = &'a str>) {
+    for line in lines {
+        mill.take_output();
+        mill.send(format!("{line}\n"));
+        mill.run_for(Duration::from_millis(300));
+        let said = mill.take_output();
+        assert!(said.lines().any(|said| said == "ok"), "{line}: {said:?} {}", status(mill));
+    }
+}
+
+fn reset(mill: &mut Simulator) {
+    mill.send([0x18]);
+    mill.run_for(Duration::from_millis(200));
+}
+
+/// Whatever has happened: inputs released, settings as at first and a reset, and it moves as it is told to. `history` is
+/// told with what fails.
+pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     mill.connect();
     for pin in PINS {
         mill.pin_line(&format!("{pin} 0"));
     }
-    for _ in 0..2 {
-        mill.send([0x18]);
-        mill.run_for(Duration::from_millis(200));
-    }
-    assert!(!mill.is_stepping(), "a reset ends every motion: {}", status(mill));
-    mill.send(
-        "\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$908=0\n$912=0\n$913=0\n$N0=\n$N1=\n",
-    );
+    reset(mill);
+    reset(mill);
+    assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
+    // The first line is the end of one that a reset has cut off at its head.
+    mill.send("\n$X\n$RST=*\n");
     mill.run_for(Duration::from_secs(1));
-    mill.send([0x18]);
-    mill.run_for(Duration::from_millis(200));
-    mill.take_output();
-    mill.send("$X\n");
-    mill.run_for(Duration::from_millis(50));
-    let said = mill.take_output();
-    assert!(said.lines().any(|line| line == "ok"), "{said:?} {}", status(mill));
+    reset(mill);
+    ask_all(mill, ["$X"].into_iter().chain(SETTINGS.split(' ')));
     let report = status(mill);
-    assert!(report.starts_with("<Idle"), "{report}");
-    let steps = mill.trace().kept().last().map_or([0; 3], |record| record.position);
-    assert_eq!(steps, mill.machine().position(), "the position is that of the pulses");
+    assert!(report.starts_with("<Idle"), "{report} {history}");
+    let (steps, before) = (mill.machine().position(), reported(mill));
+    ask_all(mill, ["$J=G91 G21 X-0.1 Y0.2 F1000"]);
+    let (moved, after) = (mill.machine().position(), reported(mill));
+    for (axis, change) in [-25, 50, 0].into_iter().enumerate() {
+        assert_eq!(moved[axis] - steps[axis], change, "steps of axis {axis} {history}");
+        assert!(
+            (after[axis] - before[axis] - f64::from(change) / 250.0).abs() < 0.0015,
+            "{before:?} {after:?} {history}"
+        );
+    }
+}
+
+/// The reported machine position, mm.
+fn reported(mill: &mut Simulator) -> [f64; 3] {
+    let report = status(mill);
+    numbers(&report, "MPos").unwrap_or_else(|| panic!("no MPos in {report}"))
 }

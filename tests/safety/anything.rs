@@ -3,25 +3,13 @@
 //!
 //! `OXMILL_FUZZ=N` plays N sessions instead of the few of every run; `OXMILL_FUZZ_SEED` begins elsewhere.
 
-use super::bench::{AXES, Bench};
+use super::bench::Bench;
+use oxmill_fuzz::session::{MACHINE, PINS, SETTINGS, back_to_idle};
 use oxmill_test_support::Random;
 use std::fmt::Write;
 
 /// Actions of a session.
 const ACTIONS: u64 = 60;
-
-/// A machine with switches and a plate, quick enough that a session is short.
-const MACHINE: &str = r#"
-    steps_per_mm = [250, 250, 250]
-    switch = [
-        { axis = "x", at_mm = 2.0, side = "positive", bounce_us = 900 },
-        { axis = "y", at_mm = 1.5, side = "positive", bounce_us = 300 },
-        { axis = "z", at_mm = 1.0, side = "positive" },
-    ]
-    plate = { axis = "z", at_mm = -3.0, side = "negative", bounce_us = 200 }
-"#;
-const SETTINGS: &str =
-    "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
 
 fn number(random: &mut Random) -> String {
     let sign = random.of(&["", "", "-", "+"]);
@@ -191,9 +179,7 @@ fn session(seed: u64) {
                 bench.send([byte]);
             }
             9 => {
-                let pin = random.of(&[
-                    "door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault",
-                ]);
+                let pin = random.of(&PINS);
                 let text = format!("{pin} {}", random.below(2));
                 write!(history, "{text} ").unwrap();
                 bench.pin(&text);
@@ -208,47 +194,7 @@ fn session(seed: u64) {
         assert!(status.starts_with('<') && status.ends_with('>'), "{seed}: {status}\n{history}");
         bench.read();
     }
-    way_back(&mut bench, &format!("session {seed}: {history}"));
-}
-
-/// Whatever has happened: pins released, settings and the machine as at first, and it moves as it is told to.
-fn way_back(bench: &mut Bench, what: &str) {
-    for pin in ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"] {
-        bench.pin(&format!("{pin} 0"));
-    }
-    for _ in 0..2 {
-        bench.send([0x18]);
-        bench.wait(0.2);
-    }
-    bench.read();
-    // The end of a line that a reset has cut off at its head.
-    bench.send(
-        "\n$5=0\n$6=0\n$21=0\n$22=0\n$20=0\n$13=0\n$10=1\n$900=1\n$903=1\n$14=0\n$908=0\n$912=0\n$913=0\n$N0=\n$N1=\n",
-    );
-    bench.wait(1.0);
-    bench.send([0x18]);
-    bench.wait(0.2);
-    bench.read();
-    let said = bench.ask("$X");
-    assert_eq!(said.last().map(String::as_str), Some("ok"), "{what}\n{said:?} {}", bench.status());
-    bench.settle();
-    assert_eq!(bench.state(), "Idle", "{what}");
-    let steps = bench.mill.trace().kept().last().map_or([0; AXES], |record| record.position);
-    assert_eq!(steps, bench.place(), "{what}");
-    let before = bench.reported();
-    for line in ["$0=10", "$11=0.01", "$12=0.002", "$32=0", "G21", "$J=G91 G21 X-0.1 Y0.2 F1000"] {
-        let said = bench.ask(line);
-        assert_eq!(said, ["ok"], "{line}: {what}");
-    }
-    bench.settle();
-    let after = bench.place();
-    assert_eq!([after[0] - steps[0], after[1] - steps[1]], [-25, 50], "{what}");
-    let reported = bench.reported();
-    // Counted from wherever homing or G92 has put zero.
-    let expected = [before[0] - 25.0, before[1] + 50.0, before[2]];
-    for axis in 0..AXES {
-        assert!((reported[axis] - expected[axis]).abs() < 0.3, "{what}: {reported:?} {expected:?}");
-    }
+    back_to_idle(&mut bench.mill, &format!("session {seed}: {history}"));
 }
 
 #[test]

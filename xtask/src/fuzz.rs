@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 
-const TARGETS: [&str; 5] = ["lines", "session", "stored", "steps", "hosts"];
 const HOST: &str = "x86_64-unknown-linux-gnu";
 /// What libFuzzer needs of the compiler: a pass that counts edges, and what is compared.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
@@ -26,9 +25,11 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
         ["--seconds", seconds, targets @ ..] => (number(seconds)?, targets),
         targets => (300, targets),
     };
-    let targets = if targets.is_empty() { &TARGETS[..] } else { targets };
-    if let Some(unknown) = targets.iter().find(|target| !TARGETS.contains(target)) {
-        return Err(format!("there is no target `{unknown}`; there are {}", TARGETS.join(", ")));
+    let all = all_targets()?;
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let targets = if targets.is_empty() { &all[..] } else { targets };
+    if let Some(unknown) = targets.iter().find(|target| !all.contains(target)) {
+        return Err(format!("there is no target `{unknown}`; there are {}", all.join(", ")));
     }
     let program = build()?;
     let workers = std::thread::available_parallelism().map_or(1, usize::from).min(targets.len());
@@ -88,6 +89,24 @@ fn folder(name: &str, target: &str) -> Result<PathBuf, Failure> {
     Ok(path)
 }
 
+/// The folder, without what an earlier run has left in it.
+fn emptied(name: &str, target: &str) -> Result<PathBuf, Failure> {
+    let folder = folder(name, target)?;
+    for path in files(&folder)? {
+        fs::remove_file(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    Ok(folder)
+}
+
+/// The targets' names: each has a corpus in the tree.
+fn all_targets() -> Result<Vec<String>, Failure> {
+    let corpora = files(&root().join("tests/fuzz/corpus"))?;
+    let mut names: Vec<String> =
+        corpora.iter().filter_map(|path| Some(path.file_stem()?.to_str()?.to_string())).collect();
+    names.sort();
+    Ok(names)
+}
+
 fn kept(target: &str) -> PathBuf {
     root().join("tests/fuzz/corpus").join(format!("{target}.txt"))
 }
@@ -116,8 +135,8 @@ fn build() -> Result<PathBuf, Failure> {
 
 /// The corpus of the tree as files.
 fn seeds(target: &str) -> Result<PathBuf, Failure> {
-    let folder = folder("seeds", target)?;
-    let text = fs::read_to_string(kept(target)).unwrap_or_default();
+    let folder = emptied("seeds", target)?;
+    let text = fs::read_to_string(kept(target)).map_err(|error| format!("{}: {error}", kept(target).display()))?;
     for (number, input) in unpack(&text).iter().enumerate() {
         fs::write(folder.join(number.to_string()), input).map_err(|error| error.to_string())?;
     }
@@ -170,11 +189,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
 /// Writes the smallest set that reaches as much as all that has been kept into the tree.
 fn minimise() -> Result<(), Failure> {
     let program = build()?;
-    for target in TARGETS {
-        let small = folder("small", target)?;
-        for path in files(&small)? {
-            fs::remove_file(path).map_err(|error| error.to_string())?;
-        }
+    for target in &all_targets()? {
+        let small = emptied("small", target)?;
         run(Command::new(&program)
             .env("OXMILL_FUZZ_TARGET", target)
             .args(["-set_cover_merge=1", "-max_len=512"])
