@@ -1,5 +1,5 @@
 //! What tasks share without a queue, because a message would be out of date or cost too much: atomics, grouped by the task
-//! that writes them. All else goes through the channels that `main` declares.
+//! that writes them, and alone unless a field says otherwise. All else goes through the channels that `main` declares.
 
 use crate::boards::AXES;
 use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};

@@ -51,7 +51,7 @@ enum Happened {
     Pins(String, Sender<String>),
 }
 
-/// Carries out `serve`. Returns when standard input ends; the other links go on for ever.
+/// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
     let simulator = power_up(&options.machine)?;
     let (sender, receiver) = sync_channel(4);

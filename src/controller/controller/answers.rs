@@ -1,6 +1,7 @@
 //! What the host is told: answers, messages, reports.
 
 use super::Controller;
+use super::task::Task;
 use crate::error::{Alarm, Error};
 use crate::gcode::{Dialect, WITH_VALUES};
 use crate::machine::inputs;
@@ -22,9 +23,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.replies.push(&text, self.lines.hosts_cut());
     }
 
-    /// The message of a line that is carried out, with its mark. What was queued before it may still move.
+    /// The message of a line that is carried out, with its mark; one that would leave the travel is not. What was queued
+    /// before it may still move.
     pub(super) fn tell_remark(&mut self, remark: &[u8]) {
-        let Some((mark, written)) = remark.split_first().filter(|_| !self.mode.is_alarm()) else { return };
+        let left_out = self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_));
+        let Some((mark, written)) = remark.split_first().filter(|_| !left_out) else { return };
         let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
         if *mark == WITH_VALUES {
             self.interpreter.expand(written, &mut text);

@@ -52,14 +52,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// With the delays of M3 to M5.
     fn cycle_switches_spindle(&mut self, direction: SpindleDirection) -> Stage {
-        self.accessories.set_spindle(direction, &self.settings);
+        let delay = self.accessories.set_spindle(direction, &self.settings);
         self.interpreter.set_accessories(direction, self.accessories.coolant());
         self.replies.overrides_changed();
-        if self.settings.is_on(Key::Laser) {
-            return Stage::Target;
-        }
-        let off = direction == SpindleDirection::Off;
-        let delay = self.settings.seconds(if off { Key::SpinDown } else { Key::SpinUp });
         if self.accessories.must_tell_speed(&self.settings) {
             Stage::SpinningUp(self.now + delay)
         } else {

@@ -80,9 +80,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::None;
                 self.run_held_line();
             }
-            Task::SoftLimit if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
+            Task::SoftLimit(_) if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
             Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
-            Task::Startup(..) | Task::Held | Task::SoftLimit | Task::Storing(_) | Task::JogWaits => return false,
+            Task::Startup(..) | Task::Held | Task::SoftLimit(_) | Task::Storing(_) | Task::JogWaits => return false,
         }
         true
     }
@@ -297,7 +297,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.leaves_travel() {
             self.motion.hold();
-            self.task = Task::SoftLimit;
+            self.task = Task::SoftLimit(answer);
         } else {
             self.begin(answer, false);
         }

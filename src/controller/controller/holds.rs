@@ -48,7 +48,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         // After a contact, or before a soft-limit alarm, there is nothing to resume.
-        if !self.probe.has_touched() && !matches!(self.task, Task::SoftLimit) {
+        if !self.probe.has_touched() && !matches!(self.task, Task::SoftLimit(_)) {
             self.motion.resume();
             if !self.motion.is_idle() {
                 self.start_motion();
@@ -90,6 +90,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.accessories.end_spin_up();
             self.motion.hold();
             self.mode = Mode::Stopping { locked };
+        } else if matches!(self.mode, Mode::Normal | Mode::Check) {
+            self.interpreter.abandon_program();
         }
     }
 

@@ -23,6 +23,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn line_byte(&mut self, byte: LineByte) {
         let taken = self.lines.take(byte, || line_rules(&self.settings));
+        if taken.cut {
+            // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
+            self.interpreter.abandon_program();
+        }
         if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
         }
@@ -43,7 +47,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let _ = text.extend_from_slice(self.lines.text());
                 let remark = self.remark();
                 if self.must_wait(&text) {
-                    self.tell_remark(&remark);
                     self.task = Task::JogWaits;
                 } else {
                     self.lines.clear();
@@ -80,9 +83,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
         let _ = text.extend_from_slice(self.lines.text());
+        let remark = self.remark();
         self.lines.clear();
         self.task = Task::None;
-        self.dispatch(&text, &[]);
+        self.dispatch(&text, &remark);
         true
     }
 
@@ -94,10 +98,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             // A tape mark; Grbl's dialect has none.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
-            Some(b'$') => {
-                self.tell_remark(remark);
-                self.system(line)
-            }
+            Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };

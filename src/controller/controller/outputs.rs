@@ -51,7 +51,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The operator's overrides, as far as the program does not hold them off (M49).
     fn acting_overrides(&self) -> Overrides {
-        let held = self.interpreter.modal().overrides_held;
+        let held = self.interpreter.acting_modal().overrides_held;
         self.accessories.overrides().acting(held.feed, held.spindle)
     }
 
@@ -73,7 +73,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A laser with constant power (M3) stays on between feed motions.
     pub(super) fn burns_at_rest(&self) -> bool {
         matches!(
-            self.interpreter.modal().motion,
+            self.interpreter.acting_modal().motion,
             MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
         )
     }

@@ -18,7 +18,7 @@ pub(super) enum Task {
     /// A record is being stored; then the answer is given.
     Storing(Answer),
     /// Motion has to end before the soft-limit alarm.
-    SoftLimit,
+    SoftLimit(Answer),
     /// A received jog waits for the cancelled one before it to stop; `LineIntake` has its text.
     JogWaits,
     /// A line of G-code: the `LineInWork`.
@@ -95,8 +95,10 @@ impl Task {
     /// Whether a reset owes the host an `ok` for it.
     pub(super) fn answers_host(&self) -> bool {
         match self {
-            Task::Job(Job { answer, .. }) | Task::Storing(answer) => !matches!(answer, Answer::Startup(_, false)),
-            Task::Held | Task::Listing(..) | Task::SoftLimit | Task::JogWaits => true,
+            Task::Job(Job { answer, .. }) | Task::Storing(answer) | Task::SoftLimit(answer) => {
+                !matches!(answer, Answer::Startup(_, false))
+            }
+            Task::Held | Task::Listing(..) | Task::JogWaits => true,
             Task::Startup(_, answer) => answer.is_some(),
             Task::None => false,
         }

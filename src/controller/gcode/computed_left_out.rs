@@ -61,9 +61,6 @@ impl<const N: usize> Interpreter<N> {
     pub fn abandon_held(&mut self) {}
 
     /// There are no conditions.
-    pub fn leave_stream(&mut self) {}
-
-    /// There are no conditions.
     pub fn abandon_program(&mut self) {}
 
     /// Where parameters exist, they show it.

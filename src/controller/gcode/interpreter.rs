@@ -25,11 +25,18 @@ pub struct Interpreter<const N: usize> {
     pub(super) tools: ToolTable<N>,
     /// What M6 has put there; 0 for none.
     pub(super) spindle_tool: u32,
-    /// While a program is only checked: the tool that the spindle holds meanwhile.
-    tool_before_check: Option<u32>,
+    /// While a program is only checked: what the machine has meanwhile.
+    before_check: Option<BeforeCheck>,
     pub(super) computed: Computed<N>,
     /// M70.
     pub(super) saved: Option<Saved<N>>,
+}
+
+/// What check mode leaves to the machine.
+#[derive(Clone, Debug, PartialEq)]
+struct BeforeCheck {
+    spindle_tool: u32,
+    modal: Modal,
 }
 
 impl<const N: usize> Default for Interpreter<N> {
@@ -48,7 +55,7 @@ impl<const N: usize> Interpreter<N> {
             cycle: CycleWords::NONE,
             tools: ToolTable::EMPTY,
             spindle_tool: 0,
-            tool_before_check: None,
+            before_check: None,
             computed: Computed::new(),
             saved: None,
         }
@@ -62,8 +69,8 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_acts = false;
         self.saved = None;
-        if let Some(tool) = self.tool_before_check.take() {
-            self.spindle_tool = tool;
+        if let Some(before) = self.before_check.take() {
+            self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
         }
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
@@ -73,12 +80,12 @@ impl<const N: usize> Interpreter<N> {
     /// From here to the next reset programs are only checked: a tool that M6 calls for does not come into the spindle, and
     /// what they set in the table of tools is forgotten.
     pub fn begin_check_mode(&mut self) {
-        self.tool_before_check = Some(self.spindle_tool);
+        self.before_check = Some(BeforeCheck { spindle_tool: self.spindle_tool, modal: self.modal });
     }
 
     /// Whether programs are only checked.
     pub(super) fn is_checking(&self) -> bool {
-        self.tool_before_check.is_some()
+        self.before_check.is_some()
     }
 
     /// Ends a series of canned cycles as G80 does: the machine has another position for the same place, and the level that
@@ -94,6 +101,7 @@ impl<const N: usize> Interpreter<N> {
         self.end_cycles();
         self.saved = None;
         self.modal.forget_extended();
+        self.abandon_program();
     }
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
@@ -208,6 +216,11 @@ impl<const N: usize> Interpreter<N> {
         &self.modal
     }
 
+    /// What is in force for the machine: while programs are only checked, what was in force before.
+    pub fn acting_modal(&self) -> &Modal {
+        self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
+    }
+
     /// Spindle and coolant as the machine has them, where not the program but the operator or a stop has switched them.
     pub fn set_accessories(&mut self, spindle: SpindleDirection, coolant: Coolant) {
         self.modal.spindle = spindle;
@@ -217,11 +230,6 @@ impl<const N: usize> Interpreter<N> {
     /// All offsets.
     pub fn offsets(&self) -> &Offsets<N> {
         &self.offsets
-    }
-
-    /// All offsets, to restore stored ones and to clear them.
-    pub fn offsets_mut(&mut self) -> &mut Offsets<N> {
-        &mut self.offsets
     }
 
     /// What lies between machine and work position now: active coordinate system + G92 + tool length offset.

@@ -54,7 +54,7 @@ pub enum Dialect {
     /// Grbl's meaning of all that Grbl knows, and more words.
     #[default]
     Oxmill,
-    /// As Oxmill, but G80 beside a motion word only cancels, axis words after G80 go on with the last G0 or G1, and an
+    /// As Oxmill, but G80 beside a motion word only cancels, axis words after G80 move by the last G0 or G1, and an
     /// arc whose end point lies off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }

@@ -7,7 +7,7 @@
 //!                                                                   └──────────────── $43 times ────────────────┘
 //! ```
 //! Motion stops dead at a switch (as the rates of homing allow; a ramp would run into the switch's end). Axes of a cycle
-//! that have not reached theirs go on. The place of an axis is then the pull-off away from its switch.
+//! that have not reached theirs continue. The position of an axis is then the pull-off away from its switch.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.

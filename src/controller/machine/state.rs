@@ -59,7 +59,7 @@ pub enum Door {
     Braking,
     /// Parking: slowly out of the cut, the spindle still turning.
     PullingOut,
-    /// Parking: fast to the parking place, spindle and coolant off.
+    /// Parking: fast to the parking position, spindle and coolant off.
     Parking,
     /// At rest with spindle and coolant off.
     Parked,
@@ -76,7 +76,7 @@ pub enum Door {
 }
 
 impl<const N: usize> Mode<N> {
-    /// Whether received lines wait unread.
+    /// Whether what is under way waits: motion, a dwell, the lines behind it.
     pub fn is_suspended(&self) -> bool {
         matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
     }

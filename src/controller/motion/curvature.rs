@@ -415,7 +415,7 @@ impl<const N: usize> Chain<N> {
             scale.fast2 = greater(scale.fast2, fast2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // Longer scales go on with what the last one has ended; the piece comes to it.
+                // Longer scales continue with what the last one has ended; the piece comes to it.
                 return;
             }
             if scale.blocks > 0 {

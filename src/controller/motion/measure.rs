@@ -167,7 +167,7 @@ pub(super) mod tests {
             }
         }
 
-        /// Lines go on with a division that fits 32 bits where it did.
+        /// Lines continue with a division that fits 32 bits where it did.
         #[test]
         fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
             let legs = [x, y].map(Leg::on_steps);

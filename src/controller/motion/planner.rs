@@ -497,7 +497,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 
     /// Whether a machine `left` mm before the end of the first block may be in this state: whether it can ease off its
-    /// acceleration, or go on braking, and meet all that is planned behind. If so, the least acceleration bound on the way
+    /// acceleration, or continue braking, and meet all that is planned behind. If so, the least acceleration bound on the way
     /// on which it would ease off.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;

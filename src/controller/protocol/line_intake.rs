@@ -22,12 +22,14 @@ const EPOCHS: u16 = 1 << 14;
 pub struct Taken {
     /// Bytes before it were lost on the way.
     pub lost: bool,
+    /// What follows is another host's: it was a [`CUT`].
+    pub cut: bool,
     /// What it completed.
     pub pushed: Pushed,
 }
 
 impl Taken {
-    const NOTHING: Taken = Taken { lost: false, pushed: Pushed::More };
+    const NOTHING: Taken = Taken { lost: false, cut: false, pushed: Pushed::More };
 }
 
 /// The received lines, as far as they count.
@@ -121,13 +123,13 @@ impl LineIntake {
             // Received before the reset button; the line that the last of them is in is dropped to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
-            return Taken::NOTHING;
+            return Taken { cut: byte.byte == CUT, ..Taken::NOTHING };
         }
         let before_cancel = self.jog_bytes > 0;
         self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if byte.byte == CUT {
             self.line = Line::new();
-            return Taken::NOTHING;
+            return Taken { cut: true, ..Taken::NOTHING };
         }
         if byte.damaged {
             self.line.damage();
@@ -138,7 +140,7 @@ impl LineIntake {
         }
         let pushed = self.line.push(byte.byte, rules);
         self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
-        Taken { lost: byte.damaged, pushed }
+        Taken { lost: byte.damaged, cut: false, pushed }
     }
 
     /// Whether a byte waits for its realtime command: no other may come before it.
@@ -353,8 +355,8 @@ mod tests {
         give(&mut intake, b"G1X", 0);
         let damaged = LineByte { damaged: true, ..byte(b'5', 0) };
         assert!(!intake.take_plain(damaged));
-        assert_eq!(intake.take(damaged, rules), Taken { lost: true, pushed: Pushed::More });
-        assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { lost: false, pushed: Pushed::TooLong });
+        assert_eq!(intake.take(damaged, rules), Taken { lost: true, cut: false, pushed: Pushed::More });
+        assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { lost: false, cut: false, pushed: Pushed::TooLong });
     }
 
     /// A bare jog cancel at each key that is released, for as long as the machine is on.

@@ -562,6 +562,6 @@ fn axis_words_after_g80() {
     assert_eq!((target(&rapid), feed(&rapid)), ([-7.0, -4.0, 0.0], Feed::Rapid));
     program.run_all("G1\nG80");
     assert_eq!(feed(&program.run("G53 X0")), Feed::PerMinute(100.0 / 60.0));
-    // With G80 on the line itself there is no motion to go on with.
+    // With G80 on the line itself there is no motion to continue with.
     assert_eq!(program.error("G80 X1"), 31);
 }

@@ -520,17 +520,11 @@ impl<const N: usize> Interpreter<N> {
         self.computed.parameters.leave_calls();
     }
 
-    /// The program is not gone on with: conditions and loops under way are forgotten, and what is held.
+    /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
+    /// is held.
     pub fn abandon_program(&mut self) {
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
-    }
-
-    /// The host has gone: what it began and did not end is not the next one's. What runs comes to its end.
-    pub fn leave_stream(&mut self) {
-        if !matches!(self.computed.flow.state, State::Running(_)) {
-            self.abandon_program();
-        }
     }
 
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
