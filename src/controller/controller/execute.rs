@@ -33,10 +33,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.tool_change && self.prompts_for_tools()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
                 || checked.modal().overrides_held != now.overrides_held
-                || checked.modal().path == PathControl::ExactStop && checked.motion != gcode::Motion::None
+                || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
                 || self.speed_needs_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job { answer, stage, jog, spindle_delay: Duration::from_ticks(0) });
+    }
+
+    /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
+    fn ends_line_before(&self) -> bool {
+        let checked = &self.line.checked;
+        checked.motion != gcode::Motion::None || checked.modal().path != PathControl::ExactStop
     }
 
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
@@ -123,7 +129,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                     _ => Some(Stage::Target),
                 },
-                Stage::Target if checking => Some(Stage::Flow),
+                Stage::Target if checking => {
+                    if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+                        // Taken to touch at its target, where the program continues from.
+                        let target = *self.interpreter.position();
+                        self.interpreter.set_probed(&target, true);
+                    }
+                    Some(Stage::Flow)
+                }
                 Stage::Target => self.begin_motion(job),
                 Stage::Chords(feed) => self.next_chord(feed, job),
                 Stage::Probing => {

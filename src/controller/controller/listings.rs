@@ -66,7 +66,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (position, success) = self.probe.result();
                 self.say(|out| report::probe(out, &position, success, inches));
             }
-            entry if self.dialect() != Dialect::Grbl && entry - 5 < TOOLS => {
+            entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.interpreter.tools().entries().get(entry - 5).copied()
                     && tool.is_stored()
                 {

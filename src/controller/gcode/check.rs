@@ -281,7 +281,7 @@ pub(super) fn check<const N: usize>(
     check.line_number()?;
     check.feed()?;
     check.speed();
-    check.tool();
+    check.tool()?;
     check.spindle_and_coolant();
     check.parking_override();
     if is_extended {

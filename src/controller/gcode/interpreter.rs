@@ -62,7 +62,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// What a reset forgets: modal state, G92, tool length offset and parameters. Stored offsets, the tool in the spindle and the
-    /// position stay.
+    /// position stay; that tool is the selected one, so that M6 without T changes nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
@@ -73,6 +73,7 @@ impl<const N: usize> Interpreter<N> {
             self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
         }
+        self.modal.tool = self.spindle_tool;
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
         self.computed.reset();
     }
@@ -101,6 +102,7 @@ impl<const N: usize> Interpreter<N> {
         self.end_cycles();
         self.saved = None;
         self.modal.forget_extended();
+        self.modal.tool = self.spindle_tool;
         self.abandon_program();
     }
 

@@ -342,6 +342,9 @@ impl Modal {
         self.arc_distance = ArcDistance::default();
         self.path = PathControl::default();
         self.overrides_held = OverridesHeld::default();
+        if self.coordinate_system as u8 > CoordinateSystem::G59 as u8 {
+            self.coordinate_system = CoordinateSystem::default();
+        }
     }
 
     /// What M2 and M30 set back. G98 and G99 are not among it, as in LinuxCNC.

@@ -142,9 +142,7 @@ impl<const N: usize> Parsed<N> {
         if dialect != Dialect::Grbl && self.cancels_only(word) {
             return Ok(());
         }
-        if let Some(group) = word.group() {
-            self.groups.join(group)?;
-        }
+        self.groups.join(word.group())?;
         match word {
             GWord::NonModal(command) => self.non_modal = Some(command),
             GWord::Motion(motion) => self.modal.motion = Some(motion),
@@ -161,7 +159,7 @@ impl<const N: usize> Parsed<N> {
                 self.extended.path = Some(path);
                 self.extended.is_path_tolerance = code.whole == 64;
             }
-            GWord::NoCutterCompensation | GWord::AsItIs => {}
+            GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }
         Ok(())
     }

@@ -93,10 +93,14 @@ pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
 
 impl<const N: usize> Check<'_, N> {
     /// T selects, M6 puts what is selected into the spindle.
-    pub(super) fn tool(&mut self) {
+    pub(super) fn tool(&mut self) -> Result<(), Error> {
         let modal = &mut self.checked.modal;
         if self.line.values.has(b'T') {
-            modal.tool = self.line.value.t.truncate().unsigned_abs();
+            let number = match self.dialect {
+                Dialect::Grbl => self.line.value.t.truncate(),
+                _ => whole(self.line.value.t)?,
+            };
+            modal.tool = number.unsigned_abs();
         } else if self.dialect == Dialect::Grbl {
             modal.tool = 0;
         }
@@ -105,6 +109,7 @@ impl<const N: usize> Check<'_, N> {
             self.checked.tool_change = modal.tool != self.state.spindle_tool;
             self.checked.after.spindle_tool = modal.tool;
         }
+        Ok(())
     }
 
     /// Group 8. Only the axes' next moves are affected.

@@ -144,6 +144,9 @@ pub(super) enum Group {
     ToolChange,
     OverridesHeld,
     Keep,
+    Scaling,
+    Rotation,
+    SpindleMode,
 }
 
 /// A set of modal groups.
@@ -249,7 +252,7 @@ pub(super) enum GWord {
     /// G61, G61.1, G64.
     Path(PathControl),
     /// Says what is so in any case: G50 (no scaling), G69 (no rotation), G97 (S in revolutions per minute).
-    AsItIs,
+    AsItIs(Group),
 }
 
 impl GWord {
@@ -333,7 +336,9 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (50 | 69 | 97, 0) if more => GWord::AsItIs,
+            (50, 0) if more => GWord::AsItIs(Group::Scaling),
+            (69, 0) if more => GWord::AsItIs(Group::Rotation),
+            (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),
@@ -352,9 +357,9 @@ impl GWord {
         })
     }
 
-    /// The modal group of the word, if it is in one.
-    pub fn group(self) -> Option<Group> {
-        Some(match self {
+    /// The modal group of the word.
+    pub fn group(self) -> Group {
+        match self {
             GWord::NonModal(_) => Group::NonModal,
             GWord::Motion(_) => Group::Motion,
             GWord::Plane(_) => Group::Plane,
@@ -367,8 +372,8 @@ impl GWord {
             GWord::ToolLength(_) => Group::ToolLength,
             GWord::CoordinateSystem(_) => Group::CoordinateSystem,
             GWord::Path(_) => Group::PathControl,
-            GWord::AsItIs => return None,
-        })
+            GWord::AsItIs(group) => group,
+        }
     }
 }
 

@@ -147,6 +147,7 @@ pub(super) fn begins(text: &[u8]) -> bool {
     let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
     let text = text.get(signs..).unwrap_or(&[]);
     matches!(text, [b'[' | b'#', ..])
+        || signs > 1 && matches!(text, [b'0'..=b'9' | b'.', ..])
         || text.starts_with(b"EXISTS[")
         || FUNCTIONS.iter().any(|(name, _)| text.starts_with(name))
 }

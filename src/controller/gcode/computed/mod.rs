@@ -269,12 +269,12 @@ fn length<const N: usize>(place: &PerAxis<Coordinate, N>, index: i64) -> Option<
     usize::try_from(index).ok().and_then(|index| place.0.get(index)).copied()
 }
 
-/// Six decimals.
+/// Six decimals; what does not exist or is too great is `######`.
 fn write<const LENGTH: usize>(value: Option<Real>, out: &mut heapless::Vec<u8, LENGTH>) {
     use core::fmt::Write;
     const MILLIONTH: u64 = DECIMAL_ONE as u64 / 1_000_000;
     const MILLION: u64 = 1_000_000;
-    let Some(Decimal(value)) = value.map(Real::to_decimal) else {
+    let Some(Decimal(value)) = value.filter(|value| value.fits_decimal()).map(Real::to_decimal) else {
         let _ = out.extend_from_slice(b"######");
         return;
     };

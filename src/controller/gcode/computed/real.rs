@@ -1,7 +1,8 @@
 //! Numbers of expressions: decimal floating point with eighteen digits.
 //!
 //! Sums, differences and products of numbers as programs write them are exact (up to eighteen digits), so `10.1 + 0.2` is
-//! 10.3 and nothing else. A quotient and a square root are right in eighteen digits; sine, cosine, arc tangent and
+//! 10.3 and nothing else. A difference below 10⁻¹⁴ of what it is the difference of is rounding and counts as 0, so three
+//! thirds are 1: for comparisons, whole parts and remainders, too. A quotient and a square root are right in eighteen digits; sine, cosine, arc tangent and
 //! logarithm are within 10⁻¹⁵, powers with a fraction in the exponent within 10⁻¹³ of their size. Integer arithmetic only:
 //! the same result on every machine, and every operation takes a bounded number of steps. Results beyond 10⁴⁰ are an error,
 //! results below 10⁻³² may be 0. Nothing here is inlined: flash is scarcer than the time of an expression.
@@ -122,9 +123,15 @@ impl Real {
         Self::from_decimal(Decimal(value.0))
     }
 
-    /// The nearest, seven decimals.
+    /// The nearest, of the seven digits that a program's number keeps in it.
     pub fn from_f32(value: f32) -> Real {
-        Self::from_coordinate(Coordinate::from_mm_f32(value))
+        let Real { mantissa, exponent } = Self::from_coordinate(Coordinate::from_mm_f32(value));
+        Self::rounded(i128::from(mantissa), exponent.into(), 7).unwrap_or(Real::ZERO)
+    }
+
+    /// Whether a number of a program can be as great.
+    pub fn fits_decimal(self) -> bool {
+        self.to_decimal().0.unsigned_abs() < i64::MAX.unsigned_abs()
     }
 
     /// The nearest number of a program; far ones saturate.
@@ -190,8 +197,12 @@ impl Real {
         }
         let gap = (i32::from(high.exponent) - i32::from(low.exponent)).unsigned_abs();
         let lift = gap.min(SPARE_DIGITS);
-        let wide = i128::from(high.mantissa) * ten_to(lift);
-        Self::new(wide + i128::from(low.mantissa) / ten_to(gap - lift), i32::from(high.exponent) - lift as i32)
+        let (wide, low) = (i128::from(high.mantissa) * ten_to(lift), i128::from(low.mantissa) / ten_to(gap - lift));
+        let sum = wide + low;
+        if sum.unsigned_abs() < wide.unsigned_abs().max(low.unsigned_abs()) / ROUNDING {
+            return Ok(Real::ZERO);
+        }
+        Self::new(sum, i32::from(high.exponent) - lift as i32)
     }
 
     pub fn sub(self, other: Real) -> Result<Real, Error> {
@@ -244,12 +255,19 @@ impl Real {
             ((i128::from(self.mantissa) % wide) as i64, self.exponent)
         };
         let rest = Self::known(rest, i32::from(exponent));
-        if rest.is_negative() { rest.add(divisor.abs()) } else { Ok(rest) }
+        let rest = if rest.is_negative() { rest.add(divisor.abs())? } else { rest };
+        let none_is_left =
+            self.order(self.sub(rest)?) == Ordering::Equal || rest.order(divisor.abs()) == Ordering::Equal;
+        Ok(if none_is_left { Real::ZERO } else { rest })
     }
 
     /// Rounded down.
     #[inline(never)]
     pub fn floor(self) -> Real {
+        let nearest = self.round();
+        if self.order(nearest) == Ordering::Equal {
+            return nearest;
+        }
         self.whole_part(|wide, power| wide.div_euclid(power))
     }
 
@@ -322,6 +340,9 @@ impl Real {
 
 /// Numbers nearer than this are equal to EQ and NE, and whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
+
+/// A sum is 0 if it is below this part of its greater side.
+const ROUNDING: u128 = 100_000_000_000_000;
 
 /// A power of ten; beyond what an `i128` holds, its greatest value.
 #[inline(never)]

@@ -75,6 +75,42 @@ fn decimals_are_exact() {
 }
 
 /// RS274NGC's order, tried on LinuxCNC's interpreter.
+/// What a quotient lacks in its last digit does not tell.
+#[test]
+fn parts_of_a_whole_make_the_whole() {
+    for (text, value) in [
+        ("[1/3+1/3+1/3LT1]", "0"),
+        ("[1/3+1/3+1/3GE1]", "1"),
+        ("[10/3*3GT10]", "0"),
+        ("[20/3+10/3LT10]", "0"),
+        ("[1/3*3-1]", "0"),
+        ("FIX[1/3*3]", "1"),
+        ("FUP[2/3*3]", "2"),
+        ("FIX[0-1/3*3]", "-1"),
+        ("[[1/3*3]MOD1]", "0"),
+        ("[[2/3*3]MOD1]", "0"),
+        ("[10MOD[10/3]]", "0"),
+        ("SQRT[25-[5/3+5/3+5/3]*5]", "0"),
+        ("[1000000.0000001-1000000]", "0.0000001"),
+        ("[0.00000000000000000001GT0]", "1"),
+        ("FIX[2.9999999999]", "2"),
+        ("[2.9999999999LT3]", "1"),
+        ("[7.9999999999MOD4]", "3.9999999999"),
+    ] {
+        exact(text, value);
+    }
+    for (depth, passes) in (1..=30).flat_map(|depth| (2..=12).map(move |passes| (depth, passes))) {
+        let step = compute(&format!("[{depth}/{passes}]")).unwrap();
+        let end = number(&depth.to_string());
+        let (mut reached, mut count) = (Real::ZERO, 0);
+        while reached.is_below(end) {
+            reached = reached.add(step).unwrap();
+            count += 1;
+        }
+        assert_eq!(count, passes, "{depth} in {passes} passes");
+    }
+}
+
 #[test]
 fn order_of_operators() {
     for (text, value) in [
