@@ -1,8 +1,8 @@
 //! The shape of the code: how many fields a part has, how long a function is, which files of a room call each other, and
 //! which names and words there are.
 //!
-//! What is beyond a limit today is listed with its figure, which can only fall: the test also fails when an entry is not
-//! needed any more.
+//! What is beyond a limit today is listed with its figure. The test also fails when the figure falls or the entry is not
+//! needed any more, so that neither can rise again.
 
 use crate::source::{self, Item, Token};
 use crate::{module_of, root, sources};
@@ -21,7 +21,7 @@ const LONG_FUNCTIONS: &[(&str, usize)] = &[];
 const CALL_CIRCLES: &[(&str, usize)] = &[("gcode", 3)];
 
 /// The same by imports from each other.
-const IMPORT_CIRCLES: &[(&str, usize)] = &[("gcode", 9)];
+const IMPORT_CIRCLES: &[(&str, usize)] = &[("gcode", 10)];
 
 /// Types of one name in a crate: how many.
 const SAME_NAMES: &[(&str, usize)] = &[("src/controller Computed", 2)];
@@ -39,7 +39,7 @@ fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
         match listed.iter().find(|(listed, _)| listed == name) {
             None => faults.push(format!("{name}: {figure} {what}, of {limit} at most")),
-            Some((_, before)) if figure > before => faults.push(format!("{name}: {figure} {what}, {before} before")),
+            Some((_, before)) if figure != before => faults.push(format!("{name}: {figure} {what}, {before} listed")),
             Some(_) => {}
         }
     }
@@ -64,11 +64,14 @@ fn parts_have_few_fields() {
     let mut found = BTreeMap::new();
     for folder in CRATES {
         let all = items(folder);
-        let mutated: BTreeSet<&String> = all
-            .iter()
-            .flat_map(|(_, items)| items)
+        let all_items = || all.iter().flat_map(|(_, items)| items);
+        let aliases: BTreeMap<&String, String> = all_items()
+            .filter(|item| item.kind == "type")
+            .map(|item| (&item.name, source::aliased(&item.body)))
+            .collect();
+        let mutated: BTreeSet<&String> = all_items()
             .filter(|item| item.kind == "impl" && source::has_mut_self(&item.body))
-            .map(|item| &item.name)
+            .map(|item| aliases.get(&item.name).unwrap_or(&item.name))
             .collect();
         for (file, items) in &all {
             for item in items.iter().filter(|item| item.kind == "struct" && mutated.contains(&item.name)) {
@@ -77,6 +80,9 @@ fn parts_have_few_fields() {
         }
     }
     assert!(found.len() > 40, "{} structs", found.len());
+    for name in ["controller/mod.rs Controller", "motion/mod.rs MotionWith", "motion/queue.rs MoveQueue"] {
+        assert!(found.contains_key(&format!("src/controller/{name}")), "{name} in {:?}", found.keys());
+    }
     judge("fields", &found, MOST_FIELDS, MANY_FIELDS);
 }
 
@@ -154,11 +160,16 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     for (room, files) in rooms() {
         let by_module: BTreeMap<Vec<String>, &String> =
             files.iter().map(|(file, _)| (module_of(Path::new(file)), file)).collect();
+        let exported: BTreeMap<Vec<String>, Vec<String>> =
+            files.iter().flat_map(|(file, text)| re_exports(&module_of(Path::new(file)), text)).collect();
         let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
         for (file, text) in &files {
             let module = module_of(Path::new(file));
             for path in source::paths(&source::bare(text)) {
-                let Some(full) = full_path(&path, &module) else { continue };
+                let is_child =
+                    |name: &String| by_module.contains_key(&[&module[..], std::slice::from_ref(name)].concat());
+                let Some(full) = full_path(&path, &module, is_child) else { continue };
+                let full = exported.get(&full).unwrap_or(&full);
                 // The longest module that the path begins with. What a room's root has is for all its files.
                 let target = (2..=full.len()).rev().find_map(|n| by_module.get(&full[..n]));
                 if let Some(other) = target.filter(|other| **other != file) {
@@ -172,13 +183,29 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     judge("files on a circle of imports", &found, 0, IMPORT_CIRCLES);
 }
 
-/// A path from the root of the crate.
-fn full_path(path: &[String], module: &[String]) -> Option<Vec<String>> {
+/// What a module gives out of its children: its own path for a name, and the path that it comes from.
+fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> {
+    let bare = source::bare(text);
+    let uses = bare.split(';').filter_map(|item| item.trim().rsplit_once("pub use ").map(|(_, tree)| tree.to_owned()));
+    let paths = uses.flat_map(|tree| source::paths(&format!("use {tree};")));
+    paths
+        .filter(|path| path.len() > 1 && !["crate", "super"].contains(&path[0].as_str()))
+        .map(|path| {
+            let name = path.last().cloned().into_iter();
+            let from = path.iter().filter(|word| *word != "self").cloned();
+            (module.iter().cloned().chain(name).collect(), module.iter().cloned().chain(from).collect())
+        })
+        .collect()
+}
+
+/// A path from the root of the crate. `is_child`: whether a name is a module within this one.
+fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> bool) -> Option<Vec<String>> {
     let mut base = module.to_vec();
     let mut rest = path;
     match rest.first()?.as_str() {
         "crate" => base.clear(),
         "super" | "self" => {}
+        _ if is_child(rest.first()?) => {}
         _ => return None,
     }
     while let Some(first) = rest.first().filter(|word| ["super", "crate", "self"].contains(&word.as_str())) {
@@ -268,7 +295,9 @@ mod the_shape_itself {
         let found = BTreeMap::from([("a".to_owned(), 5)]);
         judge("x", &found, 5, &[]);
         judge("x", &found, 3, &[("a", 5)]);
-        for (limit, listed) in [(3, &[][..]), (3, &[("a", 4)][..]), (5, &[("a", 5)][..]), (9, &[("gone", 5)][..])] {
+        for (limit, listed) in
+            [(3, &[][..]), (3, &[("a", 4)][..]), (3, &[("a", 6)][..]), (5, &[("a", 5)][..]), (9, &[("gone", 5)][..])]
+        {
             assert!(std::panic::catch_unwind(|| judge("x", &found, limit, listed)).is_err());
         }
     }

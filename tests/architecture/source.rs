@@ -198,7 +198,7 @@ fn tokens(text: &str) -> Vec<String> {
     lex(text).into_iter().map(|token| token.text).collect()
 }
 
-/// Something with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
+/// Something with a body: `struct`, `enum`, `trait`, `impl`, `fn`, or the `type` that names another.
 pub struct Item {
     pub kind: String,
     /// Of an `impl`, the type.
@@ -254,7 +254,7 @@ pub fn items(tokens: &[Token]) -> Vec<Item> {
     let mut at = 0;
     while at + 1 < tokens.len() {
         let word = tokens[at].text.as_str();
-        if !["struct", "enum", "trait", "impl", "fn"].contains(&word) {
+        if !["struct", "enum", "trait", "impl", "fn", "type"].contains(&word) {
             at += 1;
             continue;
         }
@@ -283,6 +283,12 @@ fn type_of_impl(tokens: &[Token]) -> String {
     name
 }
 
+/// The last name of the type that a `type` stands for, without its parameters.
+pub fn aliased(tokens: &[Token]) -> String {
+    let begin = tokens.iter().position(|token| token.text == "=").unwrap_or(0);
+    type_of_impl(&tokens[begin..])
+}
+
 /// How many fields the body of a `struct` has.
 pub fn fields(body: &[Token]) -> usize {
     let Some(open) = body.iter().position(|token| token.text == "{") else { return 0 };
@@ -303,11 +309,12 @@ pub fn has_mut_self(body: &[Token]) -> bool {
     body.windows(3).any(|w| w[0].text == "&" && w[1].text == "mut" && w[2].text == "self")
 }
 
-/// Names of the methods called on `self`.
+/// Names of the methods called on `self`, and of the functions of `Self`.
 pub fn calls_of_self(body: &[Token]) -> Vec<String> {
     let is = |token: &Token, text: &str| token.text == text;
+    let receives = |w: &[Token]| is(&w[0], "self") && is(&w[1], ".") || is(&w[0], "Self") && is(&w[1], "::");
     body.windows(4)
-        .filter(|w| is(&w[0], "self") && is(&w[1], ".") && is_name(&w[2].text) && is(&w[3], "("))
+        .filter(|w| receives(w) && is_name(&w[2].text) && is(&w[3], "("))
         .map(|w| w[2].text.clone())
         .collect()
 }

@@ -1,11 +1,13 @@
 //! Bytes of two hosts, one on a UART and one on USB, with queues that fill up and hosts that come and go.
 //!
-//! Promises: a line that is read is a whole line of one host, or is told to be damaged, or a cut is in it; what is refused
-//! leaves no byte behind; commands keep their order.
+//! Promises: a line that is read is one that a host has sent, whole and in the order of that host's lines, or it is told to
+//! be damaged, or a cut ends it; what is refused leaves no byte behind; no command is made up or doubled; a host that waits
+//! gets room as soon as the queues are read.
 
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::messages::{CUT, LineByte, Realtime};
 use oxmill_controller::{Entrance, Link, Queues};
+use std::collections::VecDeque;
 
 struct Depths {
     commands: Vec<Realtime>,
@@ -59,42 +61,106 @@ enum Action {
     Free(bool),
 }
 
+/// What is read, and what it may be.
+#[derive(Default)]
+struct Reader {
+    half: Vec<LineByte>,
+    /// Letters of the lines that the hosts have sent and that have not been read, and of what a reset within leaves of them.
+    sent: [VecDeque<[usize; 2]>; 2],
+    /// Resets sent and not read.
+    resets: usize,
+    /// Realtime commands read.
+    commands: usize,
+}
+
 /// The target.
 pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }
 
-/// A line of a host: its letter, and in the middle of it a byte that is no letter of the other host.
-fn line(letter: u8, length: u8, byte: u8) -> Vec<u8> {
-    let mut line = vec![letter; usize::from(length % 12)];
-    let at = line.len() / 2;
-    if !matches!(byte, b'a' | b'b') {
-        line.insert(at, byte);
+const LETTERS: [u8; 2] = [b'a', b'b'];
+
+impl Reader {
+    /// A line of a host: its letter, and in the middle of it a byte that is no letter of the other host.
+    fn line(&mut self, host: usize, length: u8, byte: u8) -> Vec<u8> {
+        let mut line = vec![LETTERS[host]; usize::from(length % 12)];
+        let (whole, middle) = (line.len(), line.len() / 2);
+        if !LETTERS.contains(&byte) {
+            line.insert(middle, byte);
+        }
+        match byte {
+            b'\n' | b'\r' => self.sent[host].extend([[middle; 2], [whole - middle; 2]]),
+            CUT => self.sent[host].push_back([whole, whole - middle]),
+            _ => self.sent[host].push_back([whole; 2]),
+        }
+        self.resets += usize::from(byte == CUT);
+        line.push(b'\n');
+        line
     }
-    line.push(b'\n');
-    line
+
+    fn read_lines(&mut self, queues: &mut Depths, most: usize) {
+        for byte in queues.lines.drain(..most.min(queues.lines.len())) {
+            match byte.byte {
+                CUT => self.half.clear(),
+                b'\n' | b'\r' => {
+                    let damaged = byte.damaged || self.half.iter().any(|byte| byte.damaged);
+                    let letters = LETTERS.map(|letter| self.half.iter().filter(|byte| byte.byte == letter).count());
+                    self.half.clear();
+                    if !damaged {
+                        self.whole_line(letters);
+                    }
+                }
+                _ => self.half.push(byte),
+            }
+        }
+    }
+
+    fn whole_line(&mut self, letters: [usize; 2]) {
+        assert!(letters.contains(&0), "a line of two hosts");
+        for (sent, letters) in self.sent.iter_mut().zip(letters).filter(|(_, letters)| *letters > 0) {
+            let at = sent.iter().position(|line| line.contains(&letters));
+            let at = at.unwrap_or_else(|| panic!("{letters} letters are no line that was sent: {sent:?}"));
+            sent.drain(..=at);
+        }
+    }
+
+    fn read_commands(&mut self, queues: &mut Depths) {
+        for command in queues.commands.drain(..) {
+            self.commands += 1;
+            if command == Realtime::Reset {
+                self.resets = self.resets.checked_sub(1).expect("a reset that was sent");
+            }
+        }
+    }
 }
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let mut queues = Depths { commands: Vec::new(), lines: Vec::new(), cannot_wait: false, free: false };
     let mut entrance = Entrance::new();
     let (mut uart, mut usb) = (Link::<1>::new(0), Link::<64>::new(1));
-    let mut half: Vec<LineByte> = Vec::new();
+    let mut reader = Reader::default();
+    let mut bytes = 0;
     while !input.is_empty() {
         match input.arbitrary()? {
             Action::Uart(length, byte) => {
                 queues.cannot_wait = true;
-                for byte in line(b'a', length, byte) {
+                for byte in reader.line(0, length, byte) {
                     uart.take(byte, &mut entrance, &mut usb, &mut queues);
+                    bytes += 1;
                 }
                 queues.cannot_wait = false;
             }
             Action::Usb(length, byte) => {
-                for byte in line(b'b', length, byte) {
-                    // A host on USB is told to wait.
-                    if usb.room() > 0 {
-                        usb.take(byte, &mut entrance, &mut uart, &mut queues);
+                for byte in reader.line(1, length, byte) {
+                    if usb.room() == 0 {
+                        // It is told to wait until the controller has read.
+                        reader.read_commands(&mut queues);
+                        reader.read_lines(&mut queues, MOST_LINES);
+                        usb.pass_on(&mut entrance, &mut queues);
+                        assert!(usb.room() > 0, "room once all has been read");
                     }
+                    usb.take(byte, &mut entrance, &mut uart, &mut queues);
+                    bytes += 1;
                 }
             }
             Action::UsbComes => {
@@ -103,13 +169,8 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
             Action::UsbGoes => {
                 usb.went(&mut entrance);
             }
-            Action::Read(count) => {
-                let count = usize::from(count).min(queues.lines.len());
-                for byte in queues.lines.drain(..count) {
-                    read(&mut half, byte);
-                }
-            }
-            Action::ReadCommands => queues.commands.clear(),
+            Action::Read(count) => reader.read_lines(&mut queues, count.into()),
+            Action::ReadCommands => reader.read_commands(&mut queues),
             Action::Free(free) => queues.free = free,
         }
         uart.pass_on(&mut entrance, &mut queues);
@@ -117,19 +178,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         uart.refuse(|_| true);
         usb.refuse(|_| true);
     }
+    reader.read_commands(&mut queues);
+    assert!(reader.commands <= bytes, "more commands than bytes");
     Ok(())
-}
-
-fn read(half: &mut Vec<LineByte>, byte: LineByte) {
-    match byte.byte {
-        CUT => half.clear(),
-        b'\n' | b'\r' => {
-            half.push(byte);
-            let damaged = half.iter().any(|byte| byte.damaged);
-            let has = |letter| half.iter().any(|byte| byte.byte == letter);
-            assert!(damaged || !(has(b'a') && has(b'b')), "a line of two hosts");
-            half.clear();
-        }
-        _ => half.push(byte),
-    }
 }

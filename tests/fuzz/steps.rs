@@ -19,6 +19,7 @@ enum Action {
     Load(u8),
     Tick(u8),
     Stop,
+    Resume,
 }
 
 /// How a segment is cut off what is left of a block.
@@ -40,7 +41,8 @@ struct Run {
     /// Where the blocks that are queued end.
     planned: [i32; AXES],
     ticks: u32,
-    shut: bool,
+    /// After a stop or an underrun, until it is resumed: the stops that have happened.
+    shut: Option<u16>,
 }
 
 /// The target.
@@ -51,7 +53,7 @@ pub fn run(data: &[u8]) {
         counted: [0; AXES],
         planned: [0; AXES],
         ticks: 0,
-        shut: false,
+        shut: None,
     };
     let mut input = Unstructured::new(data);
     while !input.is_empty() && run.ticks < MOST_TICKS {
@@ -60,6 +62,7 @@ pub fn run(data: &[u8]) {
             Ok(Action::Load(count)) => (0..count).for_each(|_| run.load()),
             Ok(Action::Tick(count)) => (0..=count).for_each(|_| run.tick()),
             Ok(Action::Stop) => run.stop(),
+            Ok(Action::Resume) => run.resume(),
             Err(_) => break,
         }
     }
@@ -68,7 +71,7 @@ pub fn run(data: &[u8]) {
 
 impl Run {
     fn block(&mut self, steps: [u16; AXES], ends: [u8; AXES], directions: u8, cuts: Vec<Cut>) {
-        if self.shut {
+        if self.shut.is_some() {
             return;
         }
         let steps = steps.map(|steps| u32::from(steps % 600));
@@ -147,7 +150,7 @@ impl Run {
         let directions = self.stepper.directions();
         let tick = self.stepper.tick();
         assert!(tick.steps < 1 << AXES, "steps of axes that are not there");
-        assert!(!self.shut || tick.steps == 0, "a step behind a shut gate");
+        assert!(self.shut.is_none() || tick.steps == 0, "a step before the machine is resumed");
         for axis in 0..AXES {
             if tick.steps >> axis & 1 != 0 {
                 self.counted[axis] += if directions >> axis & 1 != 0 { -1 } else { 1 };
@@ -156,29 +159,27 @@ impl Run {
         if tick.underrun {
             let StepEvent::Underrun { stops, position } = self.stepper.underrun_event() else { unreachable!() };
             assert_eq!(position.0, self.counted, "the position of an underrun");
-            self.resume(stops);
+            self.shut = Some(stops);
         }
     }
 
     fn stop(&mut self) {
         let StepEvent::Stopped { stops, position, .. } = self.stepper.stop() else { unreachable!() };
         assert_eq!(position.0, self.counted, "the position of a stop");
-        self.shut = true;
-        self.tick();
-        self.resume(stops);
+        self.shut = Some(stops);
     }
 
     /// What was queued is void; the next block begins where the steps have ended.
-    fn resume(&mut self, stops: u16) {
+    fn resume(&mut self) {
+        let Some(stops) = self.shut.take() else { return };
         self.queue.clear();
         self.planned = self.counted;
-        self.shut = true;
         self.stepper.load(ToStep::Resume { stops });
-        self.shut = false;
     }
 
     /// All that is queued is run: a message before each tick that there is one for.
     fn finish(&mut self) {
+        self.resume();
         while self.ticks < 4 * MOST_TICKS && (!self.queue.is_empty() || !self.stepper.is_idle()) {
             for _ in 0..4 {
                 self.load();

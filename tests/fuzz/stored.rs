@@ -65,6 +65,8 @@ enum Action {
     Erase,
     PowerUp,
     PutAndCut(u8, u8, u8, u8),
+    RemoveAndCut(u8, u8),
+    EraseAndCut(u8),
 }
 
 type Contents = BTreeMap<u16, Vec<u8>>;
@@ -90,6 +92,25 @@ fn open(memory: Memory) -> Log<Memory> {
         Ok(log) => log,
         Err(PowerCut) => panic!("opens with power"),
     }
+}
+
+/// Makes a change, loses the power after so many operations, and powers up again. What was acknowledged is there.
+fn cut(
+    mut log: Log<Memory>,
+    after: u8,
+    known: &mut Contents,
+    new: Contents,
+    change: impl FnOnce(&mut Log<Memory>) -> bool,
+) -> Log<Memory> {
+    log.flash_mut().power = Some(u32::from(after % 64));
+    let acknowledged = change(&mut log);
+    let mut memory = log.into_flash();
+    memory.power = None;
+    let mut log = open(memory);
+    if acknowledged || contents(&mut log) == new {
+        *known = new;
+    }
+    log
 }
 
 /// The target.
@@ -130,15 +151,19 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
             Action::PowerUp => log = open(log.into_flash()),
             Action::PutAndCut(key, length, filler, after) => {
                 let (change, value) = put(key, length, filler);
-                log.flash_mut().power = Some(u32::from(after % 64));
-                let _ = log.store(&change);
-                let mut memory = log.into_flash();
-                memory.power = None;
-                log = open(memory);
-                let found = contents(&mut log);
-                if found != known {
-                    known.insert(u16::from(key), value);
-                }
+                let new = known.clone().into_iter().chain([(u16::from(key), value)]).collect();
+                log = cut(log, after, &mut known, new, |log| log.store(&change).is_ok());
+            }
+            Action::RemoveAndCut(key, after) => {
+                let key = u16::from(key);
+                let mut new = known.clone();
+                new.remove(&key);
+                let change = Store::Remove { from: key, until: key + 1 };
+                log = cut(log, after, &mut known, new, |log| log.store(&change).is_ok());
+            }
+            Action::EraseAndCut(after) => {
+                let new = known.clone();
+                log = cut(log, after, &mut known, new, |log| log.erase_spare().is_ok());
             }
         }
         assert_eq!(contents(&mut log), known);

@@ -6,14 +6,15 @@ use crate::{Failure, cargo, root, run};
 use oxmill_test_support::{pack, unpack};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::Mutex;
 
-const HOST: &str = "x86_64-unknown-linux-gnu";
 /// What libFuzzer needs of the compiler: a pass that counts edges, and what is compared.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1";
+/// A target that reaches fewer does not do its work.
+const LEAST_EDGES: u64 = 100;
 /// Bytes of the longest input.
 const LONGEST: &str = "-max_len=2048";
 
@@ -32,6 +33,9 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
         return Err(format!("there is no target `{unknown}`; there are {}", all.join(", ")));
     }
     let program = build()?;
+    for target in targets {
+        replay(&program, target)?;
+    }
     let workers = std::thread::available_parallelism().map_or(1, usize::from).min(targets.len());
     let each = (seconds * workers as u64 / targets.len() as u64).max(1);
     let left = Mutex::new(targets.iter());
@@ -47,6 +51,20 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
         }
     });
     report(rows.into_inner().expect("no thread panics"))
+}
+
+/// What was found before is still there until it is mended.
+fn replay(program: &Path, target: &str) -> Result<(), Failure> {
+    for path in files(&folder("found", target)?)? {
+        let output = Command::new(program).env("OXMILL_FUZZ_TARGET", target).arg("-timeout=20").arg(&path).output();
+        let output = output.map_err(|error| error.to_string())?;
+        if !output.status.success() {
+            let text = String::from_utf8_lossy(&output.stderr);
+            return Err(format!("{target} still fails on {}:\n{text}", path.display()));
+        }
+        fs::remove_file(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    Ok(())
 }
 
 fn next<'a>(left: &Mutex<std::slice::Iter<'a, &'a str>>) -> Option<&'a &'a str> {
@@ -72,7 +90,16 @@ fn report(rows: Vec<(&str, Result<Row, Failure>)>) -> Result<(), Failure> {
     println!("| target | executions | edges | features | finds |\n|---|---|---|---|---|");
     let (mut executions, mut failures) = (0, Vec::new());
     for (target, row) in rows {
-        let row = row?;
+        let row = match row {
+            Ok(row) => row,
+            Err(failure) => {
+                failures.push(failure);
+                continue;
+            }
+        };
+        if row.executions == 0 || row.edges < LEAST_EDGES {
+            failures.push(format!("{target}: {} executions reach {} edges", row.executions, row.edges));
+        }
         executions += row.executions;
         println!("| {target} | {} | {} | {} | {} |", row.executions, row.edges, row.features, row.found.len());
         for path in row.found {
@@ -114,6 +141,7 @@ fn kept(target: &str) -> PathBuf {
 /// The program with all targets.
 fn build() -> Result<PathBuf, Failure> {
     let folder = root().join("target/fuzz/build");
+    let host = host()?;
     run(cargo()
         .args([
             "build",
@@ -124,13 +152,21 @@ fn build() -> Result<PathBuf, Failure> {
             "--features",
             "libfuzzer",
             "--target",
-            HOST,
+            &host,
         ])
         .env("CARGO_TARGET_DIR", &folder)
         .env("CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS", "true")
         .env("CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS", "true")
         .env("RUSTFLAGS", COVERAGE))?;
-    Ok(folder.join(HOST).join("release/fuzz"))
+    Ok(folder.join(host).join("release/fuzz"))
+}
+
+/// The target that the compiler builds for by itself. It is named, so that build scripts go without the counters.
+fn host() -> Result<String, Failure> {
+    let output = Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc: {error}"))?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
+    host.map(str::to_string).ok_or_else(|| format!("rustc names no host: {text}"))
 }
 
 /// The corpus of the tree as files.
@@ -194,7 +230,6 @@ fn minimise() -> Result<(), Failure> {
         run(Command::new(&program)
             .env("OXMILL_FUZZ_TARGET", target)
             .args(["-set_cover_merge=1", "-max_len=512"])
-            .stderr(Stdio::null())
             .args([&small, &folder("corpus", target)?, &seeds(target)?]))?;
         let mut inputs: Vec<Vec<u8>> = files(&small)?.iter().filter_map(|path| fs::read(path).ok()).collect();
         inputs.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));

@@ -296,6 +296,13 @@ fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
     let failure = |error: std::io::Error| format!("{}: {error}", from.display());
     if from.is_dir() {
         fs::create_dir_all(to).map_err(failure)?;
+        for entry in fs::read_dir(to).map_err(failure)? {
+            let entry = entry.map_err(failure)?;
+            if !from.join(entry.file_name()).exists() {
+                let path = entry.path();
+                if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.map_err(failure)?;
+            }
+        }
         for entry in fs::read_dir(from).map_err(failure)? {
             let entry = entry.map_err(failure)?;
             copy(&entry.path(), &to.join(entry.file_name()))?;

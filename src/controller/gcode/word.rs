@@ -149,6 +149,17 @@ pub(super) enum Group {
     SpindleMode,
 }
 
+impl Group {
+    /// Of G50, G69 or G97.
+    fn of_what_is_so(whole: u8) -> Group {
+        match whole {
+            50 => Group::Scaling,
+            69 => Group::Rotation,
+            _ => Group::SpindleMode,
+        }
+    }
+}
+
 /// A set of modal groups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Groups(u32);
@@ -336,9 +347,7 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (50, 0) if more => GWord::AsItIs(Group::Scaling),
-            (69, 0) if more => GWord::AsItIs(Group::Rotation),
-            (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
+            (50 | 69 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),

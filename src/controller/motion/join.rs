@@ -117,7 +117,7 @@ impl<const N: usize> Join<N> {
     }
 
     /// How far the longest way leads at a place (ways of the motors), if that is not back.
-    fn along(&self, way: &[f32; N]) -> Option<f32> {
+    pub(super) fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }

@@ -248,7 +248,8 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
-    /// within it. A [`CUT`] goes before its first byte of a line: it ends what was there before.
+    /// within it. A [`CUT`] goes before its first byte of a line: it ends what was there before. What has no place in the
+    /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
     pub fn came<const OTHER: usize>(
         &mut self,
         entrance: &mut Entrance,
@@ -258,6 +259,7 @@ impl<const HELD: usize> Link<HELD> {
         let free = queues.is_free();
         let granted = entrance.turn_to(other, |floor| floor.claim(self.number, free, true));
         entrance.cut |= granted;
+        self.forget();
         granted
     }
 
@@ -269,8 +271,12 @@ impl<const HELD: usize> Link<HELD> {
         entrance.cut |= held_floor;
         entrance.gone = entrance.gone.wrapping_add(u16::from(held_floor));
         entrance.floor.leave(self.number);
-        *self = Self { stuck: self.stuck, ..Self::new(self.number) };
+        self.forget();
         held_floor
+    }
+
+    fn forget(&mut self) {
+        *self = Self { stuck: self.stuck, ..Self::new(self.number) };
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
@@ -607,6 +613,19 @@ mod tests {
             both.usb(b"?G0\n");
         }
         assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
+    }
+
+    /// The start of the line is in the queue, its end waits: behind the cut it would be a line of its own.
+    #[test]
+    fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
+        let mut both = Both::<16>::new(8, 4);
+        both.queues.free = true;
+        both.usb(b"G53G0X1\n");
+        assert_eq!(both.usb.held(), 5);
+        assert!(both.usb.came(&mut both.entrance, &mut both.uart, &both.queues));
+        both.queues.most_lines = 100;
+        both.usb(b"G4P0\n");
+        assert_eq!(both.text(), "G53|G4P0\n");
     }
 
     #[test]

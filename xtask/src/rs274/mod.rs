@@ -5,7 +5,7 @@ mod canon;
 mod ours;
 mod programs;
 
-use crate::Failure;
+use crate::{Failure, root};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -61,7 +61,7 @@ pub struct Outcome {
     pub refused: Option<String>,
 }
 
-/// Runs the comparison: `arguments` are a number of programs and a seed, or files with programs.
+/// Runs the comparison: `arguments` are a number of programs and a seed.
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     if Command::new("rs274").arg("-h").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
         return Err("rs274 is not installed: it is part of the Debian package linuxcnc-uspace".into());
@@ -71,7 +71,10 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
         Some(text) => text.parse().map_err(|_| format!("not a number: {text}")),
     };
     let (count, seed) = (number(0, PROGRAMS)?, number(1, 1)?);
-    let folder = Path::new("target/rs274");
+    if count == 0 {
+        return Err("0 programs compare nothing".into());
+    }
+    let folder = &root().join("target/rs274");
     let batches = count.div_ceil(BATCH);
     let next = AtomicUsize::new(0);
     let totals = Mutex::new(Totals::default());
