@@ -1,7 +1,7 @@
 //! Where expressions, parameters and O words are left out to save flash: what uses them is refused by its own error.
 
 use super::direction::{Direction, Held};
-use super::interpreter::Interpreter;
+use super::state::Interpreter;
 use super::word::Word;
 use crate::axes::PerAxis;
 use crate::error::Error;

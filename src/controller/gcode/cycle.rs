@@ -12,31 +12,26 @@
 //! above the point where it is. The clear level is R with G99, and with G98 the level at which the series of cycles
 //! began, if that is above R. Order and levels are those of RS274NGC.
 
-use super::check::{Check, Motion, along, reachable};
-use super::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, Plane, PlaneAxes};
-use super::word::Letters;
-use crate::axes::{Axis, PerAxis};
-use crate::error::Error;
+use super::modal::{CycleKind, Plane, PlaneAxes};
+use super::values::along;
+use crate::axes::PerAxis;
 use crate::messages::SpindleDirection;
-use crate::units::{Coordinate, Decimal, Duration, per_second};
-
-/// Most repetitions that L may ask for.
-const REPEATS_MAX: i32 = 1_000_000;
+use crate::units::{Coordinate, Duration};
 
 /// The words that stay in force while the same cycle word does, and the level that G98 goes back to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CycleWords {
-    plane: Plane,
+    pub(super) plane: Plane,
     /// R as it was written, in mm.
-    r: Coordinate,
+    pub(super) r: Coordinate,
     /// The word of the axis across the plane, as it was written, in mm.
-    depth: Coordinate,
+    pub(super) depth: Coordinate,
     /// Q.
-    peck: Coordinate,
+    pub(super) peck: Coordinate,
     /// P.
-    dwell: Duration,
+    pub(super) dwell: Duration,
     /// Machine coordinate at which the series of cycles began.
-    level: Coordinate,
+    pub(super) level: Coordinate,
 }
 
 impl CycleWords {
@@ -111,7 +106,7 @@ pub enum CycleStep<const N: usize> {
 
 /// Which step is next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Next {
+pub(super) enum Next {
     /// Up to R where the tool is.
     Rise,
     /// To the next hole, in the plane.
@@ -133,35 +128,35 @@ enum Next {
 pub struct Cycle<const N: usize> {
     /// Which cycle.
     pub kind: CycleKind,
-    axes: PlaneAxes,
+    pub(super) axes: PlaneAxes,
     /// Where the tool is after the step before.
-    place: PerAxis<Coordinate, N>,
+    pub(super) place: PerAxis<Coordinate, N>,
     /// The next hole; its coordinate along the depth does not count.
-    hole: PerAxis<Coordinate, N>,
+    pub(super) hole: PerAxis<Coordinate, N>,
     /// From a hole to the next one.
-    pitch: [Coordinate; 2],
+    pub(super) pitch: [Coordinate; 2],
     /// Holes that have not been begun.
-    left: u32,
-    r: Coordinate,
-    bottom: Coordinate,
-    clear: Coordinate,
+    pub(super) left: u32,
+    pub(super) r: Coordinate,
+    pub(super) bottom: Coordinate,
+    pub(super) clear: Coordinate,
     /// Bottom of the latest peck.
-    reached: Coordinate,
-    next: Next,
-    feed: f32,
-    spindle: SpindleDirection,
+    pub(super) reached: Coordinate,
+    pub(super) next: Next,
+    pub(super) feed: f32,
+    pub(super) spindle: SpindleDirection,
     pub(super) words: CycleWords,
 }
 
 impl<const N: usize> Cycle<N> {
-    fn at_depth(&self, place: &PerAxis<Coordinate, N>, depth: Coordinate) -> PerAxis<Coordinate, N> {
+    pub(super) fn at_depth(&self, place: &PerAxis<Coordinate, N>, depth: Coordinate) -> PerAxis<Coordinate, N> {
         let mut place = *place;
         place.set(self.axes.linear, depth);
         place
     }
 
     /// The hole that is so many after the next one.
-    fn hole_after(&self, count: u32) -> PerAxis<Coordinate, N> {
+    pub(super) fn hole_after(&self, count: u32) -> PerAxis<Coordinate, N> {
         let mut hole = self.hole;
         for (axis, pitch) in [self.axes.first, self.axes.second].into_iter().zip(self.pitch) {
             let way = pitch.0.saturating_mul(i64::from(count));
@@ -251,127 +246,5 @@ impl<const N: usize> Cycle<N> {
     fn go(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
         self.place.set(self.axes.linear, depth);
         if is_feed { CycleStep::Feed(self.place, self.feed) } else { CycleStep::Rapid(self.place) }
-    }
-}
-
-impl<const N: usize> Check<'_, N> {
-    /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
-    /// same plane.
-    pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
-        if !EXTENDED {
-            return Err(Error::ExtendedLeftOut);
-        }
-        let modal = self.checked.modal;
-        if modal.feed_mode == FeedMode::InverseTime {
-            return Err(Error::CycleNeedsPerMinute);
-        }
-        // M6 in the line may stop it.
-        let stopped = self.checked.tool_change && self.line.spindle.is_none();
-        if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
-            return Err(Error::SpindleNotTurning);
-        }
-        let axes = modal.plane.axes();
-        if self.line.axes.is_empty() {
-            return Err(Error::NoAxisWords);
-        }
-        if Axis::of_machine::<N>().skip(3).any(|axis| self.line.axes.has(axis)) {
-            return Err(Error::AxisWordsUnused);
-        }
-        let words = self.cycle_words(kind, axes)?;
-        let place = self.state.position;
-        let mut hole = self.target();
-        hole.set(axes.linear, along(&place, axes.linear));
-        let incremental = modal.distance == Distance::Incremental;
-        let (pitch, (r, bottom)) = if incremental {
-            let pitch = [axes.first, axes.second].map(|axis| along(&hole, axis) - along(&place, axis));
-            (pitch, (words.level + words.r, words.level + words.r + words.depth))
-        } else {
-            let origin = self.work_offset(axes.linear);
-            ([Coordinate::ZERO; 2], (origin + words.r, origin + words.depth))
-        };
-        if r < bottom {
-            return Err(Error::RetractBelowBottom);
-        }
-        let clear = if modal.retract_to_r { r } else { words.level.max(r) };
-        let cycle = Cycle {
-            kind,
-            axes,
-            place,
-            hole,
-            pitch,
-            left: self.repeats()?,
-            r,
-            bottom,
-            clear,
-            reached: r,
-            next: Next::Rise,
-            feed: per_second(modal.feed.to_f32()),
-            spindle: modal.spindle,
-            words,
-        };
-        for corner in &cycle.corners() {
-            reachable(corner)?;
-        }
-        self.checked.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
-        self.checked.motion = Motion::Cycle(cycle);
-        Ok(())
-    }
-
-    /// The words of the line over those that are in force.
-    fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
-        let (before, modal) = (&self.state.modal, self.checked.modal);
-        let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
-        let sticky = series && before.motion == MotionMode::Cycle(kind);
-        let mut words = if series {
-            self.state.cycle
-        } else {
-            let level = along(&self.state.position, axes.linear);
-            CycleWords { plane: modal.plane, level, ..CycleWords::NONE }
-        };
-        let line = self.line;
-        let unused = self.unused;
-        let missing = |letter| !(sticky || unused.has(letter));
-        let depth_missing = !(sticky || line.axes.has(axes.linear));
-        if depth_missing || missing(b'R') || kind.pecks() && missing(b'Q') || kind.dwells() && missing(b'P') {
-            return Err(Error::ValueWordMissing);
-        }
-        if line.axes.has(axes.linear) {
-            words.depth = self.axis_length(axes.linear);
-        }
-        if self.take(b'R') {
-            words.r = self.length(line.value.r);
-        }
-        if kind.pecks() && self.take(b'Q') {
-            words.peck = self.length(line.value.q);
-            if words.peck <= Coordinate::ZERO {
-                return Err(Error::ValueOutOfRange);
-            }
-        }
-        if kind.dwells() && self.take(b'P') {
-            words.dwell = super::check::seconds(line.value.p);
-        }
-        Ok(words)
-    }
-
-    /// L: how many holes, all in one place with G90, in a row with G91.
-    fn repeats(&mut self) -> Result<u32, Error> {
-        if !self.take(b'L') {
-            return Ok(1);
-        }
-        let count = self.line.value.l.truncate();
-        if Decimal::from_int(count) != self.line.value.l {
-            return Err(Error::IntegerRequired);
-        }
-        if !(1..=REPEATS_MAX).contains(&count) {
-            return Err(Error::ValueOutOfRange);
-        }
-        Ok(count.unsigned_abs())
-    }
-
-    /// Whether the line has a word of this letter that no other command has used; this one uses it.
-    pub(super) fn take(&mut self, letter: u8) -> bool {
-        let has = self.unused.has(letter);
-        self.unused.remove(Letters::of(&[letter]));
-        has
     }
 }

@@ -1,9 +1,10 @@
 //! Jogs: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this line alone.
 
 use super::Dialect;
-use super::check::{self, Checked, Purpose};
-use super::interpreter::Interpreter;
+use super::check::{self, Purpose};
+use super::checked::Checked;
 use super::parse::Parsed;
+use super::state::Interpreter;
 use super::word::{Groups, NonModal};
 use crate::error::Error;
 

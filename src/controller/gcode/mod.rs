@@ -12,6 +12,7 @@
 
 mod arc;
 mod check;
+mod checked;
 mod code;
 #[cfg(feature = "expressions")]
 mod computed;
@@ -25,24 +26,25 @@ mod modal;
 mod offsets;
 mod parse;
 mod remark;
-mod state_words;
+mod state;
 mod tools;
+mod values;
 mod word;
 
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use check::{ArcMove, Checked, Feed, Flow, Motion};
+pub use checked::{ArcMove, Checked, Feed, Flow, Motion};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
-pub use interpreter::Interpreter;
 pub use modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
     PathControl, Plane, PlaneAxes, ProbeMode, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
+pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
 
 /// Whose meaning a program's words have.

@@ -2,8 +2,8 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::interpreter::Interpreter;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, Units};
+use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Error;

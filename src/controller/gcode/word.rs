@@ -2,12 +2,12 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::interpreter::Interpreter;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
     Units,
 };
 use super::offsets::StoredOffset;
+use super::state::Interpreter;
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::number::{self, Digits, Number};

@@ -9,7 +9,7 @@ use program::{DIALECTS, Program, target};
 /// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
 const ERRORS: &[(u8, &[&str])] = &[
     (1, &["1", "%", "G1 X1..2", "X1*2", "@", "X1,5", "g0"]),
-    (2, &["X", "G", "M", "G0 X--1", "X.", "X-", "X+", "G1 XY"]),
+    (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
     (4, &["F-1", "N-1", "P-1", "S-1", "T-1", "F-0.0000001"]),
     (20, &["G6", "G38", "G38.6", "G90.2", "M100", "D1", "A1", "U1"]),
     (20, &["G-1", "G999", "G10 L3 P1 X1", "G10 P1 X1", "G10 L-2 X0", "G10 L258 P1 X0", "X1E3"]),
@@ -36,6 +36,7 @@ const ERRORS: &[(u8, &[&str])] = &[
 
 /// Errors of Grbl's dialect alone: the others have a meaning for these lines, or another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
+    (2, &["G0 X--1"]),
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
     (26, &["G2 I1"]),
     (29, &["G10 L3 P10 X0"]),

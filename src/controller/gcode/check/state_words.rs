@@ -1,36 +1,12 @@
 //! Words that keep, restore and hold off: M48 to M53 for the operator's overrides, M70 to M72 for the modal state.
 
-use super::check::Check;
-use super::modal::{EXTENDED, Modal, OverridesHeld};
-use super::word::{Groups, Letters};
+use super::line::Check;
 use crate::axes::PerAxis;
 use crate::error::Error;
+use crate::gcode::checked::Keeping;
+use crate::gcode::modal::{EXTENDED, Modal, OverridesHeld};
+use crate::gcode::word::{Groups, Letters};
 use crate::units::{Coordinate, Decimal};
-
-/// What M70 has kept.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Saved<const N: usize> {
-    modal: Modal,
-    tool_length: PerAxis<Coordinate, N>,
-    g92_acts: bool,
-}
-
-/// What a line does with it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Keeping {
-    /// Nothing.
-    Leave,
-    /// M70.
-    Save,
-    /// M71.
-    Forget,
-}
-
-impl<const N: usize> Saved<N> {
-    pub(super) fn of(modal: Modal, tool_length: PerAxis<Coordinate, N>, g92_acts: bool) -> Self {
-        Self { modal, tool_length, g92_acts }
-    }
-}
 
 impl<const N: usize> Check<'_, N> {
     /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.

@@ -1,0 +1,129 @@
+//! Words of canned cycles: those that stay in force in a series, and the holes that they give.
+
+use super::line::Check;
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::gcode::checked::Motion;
+use crate::gcode::cycle::{Cycle, CycleWords, Next};
+use crate::gcode::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PlaneAxes};
+use crate::gcode::values::{along, reachable, seconds};
+use crate::messages::SpindleDirection;
+use crate::units::{Coordinate, Decimal, per_second};
+
+/// Most repetitions that L may ask for.
+const REPEATS_MAX: i32 = 1_000_000;
+
+impl<const N: usize> Check<'_, N> {
+    /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
+    /// same plane.
+    pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let modal = self.checked.modal;
+        if modal.feed_mode == FeedMode::InverseTime {
+            return Err(Error::CycleNeedsPerMinute);
+        }
+        // M6 in the line may stop it.
+        let stopped = self.checked.tool_change && self.line.spindle.is_none();
+        if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
+            return Err(Error::SpindleNotTurning);
+        }
+        let axes = modal.plane.axes();
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        if Axis::of_machine::<N>().skip(3).any(|axis| self.line.axes.has(axis)) {
+            return Err(Error::AxisWordsUnused);
+        }
+        let words = self.cycle_words(kind, axes)?;
+        let place = self.state.position;
+        let mut hole = self.target();
+        hole.set(axes.linear, along(&place, axes.linear));
+        let incremental = modal.distance == Distance::Incremental;
+        let (pitch, (r, bottom)) = if incremental {
+            let pitch = [axes.first, axes.second].map(|axis| along(&hole, axis) - along(&place, axis));
+            (pitch, (words.level + words.r, words.level + words.r + words.depth))
+        } else {
+            let origin = self.work_offset(axes.linear);
+            ([Coordinate::ZERO; 2], (origin + words.r, origin + words.depth))
+        };
+        if r < bottom {
+            return Err(Error::RetractBelowBottom);
+        }
+        let clear = if modal.retract_to_r { r } else { words.level.max(r) };
+        let cycle = Cycle {
+            kind,
+            axes,
+            place,
+            hole,
+            pitch,
+            left: self.repeats()?,
+            r,
+            bottom,
+            clear,
+            reached: r,
+            next: Next::Rise,
+            feed: per_second(modal.feed.to_f32()),
+            spindle: modal.spindle,
+            words,
+        };
+        for corner in &cycle.corners() {
+            reachable(corner)?;
+        }
+        self.checked.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
+        self.checked.motion = Motion::Cycle(cycle);
+        Ok(())
+    }
+
+    /// The words of the line over those that are in force.
+    fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
+        let (before, modal) = (&self.state.modal, self.checked.modal);
+        let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
+        let sticky = series && before.motion == MotionMode::Cycle(kind);
+        let mut words = if series {
+            self.state.cycle
+        } else {
+            let level = along(&self.state.position, axes.linear);
+            CycleWords { plane: modal.plane, level, ..CycleWords::NONE }
+        };
+        let line = self.line;
+        let unused = self.unused;
+        let missing = |letter| !(sticky || unused.has(letter));
+        let depth_missing = !(sticky || line.axes.has(axes.linear));
+        if depth_missing || missing(b'R') || kind.pecks() && missing(b'Q') || kind.dwells() && missing(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        if line.axes.has(axes.linear) {
+            words.depth = self.axis_length(axes.linear);
+        }
+        if self.take(b'R') {
+            words.r = self.length(line.value.r);
+        }
+        if kind.pecks() && self.take(b'Q') {
+            words.peck = self.length(line.value.q);
+            if words.peck <= Coordinate::ZERO {
+                return Err(Error::ValueOutOfRange);
+            }
+        }
+        if kind.dwells() && self.take(b'P') {
+            words.dwell = seconds(line.value.p);
+        }
+        Ok(words)
+    }
+
+    /// L: how many holes, all in one place with G90, in a row with G91.
+    fn repeats(&mut self) -> Result<u32, Error> {
+        if !self.take(b'L') {
+            return Ok(1);
+        }
+        let count = self.line.value.l.truncate();
+        if Decimal::from_int(count) != self.line.value.l {
+            return Err(Error::IntegerRequired);
+        }
+        if !(1..=REPEATS_MAX).contains(&count) {
+            return Err(Error::ValueOutOfRange);
+        }
+        Ok(count.unsigned_abs())
+    }
+}

@@ -1,0 +1,166 @@
+//! A line half checked, and what each step of the check asks of it: words, lengths, positions.
+
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::gcode::checked::{Checked, Feed};
+use crate::gcode::modal::{Distance, FeedMode, MotionMode, Units};
+use crate::gcode::parse::Parsed;
+use crate::gcode::state::Interpreter;
+use crate::gcode::values::{along, reachable};
+use crate::gcode::word::{Claim, Letters, NonModal};
+use crate::units::{Coordinate, Decimal, per_second};
+
+/// Letters of an arc's centre.
+pub(super) const CENTRE: Letters = Letters::of(b"IJK");
+
+/// What a line is checked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::gcode) enum Purpose {
+    Program,
+    Jog,
+}
+
+/// A line half checked.
+pub(super) struct Check<'a, const N: usize> {
+    pub(super) state: &'a Interpreter<N>,
+    pub(super) line: &'a Parsed<N>,
+    pub(super) dialect: Dialect,
+    pub(super) purpose: Purpose,
+    /// Who uses the axis words, the implied motion included.
+    pub(super) claim: Claim,
+    /// Value words that no step has asked for yet.
+    pub(super) unused: Letters,
+    /// The result so far; its modal state is the one that the line's own words have set.
+    pub(super) checked: &'a mut Checked<N>,
+}
+
+impl<'a, const N: usize> Check<'a, N> {
+    /// The line's modal words over the modal state; axis words that no command asks for belong to the motion mode.
+    pub(super) fn begin(
+        state: &'a Interpreter<N>,
+        line: &'a Parsed<N>,
+        dialect: Dialect,
+        purpose: Purpose,
+        checked: &'a mut Checked<N>,
+    ) -> Self {
+        checked.begin(state);
+        let modal = &mut checked.modal;
+        if purpose == Purpose::Jog {
+            modal.motion = MotionMode::Linear;
+            modal.feed_mode = FeedMode::PerMinute;
+        }
+        if let Some(motion) = line.modal.motion {
+            modal.motion = motion;
+        } else if dialect == Dialect::Seed
+            && modal.motion == MotionMode::Cancelled
+            && line.claim == Claim::Nobody
+            && !line.axes.is_empty()
+        {
+            modal.motion = modal.straight;
+        }
+        if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
+            modal.straight = modal.motion;
+        }
+        modal.plane = line.modal.plane.unwrap_or(modal.plane);
+        modal.distance = line.modal.distance.unwrap_or(modal.distance);
+        modal.arc_distance = line.modal.arc_distance.unwrap_or(modal.arc_distance);
+        modal.feed_mode = line.modal.feed_mode.unwrap_or(modal.feed_mode);
+        modal.units = line.modal.units.unwrap_or(modal.units);
+        modal.retract_to_r = line.modal.retract_to_r.unwrap_or(modal.retract_to_r);
+        modal.coordinate_system = line.modal.coordinate_system.unwrap_or(modal.coordinate_system);
+        // A full circle needs no axis word.
+        let is_circle = dialect != Dialect::Grbl
+            && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
+            && line.values.has_any(CENTRE);
+        let claim = match line.claim {
+            Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
+            claim => claim,
+        };
+        Self { state, line, dialect, purpose, claim, unused: line.values, checked }
+    }
+
+    /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
+    pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
+        if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
+    }
+
+    /// Whether the line has a word of this letter that no other command has used; this one uses it.
+    pub(super) fn take(&mut self, letter: u8) -> bool {
+        let has = self.unused.has(letter);
+        self.unused.remove(Letters::of(&[letter]));
+        has
+    }
+
+    /// Where the line's axis words lead to, in machine coordinates.
+    pub(super) fn target(&self) -> PerAxis<Coordinate, N> {
+        let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
+        let incremental = self.checked.modal.distance == Distance::Incremental;
+        self.with_axis_words(self.state.position, |axis, value| {
+            if machine {
+                value
+            } else if incremental {
+                value + self.position(axis)
+            } else {
+                value + self.work_offset(axis)
+            }
+        })
+    }
+
+    /// `others`, with the axes that have a word replaced by what `place` makes of it.
+    pub(super) fn with_axis_words(
+        &self,
+        others: PerAxis<Coordinate, N>,
+        place: impl Fn(Axis, Coordinate) -> Coordinate,
+    ) -> PerAxis<Coordinate, N> {
+        let mut result = others;
+        for axis in Axis::of_machine::<N>() {
+            if self.line.axes.has(axis) {
+                result.set(axis, place(axis, self.axis_length(axis)));
+            }
+        }
+        result
+    }
+
+    /// A length in the line's unit.
+    pub(super) fn length(&self, value: Decimal) -> Coordinate {
+        match self.checked.modal.units {
+            Units::Mm => Coordinate::from_mm(value),
+            Units::Inch => Coordinate::from_inches(value),
+        }
+    }
+
+    /// The value of an axis word. Degrees stay degrees whatever the unit of lengths.
+    pub(super) fn axis_length(&self, axis: Axis) -> Coordinate {
+        let value = self.line.axis.get(axis).unwrap_or(Decimal::ZERO);
+        match axis {
+            Axis::X | Axis::Y | Axis::Z => self.length(value),
+            Axis::A | Axis::B | Axis::C => Coordinate::from_mm(value),
+        }
+    }
+
+    pub(super) fn position(&self, axis: Axis) -> Coordinate {
+        along(&self.state.position, axis)
+    }
+
+    /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,
+    /// and the G92 from before it.
+    pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
+        let offsets = &self.state.offsets;
+        along(&offsets.system(self.checked.modal.coordinate_system), axis)
+            + along(&offsets.g92, axis)
+            + self.tool_offset(axis)
+    }
+
+    pub(super) fn tool_offset(&self, axis: Axis) -> Coordinate {
+        along(&self.checked.tool_length, axis)
+    }
+
+    pub(super) fn feed_of_motion(&self) -> Feed {
+        let feed = self.checked.modal.feed.to_f32();
+        match self.checked.modal.feed_mode {
+            FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
+            FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
+        }
+    }
+}

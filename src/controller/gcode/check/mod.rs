@@ -1,0 +1,219 @@
+//! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
+//! Grbl looks; the first fault wins.
+
+mod cycle_words;
+mod line;
+mod motion_words;
+mod offset_words;
+mod state_words;
+mod tool_words;
+
+use super::Dialect;
+use super::checked::{Checked, Flow, Motion};
+use super::modal::{FeedMode, MotionMode, Units};
+use super::offsets::StoredOffset;
+use super::parse::Parsed;
+use super::state::Interpreter;
+use super::values::seconds;
+use super::word::{Claim, Groups, Letters, MWord, NonModal};
+use crate::error::Error;
+use crate::messages::Coolant;
+use crate::units::Decimal;
+use line::Check;
+pub(super) use line::Purpose;
+
+/// Greatest line number.
+const LINE_NUMBER_MAX: i32 = 10_000_000;
+
+/// Checks the words of a line.
+pub(super) fn check<const N: usize>(
+    state: &Interpreter<N>,
+    line: &Parsed<N>,
+    dialect: Dialect,
+    purpose: Purpose,
+    checked: &mut Checked<N>,
+) -> Result<(), Error> {
+    let mut check = Check::begin(state, line, dialect, purpose, checked);
+    // Most lines have none of these, and every instruction counts.
+    let is_extended = line.extended.any;
+    if is_extended {
+        check.keep_state()?;
+    }
+    check.line_number()?;
+    check.feed()?;
+    check.speed();
+    check.tool()?;
+    check.spindle_and_coolant();
+    check.parking_override();
+    if is_extended {
+        check.overrides()?;
+        check.path_control();
+    }
+    check.dwell()?;
+    check.tool_length()?;
+    check.non_modal()?;
+    check.motion()?;
+    check.unused_words()?;
+    check.finish();
+    Ok(())
+}
+
+impl<const N: usize> Check<'_, N> {
+    fn line_number(&mut self) -> Result<(), Error> {
+        let number = self.line.value.n.truncate();
+        if number > LINE_NUMBER_MAX {
+            return Err(Error::InvalidLineNumber);
+        }
+        self.checked.line_number = number.unsigned_abs();
+        Ok(())
+    }
+
+    /// F holds on in G94 only: with G93 each motion needs its own, and a change of the mode leaves none.
+    fn feed(&mut self) -> Result<(), Error> {
+        if self.line.extended.keep.is_some() {
+            // M72 restores F beside its mode.
+            return Ok(());
+        }
+        let given = self.line.values.has(b'F');
+        let modal = self.checked.modal;
+        self.checked.modal.feed = match (modal.feed_mode, given) {
+            (_, false) if self.purpose == Purpose::Jog => return Err(Error::UndefinedFeed),
+            (FeedMode::InverseTime, true) => self.line.value.f,
+            (FeedMode::InverseTime, false) => {
+                let needed = !matches!(modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
+                if needed && self.claim == Claim::Motion {
+                    return Err(Error::UndefinedFeed);
+                }
+                Decimal::ZERO
+            }
+            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.value.f).0),
+            (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
+            (FeedMode::PerMinute, false) => Decimal::ZERO,
+        };
+        Ok(())
+    }
+
+    fn speed(&mut self) {
+        let (line, modal) = (self.line, &mut self.checked.modal);
+        if line.values.has(b'S') {
+            modal.speed = line.value.s.to_f32();
+        }
+        self.checked.speed = self.checked.modal.speed;
+        self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
+    }
+
+    fn spindle_and_coolant(&mut self) {
+        let (line, modal) = (self.line, &mut self.checked.modal);
+        modal.spindle = line.spindle.unwrap_or(modal.spindle);
+        match line.coolant {
+            Some(MWord::Mist) => modal.coolant.mist = true,
+            Some(MWord::Flood) => modal.coolant.flood = true,
+            Some(_) => modal.coolant = Coolant::default(),
+            None => {}
+        }
+        let (before, modal) = (&self.state.modal, &self.checked.modal);
+        self.checked.spindle = (modal.spindle != before.spindle).then_some(modal.spindle);
+        self.checked.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
+    }
+
+    /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
+    fn parking_override(&mut self) {
+        if self.line.parking_override {
+            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.value.p == Decimal::ZERO;
+            self.unused.remove(Letters::of(b"P"));
+        }
+    }
+
+    /// P and Q of G64 are how far a corner may be cut: an exact path cuts none.
+    fn path_control(&mut self) {
+        if let Some(path) = self.line.extended.path {
+            self.checked.modal.path = path;
+            if self.line.extended.is_path_tolerance {
+                self.unused.remove(Letters::of(b"PQ"));
+            }
+        }
+    }
+
+    fn dwell(&mut self) -> Result<(), Error> {
+        if self.line.non_modal != Some(NonModal::Dwell) {
+            return Ok(());
+        }
+        if !self.unused.has(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        self.unused.remove(Letters::of(b"P"));
+        self.checked.dwell = Some(seconds(self.line.value.p));
+        Ok(())
+    }
+
+    fn unused_words(&mut self) -> Result<(), Error> {
+        if self.is_program_number() {
+            return Ok(());
+        }
+        self.unused.remove(match self.purpose {
+            Purpose::Program => Letters::of(b"FNST"),
+            Purpose::Jog => Letters::of(b"FN"),
+        });
+        if self.claim != Claim::Nobody {
+            self.unused.remove(Letters::of(b"XYZABC"));
+        }
+        if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
+    }
+
+    /// O and a number, which are alone in their line but for its own number.
+    fn is_program_number(&self) -> bool {
+        let mut others = self.unused;
+        others.remove(Letters::of(b"N"));
+        others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
+    }
+
+    fn finish(self) {
+        let checked = self.checked;
+        checked.flow = match self.line.flow {
+            Some(MWord::Pause) => Flow::Pause,
+            Some(MWord::OptionalPause) => Flow::OptionalPause,
+            Some(MWord::End) => Flow::End,
+            _ => Flow::None,
+        };
+        // A cycle goes through its points exactly.
+        let exact = matches!(checked.motion, Motion::Cycle(_));
+        checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
+        checked.uses_machine_place = matches!(
+            self.line.non_modal,
+            Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
+        );
+        if checked.flow == Flow::End {
+            checked.modal.end_program();
+        }
+        let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
+        let system_changed = match (checked.store, &checked.stored) {
+            (Some(StoredOffset::System(system)), Some(value)) if system == after => {
+                *value != self.state.offsets.system(system)
+            }
+            _ => false,
+        };
+        checked.work_offset_changed = system_changed
+            || before != after
+            || checked.g92 != self.state.offsets.g92
+            || checked.tool_length != self.state.offsets.tool_length;
+    }
+}
+
+/// The last of so many digits behind the point, mm.
+fn last_digit(units: Units, places: u8) -> f32 {
+    match units {
+        Units::Mm => match places {
+            0..=2 => 1.0e-2,
+            3 => 1.0e-3,
+            4 => 1.0e-4,
+            5 => 1.0e-5,
+            _ => 1.0e-6,
+        },
+        Units::Inch => match places {
+            0..=3 => 2.54e-2,
+            4 => 2.54e-3,
+            5 => 2.54e-4,
+            _ => 2.54e-5,
+        },
+    }
+}

@@ -1,0 +1,154 @@
+//! Words of motion: lines, arcs, probing moves.
+
+use super::line::{CENTRE, Check};
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::gcode::arc::{self, Vector};
+use crate::gcode::checked::{ArcMove, Feed, Motion};
+use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode};
+use crate::gcode::values::{along, reachable, whole};
+use crate::gcode::word::{Claim, Letters};
+use crate::units::{Coordinate, Decimal};
+
+/// Most turns that P may give an arc.
+const TURNS_MAX: i32 = 1_000_000;
+
+impl<const N: usize> Check<'_, N> {
+    pub(super) fn motion(&mut self) -> Result<(), Error> {
+        let mode = self.checked.modal.motion;
+        if mode == MotionMode::Cancelled {
+            // To Grbl axis words are an error here even if another command uses them.
+            let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
+            return if self.line.axes.is_empty() || used { Ok(()) } else { Err(Error::AxisWordsUnused) };
+        }
+        if self.claim != Claim::Motion {
+            return Ok(());
+        }
+        if mode != MotionMode::Rapid && self.checked.modal.feed == Decimal::ZERO {
+            return Err(Error::UndefinedFeed);
+        }
+        match mode {
+            MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
+            MotionMode::ArcClockwise => self.arc(true),
+            MotionMode::ArcCounterClockwise => self.arc(false),
+            MotionMode::Probe(probe) => self.probe(probe),
+            MotionMode::Cycle(kind) => self.cycle(kind),
+            MotionMode::Cancelled => Ok(()),
+        }
+    }
+
+    fn straight(&mut self, mode: MotionMode) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Ok(());
+        }
+        let target = self.target();
+        reachable(&target)?;
+        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
+        self.checked.motion = Motion::Line { via: None, target, feed };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    fn probe(&mut self, mode: ProbeMode) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        let target = self.target();
+        if target == self.state.position {
+            return Err(Error::InvalidTarget);
+        }
+        reachable(&target)?;
+        let feed = self.feed_of_motion();
+        self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    fn arc(&mut self, clockwise: bool) -> Result<(), Error> {
+        let axes = self.checked.modal.plane.axes();
+        let is_circle = self.dialect != Dialect::Grbl && self.line.values.has_any(CENTRE);
+        if self.line.axes.is_empty() && !is_circle {
+            return Err(Error::NoAxisWords);
+        }
+        if !self.line.axes.has(axes.first) && !self.line.axes.has(axes.second) && !is_circle {
+            return Err(Error::NoPlaneAxisForArc);
+        }
+        let start = self.state.position;
+        let mut target = self.target();
+        let mut chord = Vector::new(
+            along(&target, axes.first) - along(&start, axes.first),
+            along(&target, axes.second) - along(&start, axes.second),
+        );
+        let centre = if self.line.values.has(b'R') {
+            self.unused.remove(Letters::of(b"R"));
+            arc::centre_by_radius(chord, self.length(self.line.value.r), clockwise)?
+        } else {
+            let centre = self.centre(axes)?;
+            if !arc::radii_agree(chord, centre)? {
+                if self.dialect != Dialect::Seed {
+                    return Err(Error::InvalidTarget);
+                }
+                chord = arc::ray_crossing(chord, centre)?;
+                target.set(axes.first, along(&start, axes.first) + Coordinate(chord.first));
+                target.set(axes.second, along(&start, axes.second) + Coordinate(chord.second));
+            }
+            centre
+        };
+        reachable(&target)?;
+        let turns = self.turns()?;
+        let feed = self.feed_of_motion();
+        let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
+        // Without a radius there is nothing to go round; what is left is the way of the other axes.
+        self.checked.motion = if arc::is_point(centre) {
+            Motion::Line { via: None, target, feed }
+        } else {
+            Motion::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
+        };
+        self.checked.position = target;
+        Ok(())
+    }
+
+    /// The centre of an arc in centre format, from its start.
+    fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
+        let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
+        let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
+        let absolute = self.dialect != Dialect::Grbl && self.checked.modal.arc_distance == ArcDistance::Absolute;
+        // As distances each is 0 unless given; of coordinates none can be guessed.
+        if !(has_first || has_second) || absolute && !(has_first && has_second) {
+            return Err(Error::NoPlaneOffsets);
+        }
+        self.unused.remove(CENTRE);
+        let centre_along = |axis: Axis| {
+            let value = self.length(match axis {
+                Axis::X => self.line.value.i,
+                Axis::Y => self.line.value.j,
+                _ => self.line.value.k,
+            });
+            if absolute { value + self.work_offset(axis) - self.position(axis) } else { value }
+        };
+        Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
+    }
+
+    /// P of an arc: how many turns it takes, the last of them up to the target.
+    fn turns(&mut self) -> Result<u32, Error> {
+        if self.dialect == Dialect::Grbl || !self.unused.has(b'P') {
+            return Ok(0);
+        }
+        self.unused.remove(Letters::of(b"P"));
+        let turns = whole(self.line.value.p)?;
+        if !(1..=TURNS_MAX).contains(&turns) {
+            return Err(Error::IntegerRequired);
+        }
+        Ok(turns.unsigned_abs() - 1)
+    }
+}
+
+/// The letter of an arc's centre along an axis.
+fn centre_letter(axis: Axis) -> u8 {
+    match axis {
+        Axis::X => b'I',
+        Axis::Y => b'J',
+        _ => b'K',
+    }
+}

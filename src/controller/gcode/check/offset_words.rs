@@ -1,0 +1,152 @@
+//! Words of group 0 and their offsets: G10 L2 and L20, G28, G30, G52, G53, G92.
+
+use super::line::Check;
+use crate::axes::PerAxis;
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::gcode::checked::{Feed, Motion};
+use crate::gcode::modal::{CoordinateSystem, MotionMode};
+use crate::gcode::offsets::StoredOffset;
+use crate::gcode::values::{along, reachable, whole};
+use crate::gcode::word::{Letters, NonModal};
+use crate::units::{Coordinate, Decimal};
+
+impl<const N: usize> Check<'_, N> {
+    pub(super) fn non_modal(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.non_modal else { return Ok(()) };
+        self.non_modal_word(word)?;
+        self.allow_offset(&self.checked.g92)?;
+        self.checked.stored.map_or(Ok(()), |stored| self.allow_offset(&stored))
+    }
+
+    fn non_modal_word(&mut self, word: NonModal) -> Result<(), Error> {
+        match word {
+            NonModal::SetSystem => self.set_system(),
+            NonModal::SetOffset => self.set_offset(),
+            NonModal::Go(which) => self.go(which),
+            NonModal::StorePosition(which) => {
+                self.checked.store = Some(which);
+                self.checked.stored = Some(self.state.position);
+                Ok(())
+            }
+            NonModal::ClearOffset | NonModal::SuspendOffset => {
+                self.checked.g92 = PerAxis::all(Coordinate::ZERO);
+                self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
+                self.checked.after.g92_acts = false;
+                Ok(())
+            }
+            NonModal::RestoreOffset => {
+                self.checked.g92 = self.state.offsets.g92_kept;
+                self.checked.after.g92_acts = true;
+                Ok(())
+            }
+            NonModal::LocalOffset if self.line.axes.is_empty() => Err(Error::NoAxisWords),
+            NonModal::LocalOffset => {
+                self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
+                self.checked.after.keeps_g92 = true;
+                self.checked.after.g92_acts = true;
+                Ok(())
+            }
+            NonModal::MachineCoordinates => match self.checked.modal.motion {
+                MotionMode::Rapid | MotionMode::Linear => Ok(()),
+                _ => Err(Error::G53NeedsMotion),
+            },
+            NonModal::Dwell => Ok(()),
+        }
+    }
+
+    /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets
+    /// the given coordinates. Distance mode plays no part.
+    fn set_system(&mut self) -> Result<(), Error> {
+        let line = self.line;
+        let of_tool = self.dialect != Dialect::Grbl && line.value.l == Decimal::from_int(1);
+        if line.axes.is_empty() && !of_tool {
+            return Err(Error::NoAxisWords);
+        }
+        if !line.values.has(b'P') && !line.values.has(b'L') {
+            return Err(Error::ValueWordMissing);
+        }
+        // Grbl looks at P first, and so finds a system that does not exist before an L that it does not know.
+        if self.dialect != Dialect::Grbl {
+            // Its P belongs to another word of the line.
+            if line.values.has(b'P') && !self.unused.has(b'P') {
+                return Err(Error::ValueWordMissing);
+            }
+            match whole(line.value.l)? {
+                2 if line.values.has(b'R') => return Err(Error::NotSupported),
+                2 | 20 => {}
+                l @ (1 | 10 | 11) => return self.set_tool(l),
+                _ => return Err(Error::UnsupportedCommand),
+            }
+        }
+        let system = self.system_of(line.value.p.truncate())?;
+        if self.dialect != Dialect::Grbl {
+            whole(line.value.p)?;
+        }
+        let from_position = match line.value.l.truncate() {
+            2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
+            2 => false,
+            20 => true,
+            _ => return Err(Error::UnsupportedCommand),
+        };
+        self.unused.remove(Letters::of(b"LP"));
+        let which = StoredOffset::System(system);
+        let present = self.state.offsets.stored(which);
+        self.checked.store = Some(which);
+        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+            if from_position {
+                self.position(axis) - along(&self.state.offsets.g92, axis) - self.tool_offset(axis) - value
+            } else {
+                value
+            }
+        }));
+        Ok(())
+    }
+
+    /// The system of G10's P: 0 is the active one.
+    fn system_of(&self, p: i32) -> Result<CoordinateSystem, Error> {
+        let count = if self.dialect == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        match usize::try_from(p) {
+            Ok(0) => Ok(self.checked.modal.coordinate_system),
+            Ok(p) => CoordinateSystem::ALL
+                .get(..count)
+                .and_then(|systems| systems.get(p - 1))
+                .copied()
+                .ok_or(Error::UnsupportedCoordinateSystem),
+            Err(_) => Err(Error::UnsupportedCoordinateSystem),
+        }
+    }
+
+    /// G92: the present position gets the given coordinates in whatever system is active.
+    fn set_offset(&mut self) -> Result<(), Error> {
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        let origin = self.state.offsets.system(self.checked.modal.coordinate_system);
+        self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
+            self.position(axis) - along(&origin, axis) - self.tool_offset(axis) - value
+        });
+        self.checked.after.keeps_g92 = true;
+        self.checked.after.g92_acts = true;
+        Ok(())
+    }
+
+    /// G28, G30: the named axes by way of the given point to the stored place; without axis words all, directly.
+    fn go(&mut self, which: StoredOffset) -> Result<(), Error> {
+        let stored = self.state.offsets.stored(which);
+        let (via, target) = if self.line.axes.is_empty() {
+            (None, stored)
+        } else {
+            let axes = self.line.axes;
+            let target =
+                PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
+            let via = self.target();
+            reachable(&via)?;
+            (Some(via), target)
+        };
+        reachable(&target)?;
+        self.checked.motion = Motion::Line { via, target, feed: Feed::Rapid };
+        self.checked.position = target;
+        Ok(())
+    }
+}

@@ -1,0 +1,103 @@
+//! Words of tools: T, M6, G43 to G49, G10 L1, L10 and L11.
+
+use super::line::Check;
+use crate::axes::{AxisMask, PerAxis};
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::gcode::modal::{CoordinateSystem, EXTENDED};
+use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
+use crate::gcode::parse::TOOL_MAX;
+use crate::gcode::tools::entry_number;
+use crate::gcode::values::{along, whole};
+use crate::gcode::word::{Letters, ToolLength};
+use crate::units::{Coordinate, Decimal};
+
+impl<const N: usize> Check<'_, N> {
+    /// T selects, M6 puts what is selected into the spindle.
+    pub(super) fn tool(&mut self) -> Result<(), Error> {
+        let modal = &mut self.checked.modal;
+        if self.line.values.has(b'T') {
+            let number = match self.dialect {
+                Dialect::Grbl => self.line.value.t.truncate(),
+                _ => whole(self.line.value.t)?,
+            };
+            modal.tool = number.unsigned_abs();
+        } else if self.dialect == Dialect::Grbl {
+            modal.tool = 0;
+        }
+        self.checked.after.spindle_word = self.line.spindle.is_some();
+        if self.line.extended.tool_change {
+            self.checked.tool_change = modal.tool != self.state.spindle_tool;
+            self.checked.after.spindle_tool = modal.tool;
+        }
+        Ok(())
+    }
+
+    /// Group 8. Only the axes' next moves are affected.
+    pub(super) fn tool_length(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.tool_length else { return Ok(()) };
+        let offset = match word {
+            ToolLength::Cancel => PerAxis::all(Coordinate::ZERO),
+            ToolLength::Dynamic => {
+                let along_tool = self.dialect != Dialect::Grbl || self.line.axes == AxisMask::NONE.with(TOOL_AXIS);
+                if self.line.axes.is_empty() || !along_tool {
+                    return Err(Error::ToolLengthAxis);
+                }
+                self.with_axis_words(self.checked.tool_length, |_, value| value)
+            }
+            ToolLength::FromTable => self.tool_of_h()?,
+            ToolLength::Add if !self.line.values.has(b'H') => return Err(Error::ValueWordMissing),
+            ToolLength::Add => self.tool_of_h()?.zip(&self.checked.tool_length, |more, present| more + present),
+        };
+        self.checked.tool_length = offset;
+        self.allow_offset(&offset)
+    }
+
+    /// The offset that H names; that of the tool in the spindle without H or with H0.
+    fn tool_of_h(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let number = if self.take(b'H') { whole(self.line.value.h)?.unsigned_abs() } else { 0 };
+        let number = if number == 0 { self.checked.after.spindle_tool } else { number };
+        self.state.tools.offset(number).ok_or(Error::UnknownTool)
+    }
+
+    /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.
+    pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
+        if !EXTENDED {
+            return Err(Error::ExtendedLeftOut);
+        }
+        let number = whole(self.line.value.p)?.unsigned_abs();
+        if !self.line.values.has(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        if self.line.value.p > Decimal::from_int(TOOL_MAX) {
+            return Err(Error::ToolNumberTooHigh);
+        }
+        let known = self.state.tools.offset(number);
+        let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
+        let removes = self.line.axes.is_empty();
+        if number == 0 || removes && known.is_none() || !removes && !has_room {
+            return Err(Error::UnknownTool);
+        }
+        self.unused.remove(Letters::of(b"LP"));
+        let offsets = &self.state.offsets;
+        // Where the work zero of the tool's tip is: L10 in the active system with its G92, L11 in the ninth, which holds a
+        // fixture.
+        let origin = if l == 11 {
+            offsets.system(CoordinateSystem::G59_3)
+        } else {
+            offsets.system(self.checked.modal.coordinate_system).zip(&offsets.g92, |origin, g92| origin + g92)
+        };
+        self.checked.store = Some(StoredOffset::Tool(number));
+        if removes {
+            return Ok(());
+        }
+        let present = known.unwrap_or(PerAxis::all(Coordinate::ZERO));
+        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+            if l == 1 { value } else { self.position(axis) - along(&origin, axis) - value }
+        }));
+        Ok(())
+    }
+}

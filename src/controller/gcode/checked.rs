@@ -1,0 +1,254 @@
+//! The result of a check: what a line asks for, as data that the controller carries out.
+
+use super::cycle::Cycle;
+use super::modal::{Modal, PlaneAxes};
+use super::offsets::StoredOffset;
+use super::state::Interpreter;
+use crate::axes::PerAxis;
+use crate::messages::{Coolant, SpindleDirection};
+use crate::units::{Coordinate, Duration};
+
+/// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
+/// `Interpreter::commit` takes over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checked<const N: usize> {
+    /// N; 0 if there is none.
+    pub line_number: u32,
+    /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
+    pub spindle: Option<SpindleDirection>,
+    /// Whether S differs from what was in force.
+    pub speed_changed: bool,
+    /// S in revolutions per minute, in force from here on.
+    pub speed: f32,
+    /// The coolant's new state, if it changes before the motion.
+    pub coolant: Option<Coolant>,
+    /// M6 asks for another tool than the spindle holds.
+    pub tool_change: bool,
+    /// How long to wait before the motion.
+    pub dwell: Option<Duration>,
+    /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
+    pub work_offset_changed: bool,
+    /// The line goes to a place of the machine or keeps one (G53, G28, G30, G28.1, G30.1), so it needs a machine position
+    /// that is true.
+    pub uses_machine_place: bool,
+    /// The stored place that gets a new value at the commit, or the tool that loses its own.
+    pub store: Option<StoredOffset>,
+    /// The motion.
+    pub motion: Motion<N>,
+    /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
+    pub digit: f32,
+    /// What follows the motion.
+    pub flow: Flow,
+    pub(super) modal: Modal,
+    pub(super) g92: PerAxis<Coordinate, N>,
+    pub(super) tool_length: PerAxis<Coordinate, N>,
+    pub(super) after: Afterwards,
+    pub(super) stored: Option<PerAxis<Coordinate, N>>,
+    pub(super) position: PerAxis<Coordinate, N>,
+}
+
+/// What a line leaves behind that Grbl does not know.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Afterwards {
+    pub(super) spindle_tool: u32,
+    /// The line has M3, M4 or M5.
+    pub(super) spindle_word: bool,
+    /// What G92.3 brings back is the G92 of this line.
+    pub(super) keeps_g92: bool,
+    pub(super) g92_acts: bool,
+    pub(super) keeping: Keeping,
+}
+
+impl<const N: usize> Checked<N> {
+    /// The modal state afterwards.
+    pub fn modal(&self) -> &Modal {
+        &self.modal
+    }
+
+    /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
+    pub fn changes_outputs(&self) -> bool {
+        self.spindle.is_some() || self.coolant.is_some() || self.speed_changed || self.store.is_some()
+    }
+
+    /// The spindle has been stopped for another tool: it turns again only if the line says so.
+    pub fn spindle_stopped_for_tool(&mut self) {
+        if !self.after.spindle_word {
+            self.modal.spindle = SpindleDirection::Off;
+        }
+        self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+    }
+
+    /// The tool that is taken out of the table.
+    pub fn removes_tool(&self) -> Option<u32> {
+        match (self.store, &self.stored) {
+            (Some(StoredOffset::Tool(number)), None) => Some(number),
+            _ => None,
+        }
+    }
+
+    /// The tool that the spindle holds afterwards.
+    pub fn spindle_tool(&self) -> u32 {
+        self.after.spindle_tool
+    }
+
+    /// The machine position afterwards.
+    pub fn position(&self) -> &PerAxis<Coordinate, N> {
+        &self.position
+    }
+
+    /// A straight move that ends elsewhere: a jog cut short at the end of the travel.
+    pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
+        if let Motion::Line { target, .. } = &mut self.motion {
+            *target = place;
+            self.position = place;
+        }
+    }
+
+    /// What asks for nothing and knows no state.
+    pub const NOTHING: Self = Self {
+        line_number: 0,
+        spindle: None,
+        speed_changed: false,
+        speed: 0.0,
+        coolant: None,
+        tool_change: false,
+        dwell: None,
+        work_offset_changed: false,
+        uses_machine_place: false,
+        store: None,
+        motion: Motion::None,
+        digit: 0.0,
+        flow: Flow::None,
+        modal: Modal::INITIAL,
+        g92: PerAxis::all(Coordinate::ZERO),
+        tool_length: PerAxis::all(Coordinate::ZERO),
+        after: Afterwards {
+            spindle_tool: 0,
+            spindle_word: false,
+            keeps_g92: false,
+            g92_acts: false,
+            keeping: Keeping::Leave,
+        },
+        stored: None,
+        position: PerAxis::all(Coordinate::ZERO),
+    };
+
+    /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
+    pub(super) fn begin(&mut self, state: &Interpreter<N>) {
+        self.line_number = 0;
+        self.uses_machine_place = false;
+        self.motion = Motion::None;
+        self.position = state.position;
+        self.only_moves(state);
+    }
+
+    /// Of the state nothing but the position is changed.
+    pub(super) fn only_moves(&mut self, state: &Interpreter<N>) {
+        self.spindle = None;
+        self.speed_changed = false;
+        self.speed = state.modal.speed;
+        self.coolant = None;
+        self.dwell = None;
+        self.work_offset_changed = false;
+        self.store = None;
+        self.flow = Flow::None;
+        self.modal = state.modal;
+        self.g92 = state.offsets.g92;
+        self.tool_length = state.offsets.tool_length;
+        self.tool_change = false;
+        self.after.keeps_g92 = false;
+        self.after.g92_acts = state.offsets.g92_acts;
+        self.after.keeping = Keeping::Leave;
+        self.after.spindle_tool = state.spindle_tool;
+        self.stored = None;
+    }
+}
+
+/// The motion of a line, in machine coordinates. Every target is within [`Coordinate::LIMIT`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion<const N: usize> {
+    /// Nothing moves.
+    None,
+    /// A straight move.
+    Line {
+        /// Where G28 and G30 pass through, with a rapid.
+        via: Option<PerAxis<Coordinate, N>>,
+        /// Where it ends.
+        target: PerAxis<Coordinate, N>,
+        /// How fast.
+        feed: Feed,
+    },
+    /// An arc or helix.
+    Arc(ArcMove<N>),
+    /// A straight move until the probe changes.
+    Probe {
+        /// Where it ends if the probe does not change.
+        target: PerAxis<Coordinate, N>,
+        /// How fast.
+        feed: Feed,
+        /// Waits for the loss of contact instead of contact.
+        away: bool,
+        /// No change is an alarm.
+        alarm: bool,
+    },
+    /// A canned cycle.
+    Cycle(Cycle<N>),
+}
+
+/// An arc from `start` to `target` round a centre. The axes outside its plane move evenly meanwhile. Start and target
+/// are as far from the centre within the tolerance of the check (0.005 mm or, below 0.5 mm, 0.1 % of the radius).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArcMove<const N: usize> {
+    /// Where it begins.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends. If it is the start (within the plane), the arc is a full circle.
+    pub target: PerAxis<Coordinate, N>,
+    /// The plane.
+    pub axes: PlaneAxes,
+    /// The centre along the first axis of the plane, from the start.
+    pub i: Coordinate,
+    /// The centre along the second axis of the plane, from the start.
+    pub j: Coordinate,
+    /// G2 instead of G3.
+    pub clockwise: bool,
+    /// Full turns before the arc.
+    pub turns: u32,
+    /// How fast.
+    pub feed: Feed,
+}
+
+/// Speed of a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Feed {
+    /// As fast as the machine allows.
+    Rapid,
+    /// G94: along the path, in mm/s.
+    PerMinute(f32),
+    /// G93: seconds for the whole motion.
+    InverseTime(f32),
+}
+
+/// What follows a line's motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Flow {
+    /// The next line.
+    #[default]
+    None,
+    /// M0.
+    Pause,
+    /// M1.
+    OptionalPause,
+    /// M2, M30: spindle and coolant stop, overrides go back to 100 %.
+    End,
+}
+
+/// What a line does with the state that M70 keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keeping {
+    /// Nothing.
+    Leave,
+    /// M70.
+    Save,
+    /// M71.
+    Forget,
+}

@@ -1,0 +1,256 @@
+//! Values within lines and messages: expressions are computed, the program's parameters and those in which the machine
+//! shows its state are looked up.
+
+use super::expression::{self, ParameterReference};
+use super::parameters;
+use super::real::Real;
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::gcode::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, Units};
+use crate::gcode::offsets::StoredOffset;
+use crate::gcode::state::Interpreter;
+use crate::gcode::word::Word;
+use crate::messages::SpindleDirection;
+use crate::number;
+use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
+
+/// Letters of numbers that select something: a computed one is meant to have at most two digits behind the point.
+const SELECTORS: &[u8] = b"DGHLMNOPT";
+
+impl<const N: usize> Interpreter<N> {
+    /// What the last probing move has found, in machine coordinates: #5061 and on, #5070.
+    pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
+        self.computed.probed = place.zip(&self.work_offset(), |place, offset| place - offset);
+        self.computed.probe_succeeded = succeeded;
+    }
+
+    /// A remark with the values of its parameters, `#5` and `#<name>`, in six decimals, for `(DEBUG, ...)`; a name that has
+    /// not been set becomes `######`. What the line sets that is being checked counts as set. What `out` has no room for is cut off.
+    pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
+        let mut rest = remark;
+        while let Some((byte, behind)) = rest.split_first() {
+            let digits = behind.iter().take_while(|byte| byte.is_ascii_digit()).count();
+            let (name, after) = match (behind.first(), digits) {
+                (Some(b'<'), _) => expression::name(behind.get(1..).unwrap_or(&[])).unwrap_or_default(),
+                _ => behind.split_at_checked(digits).unwrap_or_default(),
+            };
+            if *byte != b'#' || name.is_empty() {
+                let _ = out.push(*byte);
+                rest = behind;
+                continue;
+            }
+            rest = after;
+            let value = if digits > 0 {
+                let number = Real::read(name).and_then(|(number, _)| number.whole()).unwrap_or(0);
+                self.shown(ParameterReference::Number(number)).map(|value| value.unwrap_or(Real::ZERO))
+            } else {
+                let mut letters = heapless::Vec::<u8, { parameters::NAME_LENGTH }>::new();
+                let capitals = name.iter().filter(|byte| **byte > b' ').map(u8::to_ascii_uppercase);
+                letters.extend(capitals.take(parameters::NAME_LENGTH));
+                self.shown(ParameterReference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
+            };
+            write(value.ok(), out);
+        }
+    }
+
+    fn shown(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
+        match self.of_machine(reference)? {
+            Some(value) => Ok(Some(value)),
+            None => self.computed.parameters.get_staged(reference),
+        }
+    }
+
+    /// The computed value of a word, and what comes behind it.
+    #[inline(never)]
+    pub(in crate::gcode) fn compute<'t>(&self, letter: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
+        if !expression::begins(text) {
+            return Err(Error::BadNumber);
+        }
+        let (value, rest) = self.value(text)?;
+        let places = value.places();
+        let value = if SELECTORS.contains(&letter) { to_hundredths(value.to_decimal()) } else { value.to_decimal() };
+        Ok((Word { letter, value, places }, rest))
+    }
+
+    /// A parameter is set, once the line is committed. The text is that behind `#`; returns what comes behind the value.
+    #[inline(never)]
+    pub(in crate::gcode) fn assign<'t>(&mut self, text: &'t [u8]) -> Result<&'t [u8], Error> {
+        let (target, rest) = match text.strip_prefix(b"<") {
+            Some(text) => {
+                let (name, rest) = expression::name(text)?;
+                (ParameterReference::Name(name), rest)
+            }
+            None => {
+                let (number, rest) = self.value(text)?;
+                (ParameterReference::Number(number.whole().ok_or(Error::InvalidArgument)?), rest)
+            }
+        };
+        let text = rest.strip_prefix(b"=").ok_or(Error::ExpressionSyntax)?;
+        let (value, rest) = self.value(text)?;
+        if self.of_machine(target)?.is_some() {
+            return Err(Error::ReadOnlyParameter);
+        }
+        self.computed.parameters.stage(target, value)?;
+        Ok(rest)
+    }
+
+    // Once in the image: it is long.
+    #[inline(never)]
+    pub(super) fn value<'t>(&self, text: &'t [u8]) -> Result<(Real, &'t [u8]), Error> {
+        let (value, used) = expression::value(text, |reference| self.parameter(reference))?;
+        Ok((value, text.get(used..).unwrap_or(&[])))
+    }
+
+    /// A parameter; `None` if it has not been set.
+    fn parameter(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
+        match self.of_machine(reference)? {
+            Some(value) => Ok(Some(value)),
+            None => self.computed.parameters.get(reference),
+        }
+    }
+
+    /// A parameter in which the machine shows its state; `None` for all others.
+    fn of_machine(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
+        match reference {
+            ParameterReference::Number(number) => Ok(self.numbered(number)),
+            ParameterReference::Name([b'_', name @ ..]) => self.named(name),
+            ParameterReference::Name(_) => Ok(None),
+        }
+    }
+
+    /// #5061 and on. Stored places are in millimetres, as LinuxCNC has them in the machine's unit; the present position and
+    /// what the probe has found are in the program's.
+    fn numbered(&self, number: i64) -> Option<Real> {
+        let in_mm = |place: &PerAxis<Coordinate, N>, index: i64| length(place, index).map(Real::from_coordinate);
+        Some(match number {
+            5061..=5069 => self.in_units(&self.computed.probed, number - 5061),
+            5070 => Real::truth(self.computed.probe_succeeded),
+            5161..=5169 => in_mm(&self.offsets.stored(StoredOffset::G28), number - 5161).unwrap_or(Real::ZERO),
+            5181..=5189 => in_mm(&self.offsets.stored(StoredOffset::G30), number - 5181).unwrap_or(Real::ZERO),
+            5210 => Real::truth(self.offsets.g92_acts),
+            5211..=5219 => in_mm(&self.offsets.g92_kept, number - 5211).unwrap_or(Real::ZERO),
+            5220 => Real::from_decimal(Decimal::from_int(self.modal.coordinate_system as i32 + 1)),
+            5221..=5390 => {
+                let (system, index) = ((number - 5221) / 20, (number - 5221) % 20);
+                let system = CoordinateSystem::ALL.get(usize::try_from(system).ok()?)?;
+                in_mm(&self.offsets.system(*system), index).unwrap_or(Real::ZERO)
+            }
+            5400 => tool(self.spindle_tool),
+            5401..=5409 => in_mm(&self.offsets.tool_length, number - 5401).unwrap_or(Real::ZERO),
+            5420..=5428 => self.in_units(&self.work_position(), number - 5420),
+            _ => return None,
+        })
+    }
+
+    /// The names that begin with `_` and are the machine's; `name` is what comes behind that.
+    fn named(&self, name: &[u8]) -> Result<Option<Real>, Error> {
+        let modal = &self.modal;
+        let truth = |holds| Ok(Some(Real::truth(holds)));
+        match name {
+            b"MOTION_MODE" => Ok(tenfold(modal.motion.word())),
+            b"PLANE" => Ok(tenfold(modal.plane.word())),
+            b"COORD_SYSTEM" => Ok(tenfold(modal.coordinate_system.word())),
+            b"METRIC" => truth(modal.units == Units::Mm),
+            b"IMPERIAL" => truth(modal.units == Units::Inch),
+            b"ABSOLUTE" => truth(modal.distance == Distance::Absolute),
+            b"INCREMENTAL" => truth(modal.distance == Distance::Incremental),
+            b"IJK_ABSOLUTE_MODE" => truth(modal.arc_distance == ArcDistance::Absolute),
+            b"INVERSE_TIME" => truth(modal.feed_mode == FeedMode::InverseTime),
+            b"UNITS_PER_MINUTE" => truth(modal.feed_mode == FeedMode::PerMinute),
+            b"TOOL_OFFSET" => truth(self.offsets.tool_length != PerAxis::all(Coordinate::ZERO)),
+            b"SPINDLE_ON" => truth(modal.spindle != SpindleDirection::Off),
+            b"SPINDLE_CW" => truth(modal.spindle == SpindleDirection::Clockwise),
+            b"MIST" => truth(modal.coolant.mist),
+            b"FLOOD" => truth(modal.coolant.flood),
+            b"FEED" => Ok(Some(self.feed())),
+            b"RPM" => Ok(Some(Real::from_f32(modal.speed))),
+            b"VALUE" => Ok(Some(self.computed.returned.unwrap_or(Real::ZERO))),
+            b"VALUE_RETURNED" => truth(self.computed.returned.is_some()),
+            b"CALL_LEVEL" => Ok(Some(Real::from_decimal(Decimal::from_int(self.computed.parameters.level().into())))),
+            b"CURRENT_TOOL" => Ok(Some(tool(self.spindle_tool))),
+            b"SELECTED_TOOL" => Ok(Some(tool(modal.tool))),
+            [letter] => Ok(self.along(*letter, &self.work_position())),
+            [b'A', b'B', b'S', b'_', letter] => Ok(self.along(*letter, &self.position)),
+            _ => Ok(None),
+        }
+    }
+
+    fn along(&self, letter: u8, place: &PerAxis<Coordinate, N>) -> Option<Real> {
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N)?;
+        Some(self.in_units(place, axis.index() as i64))
+    }
+
+    fn work_position(&self) -> PerAxis<Coordinate, N> {
+        self.position.zip(&self.work_offset(), |position, offset| position - offset)
+    }
+
+    /// F in the program's unit.
+    fn feed(&self) -> Real {
+        let feed = Real::from_decimal(self.modal.feed);
+        match self.modal.feed_mode {
+            FeedMode::PerMinute if self.modal.units == Units::Inch => inches(feed),
+            _ => feed,
+        }
+    }
+
+    /// A length of a place in the program's unit, or the degrees of a rotary axis; 0 for an axis that the machine lacks.
+    fn in_units(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Real {
+        let value = length(place, index).map_or(Real::ZERO, Real::from_coordinate);
+        let is_length = index <= Axis::Z.index() as i64;
+        if is_length && self.modal.units == Units::Inch { inches(value) } else { value }
+    }
+}
+
+fn length<const N: usize>(place: &PerAxis<Coordinate, N>, index: i64) -> Option<Coordinate> {
+    usize::try_from(index).ok().and_then(|index| place.0.get(index)).copied()
+}
+
+/// Six decimals; what does not exist or is too great is `######`.
+fn write<const LENGTH: usize>(value: Option<Real>, out: &mut heapless::Vec<u8, LENGTH>) {
+    use core::fmt::Write;
+    const MILLIONTH: u64 = DECIMAL_ONE as u64 / 1_000_000;
+    const MILLION: u64 = 1_000_000;
+    let Some(Decimal(value)) = value.filter(|value| value.fits_decimal()).map(Real::to_decimal) else {
+        let _ = out.extend_from_slice(b"######");
+        return;
+    };
+    let size = (value.unsigned_abs() + MILLIONTH / 2) / MILLIONTH;
+    let sign = if value < 0 && size > 0 { "-" } else { "" };
+    let mut text = heapless::String::<24>::new();
+    let _ = write!(text, "{sign}{}.{:06}", size / MILLION, size % MILLION);
+    for byte in text.bytes() {
+        let _ = out.push(byte);
+    }
+}
+
+fn tool(number: u32) -> Real {
+    Real::from_decimal(Decimal(i64::from(number) * DECIMAL_ONE))
+}
+
+fn inches(mm: Real) -> Real {
+    // 25.4 is no zero.
+    Real::new(254, -1).and_then(|inch| mm.div(inch)).unwrap_or(Real::ZERO)
+}
+
+/// The number of a word times ten, as LinuxCNC has them: 10 for G1, 382 for G38.2.
+fn tenfold(word: &str) -> Option<Real> {
+    let number = number::read(word.as_bytes().get(1..)?, number::Digits::Exact)?;
+    Some(Real::from_decimal(Decimal(number.value.0 * 10)))
+}
+
+/// To the nearest hundredth if that is within 0.0001, as LinuxCNC takes computed numbers that select something. Times and
+/// tolerances (P) may be less than that.
+fn to_hundredths(value: Decimal) -> Decimal {
+    const HUNDREDTH: i64 = DECIMAL_ONE / 100;
+    const NEAR: i64 = DECIMAL_ONE / 10_000;
+    let off = value.0.rem_euclid(HUNDREDTH);
+    if value.0.abs() < DECIMAL_ONE / 2 {
+        value
+    } else if off <= NEAR {
+        Decimal(value.0.saturating_sub(off))
+    } else if off >= HUNDREDTH - NEAR {
+        Decimal(value.0.saturating_add(HUNDREDTH - off))
+    } else {
+        value
+    }
+}

@@ -1,0 +1,144 @@
+//! What the interpreter knows: the modal state, offsets, tools and the position that a program has reached.
+
+use super::computed::Computed;
+use super::cycle::CycleWords;
+use super::modal::{EXTENDED, Modal, MotionMode};
+use super::offsets::{Offsets, StoredOffset};
+use super::tools::{self, Tool, ToolTable};
+use crate::axes::PerAxis;
+use crate::messages::{Coolant, SpindleDirection};
+use crate::units::Coordinate;
+
+/// Modal state, offsets and the position at the end of all lines that were committed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Interpreter<const N: usize> {
+    pub(super) modal: Modal,
+    pub(super) offsets: Offsets<N>,
+    pub(super) position: PerAxis<Coordinate, N>,
+    /// Of the latest canned cycle.
+    pub(super) cycle: CycleWords,
+    pub(super) tools: ToolTable<N>,
+    /// What M6 has put there; 0 for none.
+    pub(super) spindle_tool: u32,
+    /// While a program is only checked: what the machine has meanwhile.
+    pub(super) before_check: Option<BeforeCheck>,
+    pub(super) computed: Computed<N>,
+    /// M70.
+    pub(super) saved: Option<Saved<N>>,
+}
+
+/// What check mode leaves to the machine.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct BeforeCheck {
+    pub(super) spindle_tool: u32,
+    pub(super) modal: Modal,
+}
+
+/// What M70 has kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Saved<const N: usize> {
+    pub(super) modal: Modal,
+    pub(super) tool_length: PerAxis<Coordinate, N>,
+    pub(super) g92_acts: bool,
+}
+
+impl<const N: usize> Default for Interpreter<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// The state after power-up of a new machine.
+    pub const fn new() -> Self {
+        Self {
+            modal: Modal::INITIAL,
+            offsets: Offsets::new(),
+            position: PerAxis::all(Coordinate::ZERO),
+            cycle: CycleWords::NONE,
+            tools: ToolTable::EMPTY,
+            spindle_tool: 0,
+            before_check: None,
+            computed: Computed::new(),
+            saved: None,
+        }
+    }
+
+    /// Whether programs are only checked.
+    pub(super) fn is_checking(&self) -> bool {
+        self.before_check.is_some()
+    }
+
+    /// Ends a series of canned cycles as G80 does: the machine has another position for the same place, and the level that
+    /// G98 leads back to would be a wrong one.
+    pub fn end_cycles(&mut self) {
+        if EXTENDED && matches!(self.modal.motion, MotionMode::Cycle(_)) {
+            self.modal.motion = MotionMode::Cancelled;
+        }
+    }
+
+    /// A stored place or tool gets a value.
+    pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
+        match which {
+            StoredOffset::Tool(number) => {
+                let number = tools::entry_number(number, self.is_checking());
+                if let Some(slot) = self.tools.slot(number) {
+                    self.tools.put(slot, Tool { number, offset: value });
+                }
+            }
+            which => self.offsets.set_stored(which, value),
+        }
+    }
+
+    /// Sets every stored place to zero, and forgets the tools.
+    pub fn clear_stored(&mut self) {
+        self.offsets.clear_stored();
+        self.tools = ToolTable::EMPTY;
+    }
+
+    /// The table of tools.
+    pub fn tools(&self) -> &ToolTable<N> {
+        &self.tools
+    }
+
+    /// The table of tools, to restore it.
+    pub fn tools_mut(&mut self) -> &mut ToolTable<N> {
+        &mut self.tools
+    }
+
+    /// The machine position the program believes in.
+    pub fn position(&self) -> &PerAxis<Coordinate, N> {
+        &self.position
+    }
+
+    /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
+    pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
+        self.position = position;
+    }
+
+    /// What stays in force.
+    pub fn modal(&self) -> &Modal {
+        &self.modal
+    }
+
+    /// What is in force for the machine: while programs are only checked, what was in force before.
+    pub fn acting_modal(&self) -> &Modal {
+        self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
+    }
+
+    /// Spindle and coolant as the machine has them, where not the program but the operator or a stop has switched them.
+    pub fn set_accessories(&mut self, spindle: SpindleDirection, coolant: Coolant) {
+        self.modal.spindle = spindle;
+        self.modal.coolant = coolant;
+    }
+
+    /// All offsets.
+    pub fn offsets(&self) -> &Offsets<N> {
+        &self.offsets
+    }
+
+    /// What lies between machine and work position now: active coordinate system + G92 + tool length offset.
+    pub fn work_offset(&self) -> PerAxis<Coordinate, N> {
+        self.offsets.total(self.modal.coordinate_system)
+    }
+}
