@@ -42,6 +42,6 @@ mod step_rates;
 pub use controller::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
-pub use protocol::link::{Entrance, Link, Owed, Queues};
+pub use protocol::link::{HostArbiter, Link, Owed, Queues};
 pub use protocol::realtime::Received;
 pub use step_rates::StepRates;

@@ -13,7 +13,7 @@ use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
-use oxmill_controller::{Entrance, Link, Queues};
+use oxmill_controller::{HostArbiter, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
@@ -87,7 +87,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
-    fn look<const O: usize>(&mut self, entrance: &mut Entrance, other: &mut Link<O>, queues: &ToControl) -> bool {
+    fn look<const O: usize>(&mut self, arbiter: &mut HostArbiter, other: &mut Link<O>, queues: &ToControl) -> bool {
         let mut news = false;
         // One host may go and another come at the same moment.
         for _ in 0..2 {
@@ -97,11 +97,11 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             }
             news = true;
             if open {
-                if self.link.came(entrance, other, queues) {
+                if self.link.came(arbiter, other, queues) {
                     SERIAL.hosts_came.fetch_add(1, Ordering::Relaxed);
                 }
-            } else if self.link.went(entrance) {
-                SERIAL.hosts_went.store(entrance.gone(), Ordering::Relaxed);
+            } else if self.link.went(arbiter) {
+                SERIAL.hosts_went.store(arbiter.gone(), Ordering::Relaxed);
             }
         }
         news
@@ -110,17 +110,17 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     /// Fetches what has come, as far as there is room. Whether there is news for `control`.
     fn receive<const O: usize>(
         &mut self,
-        entrance: &mut Entrance,
+        arbiter: &mut HostArbiter,
         other: &mut Link<O>,
         queues: &mut ToControl,
     ) -> bool {
         queues.may_owe = !P::WAITS;
-        let mut news = self.link.pass_on(entrance, queues);
+        let mut news = self.link.pass_on(arbiter, queues);
         while self.link.room() > 0 || !P::WAITS {
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => self.link.lose(),
-                Incoming::Byte(byte) => news |= self.link.take(byte, entrance, other, queues),
+                Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
         }
         self.port.allow(self.link.room());
@@ -136,7 +136,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
 
 /// Everything the task owns.
 pub struct Serial {
-    entrance: Entrance,
+    arbiter: HostArbiter,
     uart: Ported<SerialPort, UART_HELD>,
     usb: Ported<UsbPort, USB_HELD>,
     queues: ToControl,
@@ -159,7 +159,7 @@ impl Serial {
         wake: Wake,
     ) -> Serial {
         Serial {
-            entrance: Entrance::new(),
+            arbiter: HostArbiter::new(),
             uart: Ported::new(UART, uart),
             usb: Ported::new(USB, usb),
             queues: ToControl { may_owe: false, flushed: true, realtime, lines },
@@ -175,14 +175,14 @@ impl Serial {
     /// in the queues).
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
-        let Serial { entrance, uart, usb, queues, .. } = self;
+        let Serial { arbiter, uart, usb, queues, .. } = self;
         queues.flushed = self.sent >= self.sending.as_bytes().len();
-        let mut news = uart.receive(entrance, &mut usb.link, queues);
-        news |= usb.look(entrance, &mut uart.link, queues);
-        news |= usb.receive(entrance, &mut uart.link, queues);
+        let mut news = uart.receive(arbiter, &mut usb.link, queues);
+        news |= usb.look(arbiter, &mut uart.link, queues);
+        news |= usb.receive(arbiter, &mut uart.link, queues);
         SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
-        let held = (held + usize::from(held > 0 && entrance.owes_cut())) as u32;
+        let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {
@@ -194,7 +194,7 @@ impl Serial {
     fn send(&mut self) -> bool {
         let mut room = false;
         let (uart, usb) = (self.uart.refuse(), self.usb.refuse());
-        let holder = self.entrance.holder();
+        let holder = self.arbiter.holder();
         let to_usb = holder == USB;
         if self.sending_to != holder {
             // The rest of a line that another host has begun to get is nothing to this one.

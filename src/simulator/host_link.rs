@@ -8,7 +8,7 @@
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
-use oxmill_controller::{Entrance, Link, Queues};
+use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
 /// Line bytes that the link keeps beyond the queue, as that of USB on the boards.
@@ -65,7 +65,7 @@ pub struct HostLink {
     port: VecDeque<u8>,
     link: Link<HELD>,
     unused_link: Link<1>,
-    entrance: Entrance,
+    arbiter: HostArbiter,
     queues: ToControl,
     connected: bool,
     disconnected: bool,
@@ -77,7 +77,7 @@ impl Default for HostLink {
             port: VecDeque::new(),
             link: Link::new(HOST),
             unused_link: Link::new(UNUSED),
-            entrance: Entrance::new(),
+            arbiter: HostArbiter::new(),
             queues: ToControl::default(),
             connected: false,
             disconnected: false,
@@ -94,32 +94,32 @@ impl HostLink {
     /// A realtime command that does not come over the wire.
     pub fn command(&mut self, command: Realtime) {
         // There is room: each turn empties the queue.
-        self.entrance.command(command, &mut self.queues);
+        self.arbiter.command(command, &mut self.queues);
     }
 
     /// A host has opened the port.
     pub fn connect(&mut self) {
-        self.connected |= self.link.came(&mut self.entrance, &mut self.unused_link, &self.queues);
+        self.connected |= self.link.came(&mut self.arbiter, &mut self.unused_link, &self.queues);
     }
 
     /// The host has closed the port, or is unplugged; what the port holds goes with it.
     pub fn disconnect(&mut self) {
         self.port.clear();
-        self.disconnected |= self.link.went(&mut self.entrance);
+        self.disconnected |= self.link.went(&mut self.arbiter);
     }
 
     // The serial task
 
     /// What the link holds goes into the queues, as far as there is room; whether anything did.
     pub fn pass_on(&mut self) -> bool {
-        self.link.pass_on(&mut self.entrance, &mut self.queues)
+        self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
     /// Fetches a byte from the port, if there are one and room for it; whether something was queued.
     pub fn fetch(&mut self, controller_is_idle: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.queues.free = self.queues.lines.is_empty() && controller_is_idle;
-        Some(self.link.take(byte, &mut self.entrance, &mut self.unused_link, &mut self.queues))
+        Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
     /// Whether the step task has to be stopped; `true` once.
@@ -137,7 +137,7 @@ impl HostLink {
     /// A host that has gone or come.
     pub fn next_event(&mut self) -> Option<Event<AXES>> {
         if std::mem::take(&mut self.disconnected) {
-            return Some(Event::Disconnected(self.entrance.gone()));
+            return Some(Event::Disconnected(self.arbiter.gone()));
         }
         std::mem::take(&mut self.connected).then_some(Event::Connected)
     }
@@ -160,7 +160,7 @@ impl HostLink {
     /// Line bytes in the queue, those that wait in the link for room in it, and the cut that goes before these.
     pub fn received(&self) -> usize {
         let held = self.link.held();
-        self.queues.lines.len() + held + usize::from(held > 0 && self.entrance.owes_cut())
+        self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut())
     }
 
     /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the port.

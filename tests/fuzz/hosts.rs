@@ -6,7 +6,7 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::messages::{CUT, LineByte, Realtime};
-use oxmill_controller::{Entrance, Link, Queues};
+use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
 struct Depths {
@@ -136,7 +136,7 @@ impl Reader {
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let mut queues = Depths { commands: Vec::new(), lines: Vec::new(), cannot_wait: false, free: false };
-    let mut entrance = Entrance::new();
+    let mut arbiter = HostArbiter::new();
     let (mut uart, mut usb) = (Link::<1>::new(0), Link::<64>::new(1));
     let mut reader = Reader::default();
     let mut bytes = 0;
@@ -145,7 +145,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
             Action::Uart(length, byte) => {
                 queues.cannot_wait = true;
                 for byte in reader.line(0, length, byte) {
-                    uart.take(byte, &mut entrance, &mut usb, &mut queues);
+                    uart.take(byte, &mut arbiter, &mut usb, &mut queues);
                     bytes += 1;
                 }
                 queues.cannot_wait = false;
@@ -156,25 +156,25 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
                         // It is told to wait until the controller has read.
                         reader.read_commands(&mut queues);
                         reader.read_lines(&mut queues, MOST_LINES);
-                        usb.pass_on(&mut entrance, &mut queues);
+                        usb.pass_on(&mut arbiter, &mut queues);
                         assert!(usb.room() > 0, "room once all has been read");
                     }
-                    usb.take(byte, &mut entrance, &mut uart, &mut queues);
+                    usb.take(byte, &mut arbiter, &mut uart, &mut queues);
                     bytes += 1;
                 }
             }
             Action::UsbComes => {
-                usb.came(&mut entrance, &mut uart, &queues);
+                usb.came(&mut arbiter, &mut uart, &queues);
             }
             Action::UsbGoes => {
-                usb.went(&mut entrance);
+                usb.went(&mut arbiter);
             }
             Action::Read(count) => reader.read_lines(&mut queues, count.into()),
             Action::ReadCommands => reader.read_commands(&mut queues),
             Action::Free(free) => queues.free = free,
         }
-        uart.pass_on(&mut entrance, &mut queues);
-        usb.pass_on(&mut entrance, &mut queues);
+        uart.pass_on(&mut arbiter, &mut queues);
+        usb.pass_on(&mut arbiter, &mut queues);
         uart.refuse(|_| true);
         usb.refuse(|_| true);
     }

@@ -222,8 +222,8 @@ const OUTSIDE: &[Mutant] = &[
         name: "waiting-bytes-damaged",
         edits: &[Edit {
             file: LINK,
-            find: "let byte = LineByte { byte, epoch: entrance.epoch, damaged: self.lost };",
-            replace: "let byte = LineByte { byte, epoch: entrance.epoch, damaged: !self.held.is_empty() };",
+            find: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };",
+            replace: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: !self.held.is_empty() };",
         }],
     },
     Mutant {

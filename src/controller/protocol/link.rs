@@ -31,9 +31,9 @@ pub trait Queues {
     fn stop(&mut self);
 }
 
-/// What the links pass through together.
+/// Arbitration between the hosts on several links: the floor, and what their bytes pass through together.
 #[derive(Clone, Debug, Default)]
-pub struct Entrance {
+pub struct HostArbiter {
     floor: Floor,
     /// The epoch of the next line byte: see [`LineByte`]. It is counted where a command is handed over and not where it is
     /// received, so that a command that waits for room is not overtaken in the count by one of the other host.
@@ -44,7 +44,7 @@ pub struct Entrance {
     gone: u16,
 }
 
-impl Entrance {
+impl HostArbiter {
     /// No host has sent anything.
     pub const fn new() -> Self {
         Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
@@ -151,7 +151,7 @@ impl<const HELD: usize> Link<HELD> {
     pub fn take<const OTHER: usize>(
         &mut self,
         byte: u8,
-        entrance: &mut Entrance,
+        arbiter: &mut HostArbiter,
         other: &mut Link<OTHER>,
         queues: &mut impl Queues,
     ) -> bool {
@@ -160,32 +160,32 @@ impl<const HELD: usize> Link<HELD> {
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();
-                    entrance.turn_to(other, |floor| floor.seize(self.number));
+                    arbiter.turn_to(other, |floor| floor.seize(self.number));
                     self.mid_line = false;
                     self.after_cr = false;
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
-                    other.void_line(entrance);
+                    other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
                 if !other.mid_line || other.refusing {
                     let free = queues.is_free();
-                    entrance.turn_to(other, |floor| floor.claim(self.number, free, false));
+                    arbiter.turn_to(other, |floor| floor.claim(self.number, free, false));
                 }
-                self.command(command, entrance, queues)
+                self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {
-                    if self.refusing || entrance.holder() != self.number {
+                    if self.refusing || arbiter.holder() != self.number {
                         return false;
                     }
                 } else {
                     self.refusing &= self.mid_line;
                     let free = queues.is_free();
                     self.refusing =
-                        self.refusing || !entrance.turn_to(other, |floor| floor.claim(self.number, free, true));
+                        self.refusing || !arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
                 }
                 self.mid_line = !is_end(byte);
                 if self.refusing {
@@ -195,17 +195,17 @@ impl<const HELD: usize> Link<HELD> {
                     }
                     return false;
                 }
-                let byte = LineByte { byte, epoch: entrance.epoch, damaged: self.lost };
-                let queued = self.held.is_empty() && entrance.line(byte, queues);
+                let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };
+                let queued = self.held.is_empty() && arbiter.line(byte, queues);
                 self.lost = !queued && self.held.push_back(byte).is_err();
                 queued
             }
         }
     }
 
-    fn command(&mut self, command: Realtime, entrance: &mut Entrance, queues: &mut impl Queues) -> bool {
+    fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let waits = queues.waits();
-        let queued = (self.stuck.is_none() || !waits) && entrance.command(command, queues);
+        let queued = (self.stuck.is_none() || !waits) && arbiter.command(command, queues);
         if !queued {
             self.lost |= !waits || self.stuck.replace(command).is_some();
         }
@@ -213,16 +213,16 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// There may be room in the queues: what waits is queued. Gives whether something was queued.
-    pub fn pass_on(&mut self, entrance: &mut Entrance, queues: &mut impl Queues) -> bool {
+    pub fn pass_on(&mut self, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let mut any = false;
         if let Some(command) = self.stuck
-            && entrance.command(command, queues)
+            && arbiter.command(command, queues)
         {
             self.stuck = None;
             any = true;
         }
         while let Some(byte) = self.held.front()
-            && entrance.line(*byte, queues)
+            && arbiter.line(*byte, queues)
         {
             self.held.pop_front();
             any = true;
@@ -231,7 +231,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// The other host has reset the machine: of the line that has begun here nothing may be read.
-    fn void_line(&mut self, entrance: &mut Entrance) {
+    fn void_line(&mut self, arbiter: &mut HostArbiter) {
         if !self.mid_line || self.refusing {
             return;
         }
@@ -239,7 +239,7 @@ impl<const HELD: usize> Link<HELD> {
         while self.held.back().is_some_and(|byte| !is_end(byte.byte)) {
             self.held.pop_back();
         }
-        entrance.cut |= self.held.is_empty();
+        arbiter.cut |= self.held.is_empty();
     }
 
     /// Bytes were lost on the way here: the line that they belong to will be refused.
@@ -252,13 +252,13 @@ impl<const HELD: usize> Link<HELD> {
     /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
     pub fn came<const OTHER: usize>(
         &mut self,
-        entrance: &mut Entrance,
+        arbiter: &mut HostArbiter,
         other: &mut Link<OTHER>,
         queues: &impl Queues,
     ) -> bool {
         let free = queues.is_free();
-        let granted = entrance.turn_to(other, |floor| floor.claim(self.number, free, true));
-        entrance.cut |= granted;
+        let granted = arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
+        arbiter.cut |= granted;
         self.forget();
         granted
     }
@@ -266,11 +266,11 @@ impl<const HELD: usize> Link<HELD> {
     /// The host has gone. What has no place in the queue goes with it, also the rest of a line, and the next host begins at
     /// the start of one: a [`CUT`] goes before it, and the controller answers none of the lines in front of that. Gives
     /// whether it had the floor.
-    pub fn went(&mut self, entrance: &mut Entrance) -> bool {
-        let held_floor = entrance.holder() == self.number;
-        entrance.cut |= held_floor;
-        entrance.gone = entrance.gone.wrapping_add(u16::from(held_floor));
-        entrance.floor.leave(self.number);
+    pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
+        let held_floor = arbiter.holder() == self.number;
+        arbiter.cut |= held_floor;
+        arbiter.gone = arbiter.gone.wrapping_add(u16::from(held_floor));
+        arbiter.floor.leave(self.number);
         self.forget();
         held_floor
     }
@@ -439,7 +439,7 @@ mod tests {
     /// Two links: one that holds little, as a UART, and one that holds `HELD`.
     struct Both<const HELD: usize> {
         queues: Depths,
-        entrance: Entrance,
+        arbiter: HostArbiter,
         uart: Link<1>,
         usb: Link<HELD>,
     }
@@ -448,7 +448,7 @@ mod tests {
         fn new(most_commands: usize, most_lines: usize) -> Self {
             Both {
                 queues: Depths { most_commands, most_lines, ..Depths::default() },
-                entrance: Entrance::new(),
+                arbiter: HostArbiter::new(),
                 uart: Link::new(0),
                 usb: Link::new(1),
             }
@@ -456,21 +456,21 @@ mod tests {
 
         fn usb(&mut self, text: &[u8]) {
             for byte in text {
-                self.usb.take(*byte, &mut self.entrance, &mut self.uart, &mut self.queues);
+                self.usb.take(*byte, &mut self.arbiter, &mut self.uart, &mut self.queues);
             }
         }
 
         fn uart(&mut self, text: &[u8]) {
             self.queues.owes_resets = true;
             for byte in text {
-                self.uart.take(*byte, &mut self.entrance, &mut self.usb, &mut self.queues);
+                self.uart.take(*byte, &mut self.arbiter, &mut self.usb, &mut self.queues);
             }
             self.queues.owes_resets = false;
         }
 
         fn pass_on(&mut self) -> bool {
-            let uart = self.uart.pass_on(&mut self.entrance, &mut self.queues);
-            self.usb.pass_on(&mut self.entrance, &mut self.queues) || uart
+            let uart = self.uart.pass_on(&mut self.arbiter, &mut self.queues);
+            self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
         }
 
         /// What is in the queue, with `|` for a cut; the cut before the first byte is of nothing and not shown.
@@ -589,16 +589,16 @@ mod tests {
     fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
         let mut both = Both::<16>::new(8, 100);
         both.usb(b"G0X1\nG1 X");
-        assert!(both.usb.went(&mut both.entrance));
+        assert!(both.usb.went(&mut both.arbiter));
         both.usb(b"G4P0\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
         // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
         let cuts =
             |both: &Both<16>| both.queues.lines.iter().filter(|b| b.byte == CUT).map(|b| b.epoch).collect::<Vec<_>>();
-        assert_eq!((cuts(&both), both.entrance.gone()), (vec![0, 1], 1));
+        assert_eq!((cuts(&both), both.arbiter.gone()), (vec![0, 1], 1));
         // The other one may be the next.
         both.usb(b"G1 Y");
-        both.usb.went(&mut both.entrance);
+        both.usb.went(&mut both.arbiter);
         both.uart(b"G4\n");
         assert_eq!(both.text(), "G0X1\nG1 X|G4P0\nG1 Y|G4\n");
     }
@@ -609,7 +609,7 @@ mod tests {
         both.usb(b"G4P0\n");
         both.queues.free = true;
         for _ in 0..2 {
-            assert!(both.usb.came(&mut both.entrance, &mut both.uart, &both.queues));
+            assert!(both.usb.came(&mut both.arbiter, &mut both.uart, &both.queues));
             both.usb(b"?G0\n");
         }
         assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
@@ -622,7 +622,7 @@ mod tests {
         both.queues.free = true;
         both.usb(b"G53G0X1\n");
         assert_eq!(both.usb.held(), 5);
-        assert!(both.usb.came(&mut both.entrance, &mut both.uart, &both.queues));
+        assert!(both.usb.came(&mut both.arbiter, &mut both.uart, &both.queues));
         both.queues.most_lines = 100;
         both.usb(b"G4P0\n");
         assert_eq!(both.text(), "G53|G4P0\n");
@@ -633,7 +633,7 @@ mod tests {
         let mut both = Both::<16>::new(8, 3);
         both.usb(b"G0\nG0\nG0\n!");
         assert_eq!(both.usb.held(), 7);
-        both.usb.went(&mut both.entrance);
+        both.usb.went(&mut both.arbiter);
         assert_eq!(both.usb.room(), 16);
         // The cut comes before the first byte of the next host, whichever that is, and that byte waits with it.
         both.uart(b"$");
@@ -673,9 +673,9 @@ mod tests {
         both.usb(b"?");
         both.uart(b"0\nG5\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X10\nG5\n", (1, 0)));
-        assert_eq!(both.entrance.holder(), 0);
+        assert_eq!(both.arbiter.holder(), 0);
         both.usb(b"?");
-        assert_eq!(both.entrance.holder(), 1);
+        assert_eq!(both.arbiter.holder(), 1);
     }
 
     #[test]
@@ -684,7 +684,7 @@ mod tests {
             let mut both = Both::<16>::new(8, 100);
             both.uart(b"G1 X1");
             both.usb(&[command]);
-            both.usb.went(&mut both.entrance);
+            both.usb.went(&mut both.arbiter);
             both.uart(b"0 Z-9\nG4\n");
             assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\n", (1, 0)), "{command:#x}");
             // One's own reset begins another line.
