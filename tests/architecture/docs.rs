@@ -1,6 +1,7 @@
 //! What the documents say of the code: files that exist, functions that are in them, rooms that are in the table.
 
 use crate::{root, source};
+use std::collections::BTreeMap;
 use std::fs;
 
 fn document(name: &str) -> String {
@@ -98,4 +99,48 @@ fn every_room_has_a_sentence() {
         assert!(listed.contains(&room.as_str()), "docs/how-it-works.md has no row for `{room}`");
     }
     assert!(rooms.len() > 18, "{rooms:?}");
+}
+
+/// Folders whose files docs/files.md lists.
+const LISTED: [&str; 2] = ["boards", "src"];
+
+/// The first paragraph of a file's `//!` comment: what it is about.
+fn head_of(text: &str) -> String {
+    let lines = text.lines().take_while(|line| line.starts_with("//!"));
+    let words: Vec<&str> = lines.map(|line| line[3..].trim()).take_while(|line| !line.is_empty()).collect();
+    words.join(" ").replace('|', "\\|")
+}
+
+/// docs/files.md has each file with its own first words; `OXMILL_FILES=accept` writes it.
+#[test]
+fn every_file_is_listed_with_its_own_words() {
+    let mut text = String::from(
+        "# Every file\n\nWhat each file of `src/` and `boards/` is about, in its own first words. A test keeps this page true;\n\
+         `OXMILL_FILES=accept cargo test --test architecture listed` writes it.\n",
+    );
+    let mut folders: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
+    for top in LISTED {
+        for (file, source) in source::all(&root().join(top)) {
+            let path = format!("{top}/{}", file.display());
+            if path.contains("/tests/") || path.contains("/pac/") || path.ends_with("tests.rs") {
+                continue;
+            }
+            let head = head_of(&source);
+            assert!(!head.is_empty(), "{path} does not say what it is about");
+            let (folder, name) = path.rsplit_once('/').unwrap();
+            folders.entry(folder.to_owned()).or_default().push((name.to_owned(), head));
+        }
+    }
+    for (folder, files) in &folders {
+        text += &format!("\n## {folder}\n\n| file | what it is about |\n|---|---|\n");
+        for (name, head) in files {
+            text += &format!("| `{name}` | {head} |\n");
+        }
+    }
+    let page = root().join("docs/files.md");
+    if std::env::var("OXMILL_FILES").is_ok_and(|value| value == "accept") {
+        fs::write(&page, &text).unwrap();
+    }
+    let written = fs::read_to_string(&page).unwrap_or_default();
+    assert!(written == text, "docs/files.md is not current: OXMILL_FILES=accept cargo test --test architecture listed");
 }

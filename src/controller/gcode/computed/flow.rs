@@ -1,4 +1,4 @@
-//! O words: conditions, subroutines and loops.
+//! What O words keep: the text of subroutines and loops, the blocks that are open, whether lines are skipped.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
