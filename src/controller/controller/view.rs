@@ -53,6 +53,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.line_number()
     }
 
+    /// N word of the move that was handed to the step task last; see [`Controller::line_number`] for what it does now.
+    pub fn handed_line_number(&self) -> u32 {
+        self.motion.running_line_number()
+    }
+
+    /// Numbers moves by the lines that they come from, counted as [`Controller::lines_read`], instead of by their N words:
+    /// for a simulator that shows which line a move belongs to. Motion does not depend on it.
+    pub fn number_by_lines(&mut self) {
+        self.motion.number_by_lines();
+    }
+
     /// Lines that have been read since power-up (wrapping), whatever became of them.
     pub fn lines_read(&self) -> u32 {
         self.lines.lines_read()

@@ -7,7 +7,7 @@ use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER}
 use super::curvature::{NOTICEABLE, PathPiece};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
-use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
+use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Numbering};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};
@@ -198,7 +198,11 @@ impl<const N: usize> AnyQueue<N> {
         self.end.planned_steps = *target_steps;
 
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
-        let mut block = Block::<N> { length, line_number: m.line_number, power: m.power, ..Block::EMPTY };
+        let line_number = match self.numbering {
+            Numbering::Words => m.line_number,
+            Numbering::Lines(line) => line,
+        };
+        let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
         let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };
         let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, curve_speed2);

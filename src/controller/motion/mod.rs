@@ -49,7 +49,7 @@ use axis_limits::bounded;
 use backlash::Motors;
 use block::{Block, NO_OVERRIDE, OverrideFactors};
 use core::ops::{Deref, DerefMut};
-use queue::MoveQueue;
+use queue::{MoveQueue, Numbering};
 use segment_feed::SegmentFeed;
 
 /// Overrides that make sense at all.
@@ -470,6 +470,23 @@ impl<const N: usize> AnyMotion<N> {
     /// N word of the block being executed, 0 if none.
     pub fn line_number(&self) -> u32 {
         self.feed.in_flight.current().line_number
+    }
+
+    /// N word of the move that is handed over now or was last, 0 if none. It is ahead of the step task by the time queued there.
+    pub fn running_line_number(&self) -> u32 {
+        self.feed.running.line_number
+    }
+
+    /// Moves are numbered by lines from here on: see [`MotionWith::begin_line`].
+    pub fn number_by_lines(&mut self) {
+        self.queue.numbering = Numbering::Lines(0);
+    }
+
+    /// What follows belongs to this line, for moves that are numbered by lines.
+    pub fn begin_line(&mut self, number: u32) {
+        if let Numbering::Lines(line) = &mut self.queue.numbering {
+            *line = number;
+        }
     }
 
     /// The motors at the end of what has been handed over.

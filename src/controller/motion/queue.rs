@@ -28,6 +28,15 @@ pub(super) struct LongMove<const N: usize> {
     pub next: u32,
 }
 
+/// What a block is numbered with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Numbering {
+    /// The N word of its line.
+    Words,
+    /// The count of lines read, with its line.
+    Lines(u32),
+}
+
 /// What a move becomes a block with, and the blocks.
 // In this order, small things first: one instruction reaches 4 KiB from the base.
 #[derive(Debug)]
@@ -41,6 +50,7 @@ pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
     /// How far the end is beyond its steps, in substeps (sevenths of a step); known after a chord of an arc only.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
+    pub numbering: Numbering,
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     pub chain: Chain<N>,
     /// The last block, as far as short moves may continue it.
@@ -62,6 +72,7 @@ impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
             end: PathEnd::ZERO,
             substep_offset: None,
             long: None,
+            numbering: Numbering::Words,
             chain: Chain::new(),
             join: Join::NONE,
             planner: Planner::new(),
@@ -80,6 +91,7 @@ impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOC
             end: self.end,
             substep_offset: self.substep_offset,
             long: self.long,
+            numbering: self.numbering,
             chain: self.chain.clone(),
             join: self.join.clone(),
             planner: self.planner.clone(),
