@@ -56,6 +56,60 @@ fn a_good_job_ends_with_0_and_a_summary() {
 }
 
 #[test]
+fn check_is_run_on_one_screen() {
+    let bad = file("check_bad.nc", "G1 X1 F100\nG999\nX2\n");
+    let output = run(&["check", text(&bad)]);
+    assert_eq!(output.status.code(), Some(1));
+    let words = String::from_utf8(output.stdout).expect("text");
+    for part in ["1 line refused", "line 2: G999", "error:20", "docs/gcode.md", "extents"] {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+    assert!(!words.contains('\u{1b}'), "no colours where there is no terminal");
+    let [mut check, mut run_] = ["check", "run"].map(|command| json(&run(&[command, text(&bad), "--json"])));
+    for summary in [&mut check, &mut run_] {
+        summary["host_s"] = Value::Null;
+    }
+    assert_eq!(check, run_);
+    assert_eq!(run(&["check", text(&file("check_good.nc", "G1 X1 F100\n"))]).status.code(), Some(0));
+    assert_eq!(run(&["check", "no such file"]).status.code(), Some(2));
+}
+
+#[test]
+fn shells_and_man_know_the_commands() {
+    for arguments in [&["completions", "bash"][..], &["completions", "zsh"], &["man"]] {
+        let output = run(arguments);
+        let words = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(
+            output.status.success() && words.contains("serve") && words.contains("check"),
+            "{arguments:?}: {words}"
+        );
+    }
+}
+
+/// `docs/json.md` explains every field, and none that does not exist.
+#[test]
+fn the_page_of_the_json_has_its_fields() {
+    let job = file("json.nc", "G1 X1 F100\nG999\n$X\nG0 X1e9\n");
+    let summary = json(&run(&["run", text(&job), "--json"]));
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/json.md")).expect("docs/json.md");
+    let named: Vec<&str> =
+        page.lines().filter_map(|line| line.strip_prefix("| `")?.split_once('`').map(|(name, _)| name)).collect();
+    let mut fields: Vec<String> = Vec::new();
+    for (name, value) in summary.as_object().expect("an object") {
+        fields.push(name.clone());
+        if name == "errors" {
+            fields.extend(value[0].as_object().expect("an error").keys().map(|key| format!("errors[].{key}")));
+        }
+    }
+    for field in &fields {
+        assert!(named.contains(&field.as_str()), "docs/json.md has no row for `{field}`");
+    }
+    for name in named.iter().filter(|name| !name.starts_with("alarm.")) {
+        assert!(fields.iter().any(|field| field == name), "docs/json.md explains `{name}`, which does not exist");
+    }
+}
+
+#[test]
 fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     let job = file("bad.nc", "G1 X1 F100\nG999\nX2\n");
     let output = run(&["run", text(&job), "--json"]);

@@ -1,7 +1,8 @@
 //! The words of the command line, and nothing of what they do.
 
 use crate::boards::{self, Board};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use crate::power_up::{Dialect, board_named};
+use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 /// Oxmill on a desk: runs G-code through the controller of the board, or takes the place of the board on a port.
@@ -18,8 +19,17 @@ pub struct CommandLine {
 pub enum Command {
     /// Runs a G-code file in simulated time and says what the machine did.
     Run(Run),
+    /// Runs a G-code file and says on one screen whether the machine can do it, how long it takes and how far it goes.
+    Check(CheckJob),
     /// A Grbl device that any sender may connect to.
     Serve(Serve),
+    /// Writes the completions of a shell to standard output.
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+    /// Writes the manual page to standard output.
+    Man,
 }
 
 /// `run`.
@@ -36,6 +46,19 @@ pub struct Run {
     /// Writes a row for each step event.
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineOptions,
+}
+
+/// `check`.
+#[derive(Debug, Args)]
+pub struct CheckJob {
+    /// The job: any text file, or `-` for standard input.
+    pub job: PathBuf,
+    /// The summary as one JSON object on standard output, as `run --json` prints it.
+    #[arg(long)]
+    pub json: bool,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
@@ -77,11 +100,11 @@ pub struct Link {
     pub stdio: bool,
 }
 
-/// What both commands know of the machine.
+/// What all commands know of the machine.
 #[derive(Debug, Args)]
 pub struct MachineOptions {
     /// Whose step clock, axes and look-ahead to use.
-    #[arg(long, default_value = boards::DESK.name, value_parser = board, value_name = "NAME")]
+    #[arg(long, default_value = boards::DESK.name, value_parser = board_named, value_name = "NAME")]
     pub board: Board,
     /// Another step clock than the board's.
     #[arg(long, value_name = "HZ", value_parser = clap::value_parser!(u32).range(100_000..=1_000_000_000))]
@@ -113,33 +136,6 @@ impl MachineOptions {
     }
 }
 
-/// How lines are understood and answered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Dialect {
-    /// As Grbl 1.1h, even where Oxmill knows more.
-    Grbl,
-    /// Grbl and everything beyond it.
-    Oxmill,
-    /// As `oxmill`, and what the document means that Oxmill was made from.
-    Seed,
-}
-
-impl Dialect {
-    /// Its value as a `$` setting.
-    pub fn setting(self) -> u8 {
-        self as u8
-    }
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Dialect::Grbl => "grbl",
-            Dialect::Oxmill => "oxmill",
-            Dialect::Seed => "seed",
-        }
-    }
-}
-
 /// How virtual time follows the host's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
@@ -158,13 +154,6 @@ impl std::str::FromStr for Speed {
             _ => Err("a number above 0, or `max`, is needed".into()),
         }
     }
-}
-
-fn board(name: &str) -> Result<Board, String> {
-    boards::ALL.into_iter().find(|board| board.name == name).ok_or_else(|| {
-        let names: Vec<&str> = boards::ALL.iter().map(|board| board.name).collect();
-        format!("the boards are {}", names.join(", "))
-    })
 }
 
 #[cfg(test)]
@@ -214,6 +203,14 @@ mod tests {
         assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve --stdio --speed 0").is_err());
         assert!(parse("oxmill serve --stdio --board toaster").is_err());
+    }
+
+    #[test]
+    fn check_takes_the_words_of_run() {
+        let Command::Check(check) = parse("oxmill check a.nc --json --board qemu_mps2 --set 110=1").unwrap() else {
+            panic!()
+        };
+        assert!(check.json && check.machine.set == ["110=1"] && check.job == *"a.nc");
     }
 
     #[test]

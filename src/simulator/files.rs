@@ -1,10 +1,11 @@
 //! The files of a run: none is written over another, all that will be written can be opened before the machine starts, and
 //! what is read has a bound: a device or a pipe may have no end.
 
+use crate::fittings::Fittings;
 use anyhow::{Context, Result, bail};
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Symbolic links that are followed to a file that does not exist yet.
@@ -24,6 +25,37 @@ pub fn read(path: &Path, most: usize) -> io::Result<Vec<u8>> {
         return Err(io::Error::other(format!("it has more than {most} bytes")));
     }
     Ok(bytes)
+}
+
+/// Text from a file, or from standard input if the path is `-`, and its length if that is known.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
+    if path.as_os_str() == "-" {
+        return Ok((Box::new(io::BufReader::new(io::stdin())), None));
+    }
+    let file = File::open(path)?;
+    let about = file.metadata()?;
+    if about.is_dir() {
+        return Err(io::Error::other("it is a folder"));
+    }
+    let length = about.is_file().then_some(about.len());
+    let mut reader = io::BufReader::with_capacity(1 << 16, file);
+    // A file that cannot be read at all is found out before the machine starts.
+    reader.fill_buf()?;
+    Ok((Box::new(reader.take(u64::MAX)), length))
+}
+
+/// Reads the description of a machine.
+///
+/// # Errors
+/// If it cannot be read or understood.
+pub fn read_fittings(path: &Path) -> Result<Fittings> {
+    let text = read(path, TEXT)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    Fittings::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))
 }
 
 /// A file with its part in the run, such as `the job`.

@@ -7,7 +7,6 @@ use anyhow::{Context, Result, ensure};
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
-use std::path::Path;
 
 /// A machine as its file describes it (TOML).
 ///
@@ -128,17 +127,6 @@ impl Fittings {
         ensure!(backlash_mm.iter().all(|b| b.is_finite() && *b >= 0.0), "backlash_mm must not be negative");
         ensure!(steps_per_mm.iter().all(|s| s.is_finite() && *s > 0.0), "steps_per_mm must be above 0");
         Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
-    }
-
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// If it cannot be read or understood.
-    pub fn read(path: &Path) -> Result<Self> {
-        let text = crate::files::read(path, crate::files::TEXT)
-            .and_then(|bytes| String::from_utf8(bytes).map_err(std::io::Error::other))
-            .with_context(|| format!("cannot read {}", path.display()))?;
-        Self::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))
     }
 
     /// Whether nothing is fitted that follows the motors.

@@ -1,7 +1,8 @@
 //! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it.
 //!
-//! `run` sends a job through it and says what the machine did; `serve` is a Grbl device for senders. In process,
-//! [`Simulator`] is both, for tests: what it does is a function of what is sent to it and when in virtual time.
+//! The feature `program` is the program: `run` sends a job through it and says what the machine did; `serve` is a Grbl device
+//! for senders. Without it this is a library that has no files, threads, clock or drawing, and runs wherever a processor is:
+//! [`Simulator`] is a function of what is sent to it and when in virtual time, [`check`] takes a job through it.
 //!
 //! ```no_run
 //! use oxmill_simulator::{Options, Simulator};
@@ -14,23 +15,36 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod advice;
+pub mod check;
 pub mod clock;
+#[cfg(feature = "program")]
 pub mod command_line;
+#[cfg(feature = "program")]
 pub mod files;
 pub mod fittings;
+#[cfg(feature = "program")]
+mod flash_file;
 pub mod host_link;
 pub mod input_task;
+#[cfg(feature = "program")]
 pub mod job;
 pub mod machine;
 pub mod meter;
 pub mod path;
 pub mod pins;
+#[cfg(feature = "program")]
 pub mod plot;
+pub mod power_up;
 mod pump;
+#[cfg(feature = "program")]
 pub mod server;
+#[cfg(feature = "program")]
+pub mod short_report;
 pub mod simulator;
 pub mod step_task;
 pub mod store;
+pub mod streaming;
 pub mod summary;
 pub mod text;
 pub mod trace;
@@ -41,15 +55,28 @@ pub use simulator::{Options, Simulator};
 pub use store::Store;
 pub use text::JobText;
 
-use clap::Parser;
+#[cfg(feature = "program")]
+use clap::{CommandFactory, Parser};
+#[cfg(feature = "program")]
 use command_line::{Command, CommandLine};
+#[cfg(feature = "program")]
 use std::process::ExitCode;
 
 /// The program. 0: all went well; 1: the job had errors or ended in an alarm; 2: it could not be begun, or a file could not
 /// be read to its end or written.
+#[cfg(feature = "program")]
 pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Run(options) => job::run(&options),
+        Command::Check(options) => job::check(options),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
+            Ok(true)
+        }
+        Command::Man => clap_mangen::Man::new(CommandLine::command())
+            .render(&mut std::io::stdout())
+            .map(|()| true)
+            .map_err(anyhow::Error::from),
         Command::Serve(options) => server::serve(&options).map(|()| true),
     };
     match result {

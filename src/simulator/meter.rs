@@ -49,6 +49,10 @@ pub struct Measured {
     pub distance: f64,
     /// Length of its rapids.
     pub rapid_distance: f64,
+    /// Time spent in moves that are no rapids, s.
+    pub feed_time: f64,
+    /// Time spent in rapids, s.
+    pub rapid_time: f64,
     /// Greatest path speed.
     pub speed: f64,
     /// Greatest change of path speed per time: that of ramps. What curves and corners take across the path is no part of
@@ -68,6 +72,8 @@ struct Coming {
     directions: u8,
     /// Units of it that had been done before it was left for a detour.
     entered: u32,
+    /// The line that it belongs to, if the controller numbers by lines.
+    line: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -84,6 +90,7 @@ struct Block {
     /// Below [`SHORT`].
     short: bool,
     number: u64,
+    line: u32,
 }
 
 impl Block {
@@ -242,6 +249,11 @@ impl Meter {
         self.drawing = Some(drawing);
     }
 
+    /// What has been collected for a drawing.
+    pub fn drawing(&self) -> Option<&Drawing> {
+        self.drawing.as_ref()
+    }
+
     /// The collected drawing.
     pub fn take_drawing(&mut self) -> Option<Drawing> {
         self.drawing.take()
@@ -257,11 +269,11 @@ impl Meter {
         self.measured = Measured::default();
     }
 
-    /// A message was loaded into the step task.
-    pub fn loaded(&mut self, message: &ToStep) {
+    /// A message was loaded into the step task. `line` is the one that its move belongs to, if the controller numbers by lines.
+    pub fn loaded(&mut self, message: &ToStep, line: u32) {
         match message {
             ToStep::Block { legs, directions } => {
-                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0 });
+                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0, line });
             }
             ToStep::Reenter { units } => {
                 if let Some(block) = &mut self.next_block {
@@ -318,6 +330,7 @@ impl Meter {
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
+        *if rapid { &mut self.measured.rapid_time } else { &mut self.measured.feed_time } += time;
         if self.nodes.is_empty() {
             self.nodes.push_back(self.node(0.0, 0.0, 0.0, self.units_done / self.block.units));
         }
@@ -416,6 +429,7 @@ impl Meter {
             from: self.block.start,
             to: self.block.place(done),
             new_block: std::mem::take(&mut self.fresh),
+            line: self.block.line,
         };
         if let Some(drawing) = &mut self.drawing {
             drawing.add(sample);
@@ -512,7 +526,7 @@ impl Meter {
     }
 
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
-        let Coming { legs, directions, entered } = block;
+        let Coming { legs, directions, entered, line } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
         // The ends are told in the direction of motion, and to positive where there is no motion.
         let way = |motor: usize| if legs[motor].steps() == 0 { 1.0 } else { sign(motor) };
@@ -546,7 +560,7 @@ impl Meter {
             }
         };
         let number = self.block.number + 1;
-        self.block = Block { start, delta, units, length, excess, doubt, error, short, number };
+        self.block = Block { start, delta, units, length, excess, doubt, error, short, number, line };
         self.units_done = f64::from(entered);
     }
 }
@@ -587,7 +601,7 @@ mod tests {
             segment(2000, 100, Segment::FLAG_NEW_BLOCK),
             segment(1000, 300, Segment::FLAG_LAST),
         ] {
-            meter.loaded(&message);
+            meter.loaded(&message, 0);
         }
         meter.begin(0.0, [0, 0, 0]);
         meter.begin(0.2, [75, -100, 0]);
@@ -601,9 +615,9 @@ mod tests {
     #[test]
     fn waiting_slows_the_next_segment() {
         let mut meter = Meter::new(1_000_000);
-        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 });
-        meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT));
-        meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST));
+        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 }, 0);
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT), 0);
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST), 0);
         meter.begin(0.0, [0; AXES]);
         meter.begin(500.0, [0; AXES]);
         meter.at_rest(1000.0);

@@ -35,6 +35,8 @@ pub struct Sample {
     pub to: [f64; AXES],
     /// Whether it is the first piece of its move.
     pub new_block: bool,
+    /// The line that its move belongs to, if the controller numbers by lines.
+    pub line: u32,
 }
 
 /// A point of the path and how the tool came to it.
@@ -46,6 +48,10 @@ pub struct Point {
     pub speed: f32,
     /// Whether the way here is a rapid.
     pub rapid: bool,
+    /// When the way here began and ended, in seconds from the start of the drawing.
+    pub seconds: [f64; 2],
+    /// The line that the way here belongs to, or its end; if the controller numbers by lines.
+    pub line: u32,
 }
 
 /// Speeds in a span of time.
@@ -99,7 +105,7 @@ impl Drawing {
             origin: seconds,
             end: seconds,
             limit,
-            points: vec![Point { at: start.map(|v| v as f32), speed: 0.0, rapid: true }],
+            points: vec![Point { at: start.map(|v| v as f32), speed: 0.0, rapid: true, seconds: [0.0; 2], line: 0 }],
             tolerance: FIRST_TOLERANCE,
             width: FIRST_WIDTH,
             columns: Vec::new(),
@@ -110,12 +116,22 @@ impl Drawing {
 
     /// Adds a piece of motion.
     pub fn add(&mut self, sample: Sample) {
-        let point = Point { at: sample.to.map(|v| v as f32), speed: sample.speed as f32, rapid: sample.rapid };
+        let began = sample.seconds - self.origin;
+        let point = Point {
+            at: sample.to.map(|v| v as f32),
+            speed: sample.speed as f32,
+            rapid: sample.rapid,
+            seconds: [began, began + sample.time],
+            line: sample.line,
+        };
         self.top_speed = self.top_speed.max(point.speed);
         let near = self.top_speed * SAME_SPEED;
         let same = |last: &Point| last.rapid == point.rapid && (last.speed - point.speed).abs() <= near;
         match self.points.last_mut() {
-            Some(last) if self.extend && !sample.new_block && same(last) => last.at = point.at,
+            Some(last) if self.extend && !sample.new_block && same(last) => {
+                last.at = point.at;
+                last.seconds[1] = point.seconds[1];
+            }
             _ => self.points.push(point),
         }
         self.extend = true;
@@ -226,7 +242,16 @@ fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
         }
         start = end;
     }
-    points.iter().zip(kept).filter(|(_, kept)| *kept).map(|(point, _)| *point).collect()
+    let mut began = None;
+    let mut simple = Vec::new();
+    for (point, kept) in points.iter().zip(kept) {
+        let from = *began.get_or_insert(point.seconds[0]);
+        if kept {
+            simple.push(Point { seconds: [from, point.seconds[1]], ..*point });
+            began = None;
+        }
+    }
+    simple
 }
 
 /// Distance of a point from the line between two others.
@@ -247,7 +272,17 @@ mod tests {
     fn sample(index: usize, to: [f64; 3], speed: f64, new_block: bool) -> Sample {
         let seconds = index as f64 * 0.001;
         let known_at = seconds + 0.0005;
-        Sample { seconds, time: 0.001, speed, known_at, rapid: false, from: [0.0; 3], to, new_block }
+        Sample {
+            seconds,
+            time: 0.001,
+            speed,
+            known_at,
+            rapid: false,
+            from: [0.0; 3],
+            to,
+            new_block,
+            line: index as u32,
+        }
     }
 
     #[test]
@@ -272,9 +307,11 @@ mod tests {
             drawing.add(sample(i, to, 10.0, true));
             assert!(drawing.points().len() <= 8000);
         }
-        for pair in drawing.points().windows(2) {
+        for pair in drawing.points()[1..].windows(2) {
             let middle = [(pair[0].at[0] + pair[1].at[0]) / 2.0, (pair[0].at[1] + pair[1].at[1]) / 2.0];
             assert!(middle[0].hypot(middle[1]) > 45.0, "{pair:?} cuts the corner");
+            let gap = pair[1].seconds[0] - pair[0].seconds[1];
+            assert!(gap.abs() < 1e-9 && pair[1].line > pair[0].line, "{pair:?} leaves out a time");
         }
     }
 

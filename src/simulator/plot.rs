@@ -692,7 +692,7 @@ mod tests {
             let speed = if i % 10 == 0 { 50.0 } else { 2.0 + f64::from(i) / 4.0 };
             let rapid = i % 10 == 0;
             let known_at = seconds + 0.25;
-            drawing.add(Sample { seconds, time: 0.5, speed, known_at, rapid, from: at, to, new_block: true });
+            drawing.add(Sample { seconds, time: 0.5, speed, known_at, rapid, from: at, to, new_block: true, line: 0 });
             seconds += 0.5;
             at = to;
         }
@@ -766,7 +766,7 @@ mod tests {
 
     #[test]
     fn a_plunge_has_all_its_heights() {
-        let down = |z: f32| Point { at: [0.0, 0.0, z], speed: 1.0, rapid: false };
+        let down = |z: f32| Point { at: [0.0, 0.0, z], speed: 1.0, rapid: false, seconds: [0.0; 2], line: 0 };
         let points = [down(0.0), down(-5.0)];
         let scale = Scale::of_height(&points, &Bounds::of(&points));
         assert_eq!(by_height(&points, &scale).len(), 24);

@@ -64,7 +64,10 @@ impl Pump<AXES, BLOCKS> for Simulator {
 
     fn carry(&mut self, output: Output) {
         match output {
-            Output::Step(message) => self.step.queue(message, &self.clock, &mut self.world),
+            Output::Step(message) => {
+                let line = self.controller.handed_line_number();
+                self.step.queue(message, line, &self.clock, &mut self.world);
+            }
             Output::Stop => self.stop(),
             Output::Reply(chunk) => {
                 self.outgoing.extend_from_slice(chunk.as_bytes());

@@ -385,6 +385,11 @@ impl Simulator {
         self.learn_resolution();
     }
 
+    /// Drawings have the lines that moves belong to, instead of their N words; so have status reports.
+    pub fn number_by_lines(&mut self) {
+        self.controller.number_by_lines();
+    }
+
     /// Gives the controller a job, whose lines it takes whenever it wants one.
     pub fn load_job(&mut self, mut job: JobText) {
         job.begin(self.controller.lines_read());

@@ -37,7 +37,8 @@ impl World {
 #[derive(Clone)]
 pub struct StepTask {
     stepper: Box<Stepper<AXES>>,
-    segments: VecDeque<ToStep>,
+    /// Messages that wait, each with the line that its move belongs to.
+    segments: VecDeque<(ToStep, u32)>,
     events: VecDeque<StepEvent<AXES>>,
     /// When the step timer expires next; `None` while it is stopped.
     due: Option<u64>,
@@ -137,21 +138,21 @@ impl StepTask {
         world.trace.outputs(&outputs, self.power);
     }
 
-    /// A message comes into the queue.
-    pub fn queue(&mut self, message: ToStep, clock: &Clock, world: &mut World) {
-        self.segments.push_back(message);
+    /// A message comes into the queue. `line` is the one that its move belongs to, if the controller numbers by lines.
+    pub fn queue(&mut self, message: ToStep, line: u32, clock: &Clock, world: &mut World) {
+        self.segments.push_back((message, line));
         self.load(clock, world);
     }
 
     /// Fills the stepper from the queue and starts the timer when it has work.
     fn load(&mut self, clock: &Clock, world: &mut World) {
         while self.stepper.wants()
-            && let Some(message) = self.segments.pop_front()
+            && let Some((message, line)) = self.segments.pop_front()
         {
             match message {
                 ToStep::Resume { stops } if self.shut == Some(stops) => self.shut = None,
                 _ if self.shut.is_some() => {}
-                _ => world.meter.loaded(&message),
+                _ => world.meter.loaded(&message, line),
             }
             self.stepper.load(message);
         }

@@ -1,20 +1,41 @@
-//! The flash image: the two settings sectors of a board, in memory or in a file, under the log that the boards use.
+//! The flash image: the two settings sectors of a board, in memory, under the log that the boards use.
 //!
-//! A file is the sectors one after the other, 16 KiB each, as a probe would read them out. Every word that the log writes
-//! goes to the file at once and alone, so whatever ends the process leaves what a power cut would leave. A power cut can
-//! also be ordered: after so many words and erases, the next one is left half done and nothing is taken any more.
+//! Whoever keeps a copy is told of every word at once, so whatever ends the process leaves what a power cut would leave. A
+//! power cut can also be ordered: after so many words and erases, the next one is left half done and nothing is taken any
+//! more.
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};
 use oxmill_store::{Flash, Log, Sector, StoreError};
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read as _, Seek, SeekFrom, Write as _};
-use std::path::Path;
+use std::fmt;
 use std::sync::Arc;
 
 /// Bytes of a sector on the boards.
 const SECTOR: u32 = 16 * 1024;
+/// Bytes of an image: both sectors.
+pub const IMAGE: usize = 2 * SECTOR as usize;
 const ERASED: u32 = u32::MAX;
+
+/// A change of the image.
+#[derive(Clone, Copy, Debug)]
+pub enum Kept<'a> {
+    /// These bytes are now at this offset.
+    Bytes(usize, &'a [u8]),
+    /// What was told is to be safe now.
+    Sync,
+}
+
+/// Keeps a copy of the image.
+pub type Keep = Arc<dyn Fn(Kept<'_>) -> std::io::Result<()> + Send + Sync>;
+
+/// Why an image is of no use.
+#[derive(Debug)]
+pub enum Unusable {
+    /// It is something else.
+    Foreign(anyhow::Error),
+    /// The log in it cannot be carried on.
+    Log(Failure),
+}
 
 /// The log in its flash.
 #[derive(Clone, Debug)]
@@ -36,43 +57,19 @@ impl Store {
         Self::power_up(Image::erased(bytes)).expect("memory takes everything while it has power")
     }
 
-    /// The store in a file, which is locked as long as this one lives: what two of them write would be lost. A file that
-    /// does not exist yet or has nothing in it becomes an empty store.
-    pub fn open(path: &Path) -> Result<Self> {
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)
-            .with_context(|| format!("cannot open the flash image {}", path.display()))?;
-        match file.try_lock() {
-            // Where files cannot be locked, this is as good as it gets.
-            Ok(()) => {}
-            Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
-            Err(TryLockError::WouldBlock) => bail!("the flash image {} is in use by another oxmill", path.display()),
-            Err(TryLockError::Error(error)) => {
-                return Err(error).with_context(|| format!("cannot lock the flash image {}", path.display()));
-            }
-        }
-        let mut bytes = Vec::new();
-        // One byte more than an image has tells that it is none.
-        (&file)
-            .take(2 * u64::from(SECTOR) + 1)
-            .read_to_end(&mut bytes)
-            .with_context(|| format!("cannot read the flash image {}", path.display()))?;
-        if bytes.is_empty() {
-            bytes = Self::in_memory().log.into_flash().bytes();
-            if let Err(error) = file.write_all(&bytes) {
-                // Half an image would be refused the next time.
-                let _ = file.set_len(0);
-                return Err(error).with_context(|| format!("cannot make the flash image {}", path.display()));
-            }
-        }
-        let mut image = Image::from_bytes(&bytes)
-            .with_context(|| format!("{} is not a flash image of this simulator", path.display()))?;
-        image.file = Some(Arc::new(file));
-        Self::power_up(image).map_err(|failure| anyhow!("the flash image {} cannot be used: {failure}", path.display()))
+    /// The store in an image that is kept elsewhere, too: `keep` is told of every change.
+    ///
+    /// # Errors
+    /// If the bytes are no flash image, or the log in it cannot be read.
+    pub fn kept(bytes: &[u8], keep: Keep) -> Result<Self, Unusable> {
+        let mut image = Image::from_bytes(bytes).map_err(Unusable::Foreign)?;
+        image.keep = Some(keep);
+        Self::power_up(image).map_err(Unusable::Log)
+    }
+
+    /// An erased image with an empty log.
+    pub fn blank() -> Vec<u8> {
+        Self::in_memory().log.into_flash().bytes()
     }
 
     fn power_up(image: Image) -> Result<Self, Failure> {
@@ -130,6 +127,11 @@ impl Store {
         self.log.flash().gone
     }
 
+    /// The bytes of both sectors.
+    pub fn image(&self) -> Vec<u8> {
+        self.log.flash().bytes()
+    }
+
     /// Words written and sectors erased so far.
     pub fn operations(&self) -> u32 {
         self.log.flash().operations
@@ -141,41 +143,47 @@ impl Store {
 pub enum Failure {
     /// The power went.
     PowerCut,
-    /// The file could not be written.
-    File(std::io::Error),
+    /// The copy could not be kept.
+    Copy(std::io::Error),
 }
 
-impl std::fmt::Display for Failure {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Failure::PowerCut => f.write_str("the power was cut"),
-            Failure::File(error) => error.fmt(f),
+            Failure::Copy(error) => error.fmt(f),
         }
     }
 }
 
 /// Two sectors.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],
     /// Shared, because a store that is cloned is still the same flash.
-    file: Option<Arc<File>>,
+    keep: Option<Keep>,
     operations: u32,
     cut: Option<u32>,
     torn: u32,
     gone: bool,
 }
 
+impl fmt::Debug for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Image").field("operations", &self.operations).field("gone", &self.gone).finish_non_exhaustive()
+    }
+}
+
 impl Image {
     fn erased(sector: u32) -> Self {
         let words = vec![ERASED; sector as usize / 4];
-        Self { sectors: [words.clone(), words], file: None, operations: 0, cut: None, torn: 0, gone: false }
+        Self { sectors: [words.clone(), words], keep: None, operations: 0, cut: None, torn: 0, gone: false }
     }
 
     /// Anything but an image that holds a log is refused rather than erased.
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        if bytes.len() != 2 * SECTOR as usize {
-            bail!("it does not have {} bytes", 2 * SECTOR);
+        if bytes.len() != IMAGE {
+            bail!("it does not have {IMAGE} bytes");
         }
         let mut image = Self::erased(SECTOR);
         let words = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
@@ -214,15 +222,15 @@ impl Image {
         Ok(!self.gone)
     }
 
-    fn keep(&self, sector: Sector, from: usize, words: &[u32]) -> Result<(), Failure> {
-        let Some(mut file) = self.file.as_deref() else { return Ok(()) };
+    fn tell(&self, sector: Sector, from: usize, words: &[u32]) -> Result<(), Failure> {
+        let Some(keep) = &self.keep else { return Ok(()) };
         let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-        let start = if sector == Sector::A { 0 } else { u64::from(SECTOR) };
-        file.seek(SeekFrom::Start(start + 4 * from as u64)).and_then(|_| file.write_all(&bytes)).map_err(Failure::File)
+        let start = if sector == Sector::A { 0 } else { 4 * self.sectors[0].len() };
+        keep(Kept::Bytes(start + 4 * from, &bytes)).map_err(Failure::Copy)
     }
 
     fn sync(&self) -> std::io::Result<()> {
-        self.file.as_ref().map_or(Ok(()), |file| file.sync_data())
+        self.keep.as_ref().map_or(Ok(()), |keep| keep(Kept::Sync))
     }
 }
 
@@ -245,7 +253,7 @@ impl Flash for Image {
         // Programming clears bits and never sets one.
         *slot &= if powered { word } else { word | !torn };
         let now = *slot;
-        self.keep(sector, at, &[now])?;
+        self.tell(sector, at, &[now])?;
         if powered { Ok(()) } else { Err(Failure::PowerCut) }
     }
 
@@ -256,92 +264,7 @@ impl Flash for Image {
         let upto = if powered || torn & 1 != 0 { words.len() } else { words.len() / 2 };
         words[..upto].fill(ERASED);
         let now = words.clone();
-        self.keep(sector, 0, &now)?;
+        self.tell(sector, 0, &now)?;
         if powered { Ok(()) } else { Err(Failure::PowerCut) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::fs;
-
-    fn record(key: u16, value: &[u8]) -> Record {
-        Record { key, value: heapless::Vec::from_slice(value).unwrap() }
-    }
-
-    #[test]
-    fn records_outlive_the_store() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("flash.img");
-        let mut store = Store::open(&path).unwrap();
-        for change in [
-            Change::Put(record(7, b"old")),
-            Change::Put(record(300, &[0, 255])),
-            Change::Put(record(7, b"new")),
-            Change::Put(record(3, b"x")),
-            Change::Put(record(4, b"x")),
-            Change::Put(record(5, b"")),
-            Change::Remove { from: 3, until: 5 },
-        ] {
-            store.apply(&change).unwrap();
-        }
-        drop(store);
-        let mut again = Store::open(&path).unwrap().records();
-        again.sort_by_key(|r| r.key);
-        assert_eq!(again, [record(5, b""), record(7, b"new"), record(300, &[0, 255])]);
-        assert_eq!(fs::metadata(&path).unwrap().len(), 32 * 1024);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing else is left behind");
-    }
-
-    #[test]
-    fn a_file_is_at_each_moment_what_the_flash_is() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("flash.img");
-        let mut store = Store::open(&path).unwrap();
-        store.erase_ahead().unwrap();
-        store.apply(&Change::Put(record(7, b"old"))).unwrap();
-        store.cut_power_after(2, 0x0F0F_0F0F);
-        assert!(store.apply(&Change::Put(record(7, b"newer"))).is_err());
-        assert!(store.power_is_gone());
-        assert!(store.apply(&Change::Put(record(7, b"newer"))).is_err(), "without power nothing is taken");
-        assert_eq!(fs::read(&path).unwrap(), store.log.flash().bytes());
-        drop(store);
-        assert_eq!(Store::open(&path).unwrap().records(), [record(7, b"old")]);
-    }
-
-    #[test]
-    fn an_empty_file_is_an_erased_flash() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("flash.img");
-        fs::write(&path, []).unwrap();
-        Store::open(&path).unwrap().apply(&Change::Put(record(7, b"new"))).unwrap();
-        assert_eq!(Store::open(&path).unwrap().records(), [record(7, b"new")]);
-    }
-
-    #[test]
-    fn a_file_is_the_flash_of_one_machine_at_a_time() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("flash.img");
-        let first = Store::open(&path).unwrap();
-        let same = first.clone();
-        drop(first);
-        let refused = Store::open(&path).unwrap_err().to_string();
-        assert!(refused.contains("in use by another oxmill"), "{refused}");
-        drop(same);
-        Store::open(&path).unwrap();
-    }
-
-    #[test]
-    fn foreign_files_are_refused_and_not_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("flash.img");
-        let image = vec![0x55_u8; 2 * SECTOR as usize];
-        let too_long = vec![0xFF_u8; 2 * SECTOR as usize + 1];
-        for bytes in [&b"G1 X1\n"[..], &image, &too_long] {
-            fs::write(&path, bytes).unwrap();
-            assert!(Store::open(&path).is_err(), "{} bytes", bytes.len());
-            assert_eq!(fs::read(&path).unwrap(), bytes);
-        }
     }
 }

@@ -15,6 +15,8 @@ pub struct LineError {
     pub text: String,
     /// The line.
     pub source: String,
+    /// What helps against it.
+    pub advice: String,
 }
 
 /// The alarm that ended a job.
@@ -26,6 +28,8 @@ pub struct AlarmReport {
     pub text: String,
     /// The oldest line without an answer when it came, if there was one.
     pub line: Option<u64>,
+    /// What helps against it.
+    pub advice: String,
 }
 
 /// Where the machine went, in mm of machine coordinates.
@@ -70,6 +74,12 @@ pub struct Summary {
     pub duration_s: f64,
     /// Part of it for which the step task was busy.
     pub moving_s: f64,
+    /// Part of the forecast for which the machine moved at feed: all moves but rapids.
+    pub feed_s: f64,
+    /// Part of the forecast for rapids.
+    pub rapid_s: f64,
+    /// The rest: dwells, spindle delays, tool changes.
+    pub standing_s: f64,
     /// Machine position at the end.
     pub position_mm: [f64; AXES],
     /// Work position at the end.
@@ -151,6 +161,8 @@ impl fmt::Display for Summary {
         row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
         let duration = format!("{}, moving for {}", clock_time(self.duration_s), clock_time(self.moving_s));
         row(f, "duration", format!("{duration} (first to last step)"))?;
+        let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
+        row(f, "", parts.map(|(name, seconds)| format!("{} {name}", clock_time(seconds))).join(", "))?;
         let cutting = self.distance_mm - self.rapid_distance_mm;
         row(f, "distance", format!("{:.3} mm, {:.3} mm of it at feed", self.distance_mm, cutting))?;
         for (axis, name) in ['X', 'Y', 'Z'].into_iter().enumerate() {
@@ -240,7 +252,13 @@ pub(crate) mod tests {
             more_errors: 0,
             more_notes: 0,
             more_messages: 0,
-            errors: vec![LineError { line: 2, code: 20, text: "unknown".into(), source: "G1 Q1".into() }],
+            errors: vec![LineError {
+                line: 2,
+                code: 20,
+                text: "unknown".into(),
+                source: "G1 Q1".into(),
+                advice: "".into(),
+            }],
             alarm: None,
             complete: true,
             notes: vec![],
@@ -248,6 +266,9 @@ pub(crate) mod tests {
             forecast_s: 3725.5,
             duration_s: 3700.0,
             moving_s: 3699.0,
+            feed_s: 3600.0,
+            rapid_s: 99.0,
+            standing_s: 26.5,
             position_mm: [1.0, -2.0, 0.0],
             work_position_mm: [0.0; 3],
             steps: [250, -500, 0],

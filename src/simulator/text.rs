@@ -5,7 +5,7 @@
 //! in order, as for any sender.
 
 use std::collections::VecDeque;
-use std::io::{self, BufRead, Read};
+use std::io::{self, BufRead};
 
 /// A longer line is no program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
@@ -46,6 +46,8 @@ pub struct JobText {
     said: Vec<Said>,
     /// Lines that the controller had read before the first of these.
     lines_before: u32,
+    /// For each tape mark, how many lines had been given out before it.
+    marks: Vec<u64>,
     /// Answered lines that may have begun a block of O words.
     openers: Vec<Opener>,
 }
@@ -77,6 +79,7 @@ impl JobText {
             reply: Vec::new(),
             said: Vec::new(),
             lines_before: 0,
+            marks: Vec::new(),
             openers: Vec::new(),
         }
     }
@@ -90,6 +93,15 @@ impl JobText {
     pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
+    }
+
+    /// Number in the file of the line that was this one to the controller. 0 for what was before the job.
+    pub fn file_line(&self, line: u32) -> u64 {
+        let given = u64::from(line.wrapping_sub(self.lines_before));
+        if line == 0 || given == 0 || given > self.lines {
+            return 0;
+        }
+        given + self.marks.partition_point(|before| *before < given) as u64
     }
 
     /// No block is open.
@@ -203,6 +215,7 @@ impl JobText {
         let text = String::from_utf8_lossy(line);
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
         if is_tape_mark(text) {
+            self.marks.push(self.lines - 1 - self.tape_marks);
             self.tape_marks += 1;
             return;
         }
@@ -274,23 +287,6 @@ fn plain(character: char) -> u8 {
     }
 }
 
-/// Text from a file, or from standard input if the path is `-`, and its length if that is known.
-pub fn open(path: &std::path::Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
-    if path.as_os_str() == "-" {
-        return Ok((Box::new(io::BufReader::new(io::stdin())), None));
-    }
-    let file = std::fs::File::open(path)?;
-    let about = file.metadata()?;
-    if about.is_dir() {
-        return Err(io::Error::other("it is a folder"));
-    }
-    let length = about.is_file().then_some(about.len());
-    let mut reader = io::BufReader::with_capacity(1 << 16, file);
-    // A file that cannot be read at all is found out before the machine starts.
-    reader.fill_buf()?;
-    Ok((Box::new(reader.take(u64::MAX)), length))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,6 +331,15 @@ mod tests {
         );
         assert!(job.is_used_up());
         assert_eq!(job.answers(), 3);
+    }
+
+    #[test]
+    fn lines_of_the_controller_are_lines_of_the_file() {
+        let mut job = JobText::new(&b"%\nG0\nG1\n%\n\nG2\n"[..]);
+        job.begin(40);
+        drain(&mut job);
+        assert_eq!([0, 40, 41, 42, 43, 44].map(|line| job.file_line(line)), [0, 0, 2, 3, 5, 6]);
+        assert_eq!((job.file_line(41_000), job.file_line(7)), (0, 0));
     }
 
     #[test]

@@ -2,7 +2,6 @@
 
 use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 
 use crate::boards::AXES;
@@ -140,9 +139,8 @@ impl Trace {
 }
 
 /// The CSV file. Spindle, power and coolant are written into the first row after they changed and left empty elsewhere.
-#[derive(Debug)]
 pub struct Csv {
-    out: BufWriter<File>,
+    out: BufWriter<Box<dyn Write>>,
     hz: u64,
     origin: u64,
     row: Vec<u8>,
@@ -151,10 +149,19 @@ pub struct Csv {
     failed: Option<io::Error>,
 }
 
+impl std::fmt::Debug for Csv {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Csv").field("hz", &self.hz).field("origin", &self.origin).finish_non_exhaustive()
+    }
+}
+
 impl Csv {
     /// Writes the head into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0.
-    pub fn new(file: File, hz: u32, origin: u64) -> io::Result<Self> {
-        let mut out = BufWriter::with_capacity(1 << 18, file);
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn new(file: impl Write + 'static, hz: u32, origin: u64) -> io::Result<Self> {
+        let mut out = BufWriter::with_capacity(1 << 18, Box::new(file) as Box<dyn Write>);
         writeln!(out, "t_s,x,y,z,spindle,power,coolant")?;
         let row = Vec::with_capacity(64);
         Ok(Self { out, hz: u64::from(hz), origin, row, shown: None, current: None, failed: None })
@@ -227,6 +234,7 @@ fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
 mod tests {
     use super::*;
     use oxmill_controller::messages::Coolant;
+    use std::fs::File;
 
     fn step(at: u64, position: [i32; AXES]) -> StepRecord {
         StepRecord { at, busy: at, steps: 1, directions: 0, position }

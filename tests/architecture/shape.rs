@@ -25,7 +25,8 @@ const WORDS: [&str; 10] =
     ["anew", "at a stretch", "crumb", "crumbs", "goes on", "hair's breadth", "midst", "minds", "nobody", "stands"];
 
 /// The crates that make an image or the simulator.
-const CRATES: [&str; 6] = ["boards", "src/controller", "src/firmware", "src/root", "src/simulator", "src/store"];
+const CRATES: [&str; 7] =
+    ["boards", "src/controller", "src/firmware", "src/root", "src/simulator", "src/store", "src/web"];
 
 /// Compares what is found with a limit and with the list of what is beyond it.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {

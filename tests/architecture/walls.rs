@@ -12,6 +12,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("src/root", &[]),
     ("src/simulator", &["oxmill-boards", "oxmill-controller", "oxmill-store"]),
     ("src/store", &["oxmill-controller"]),
+    ("src/web", &["oxmill-controller", "oxmill-simulator"]),
 ];
 
 #[test]
@@ -42,6 +43,41 @@ fn no_condition_of_the_firmware_names_a_board() {
         }
     }
     assert!(read > 10);
+}
+
+/// What the simulator's library has nothing of: the feature `program` brings it.
+const OF_THE_HOST: &[&[&str]] = &[
+    &["std", "fs"],
+    &["std", "net"],
+    &["std", "thread"],
+    &["std", "process"],
+    &["std", "env"],
+    &["std", "time", "Instant"],
+];
+
+#[test]
+fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
+    let folder = root().join("src/simulator");
+    let library = source::bare(&fs::read_to_string(folder.join("lib.rs")).unwrap());
+    let (mut parts, mut gated) = (Vec::new(), Vec::new());
+    let mut condition = false;
+    for line in library.lines().map(str::trim) {
+        if let Some(name) = line.trim_start_matches("pub ").strip_prefix("mod ").and_then(|rest| rest.strip_suffix(';'))
+        {
+            if condition { &mut gated } else { &mut parts }.push(name.to_owned());
+        }
+        // The name of the feature is a string, which `bare` has blanked.
+        condition = line.starts_with("#[cfg(feature");
+    }
+    assert!(parts.len() > 12 && gated.contains(&"server".to_owned()), "{parts:?} {gated:?}");
+    for part in parts {
+        let text = source::bare(&fs::read_to_string(folder.join(format!("{part}.rs"))).unwrap());
+        for path in source::paths(&text) {
+            let uses = |of: &&[&str]| path.iter().map(String::as_str).collect::<Vec<_>>().starts_with(of);
+            assert!(!OF_THE_HOST.iter().any(uses), "src/simulator/{part}.rs uses {}", path.join("::"));
+            assert!(path[0] != "crate" || !gated.contains(&path[1]), "{part} needs the program: {}", path.join("::"));
+        }
+    }
 }
 
 /// Files that are compiled where they do not lie, and why.

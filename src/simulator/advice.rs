@@ -1,0 +1,155 @@
+//! What a person can do about an error or an alarm. The controller's own texts say what is wrong; these say what helps.
+
+use oxmill_controller::error::{Alarm, Error};
+
+/// All alarms, in the order of their numbers.
+pub const ALARMS: [Alarm; 14] = [
+    Alarm::HardLimit,
+    Alarm::SoftLimit,
+    Alarm::AbortInMotion,
+    Alarm::ProbeInitialState,
+    Alarm::ProbeNoContact,
+    Alarm::HomingReset,
+    Alarm::HomingDoor,
+    Alarm::HomingPullOff,
+    Alarm::HomingNoSwitch,
+    Alarm::HomingSquaring,
+    Alarm::SpindleSpeed,
+    Alarm::Underrun,
+    Alarm::EmergencyStop,
+    Alarm::DriverFault,
+];
+
+/// What helps against an error with this number; empty for a number that does not exist.
+pub fn for_code(code: u8) -> &'static str {
+    Error::ALL.iter().find(|error| error.code() == code).map_or("", |error| for_error(*error))
+}
+
+/// What helps against an error.
+pub fn for_error(error: Error) -> &'static str {
+    match error {
+        Error::ExpectedLetter
+        | Error::BadNumber
+        | Error::UnsupportedCommand
+        | Error::InvalidLineNumber
+        | Error::NotSupported
+        | Error::CutterCompensation => {
+            "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the words that are known."
+        }
+        Error::InvalidStatement | Error::NegativeValue => {
+            "Look the setting up in docs/settings.md: its number, unit and range."
+        }
+        Error::HomingDisabled => "Switch homing on with $22=1, if limit switches are fitted.",
+        Error::StepPulseTooShort => "Set $0 to 3 us or more in the dialect of Grbl, otherwise to 1 us or more.",
+        Error::StoreReadFailed => {
+            "Read the settings with $$, restore what is wrong, and confirm with $X two seconds later."
+        }
+        Error::NotIdle => "Wait until the machine is idle, or stop it with a reset.",
+        Error::Locked => {
+            "Unlock with $X, or home with $H. A message before the error says which setting locks the motion, if one does."
+        }
+        Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
+        Error::LineTooLong => "Shorten the line: 256 characters, 79 in the dialect of Grbl. Remarks count.",
+        Error::StepRateTooHigh => {
+            "Lower the rate ($110 to $112) or the steps/mm ($100 to $102), or choose a faster board."
+        }
+        Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
+        Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",
+        Error::InvalidJog => "Give a jog a feed rate, and axis words, G20, G21, G53, G90 and G91 only.",
+        Error::ModalGroupViolation | Error::TwoAxisCommands | Error::WordRepeated => {
+            "Put the second word on a line of its own."
+        }
+        Error::UndefinedFeed => "Put an F word in this line or before it. G93 needs one in each line.",
+        Error::IntegerRequired => "Give the word a whole number.",
+        Error::NoAxisWords => "Add the axis words that the command needs.",
+        Error::ValueWordMissing => "Add the missing word; docs/gcode.md has those of each command.",
+        Error::UnsupportedCoordinateSystem => "Use G54 to G59.3.",
+        Error::G53NeedsMotion => "Put G0 or G1 in the line with G53.",
+        Error::AxisWordsUnused => "Take the axis words out, or choose a motion mode instead of G80.",
+        Error::NoPlaneAxisForArc | Error::NoPlaneOffsets => {
+            "Give the arc a target or an offset in the plane: X, Y, I, J in G17; X, Z, I, K in G18; Y, Z, J, K in G19."
+        }
+        Error::InvalidTarget => {
+            "Check the end of the arc, which must be as far from the centre as its start, and whether a probe or tool length has what it needs."
+        }
+        Error::ImpossibleRadius => "Give a radius of at least half the distance from start to end, or use I and J.",
+        Error::UnusedWords => "Take the words out that the commands of this line do not use.",
+        Error::ToolLengthAxis => "Give the tool length offset in Z.",
+        Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
+        Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",
+        Error::UnknownTool => {
+            "Put the tool into the table with G10 L1, or take one out that is not needed: G10 L1 P5 takes out tool 5."
+        }
+        Error::EmergencyStop => "Release the emergency stop, then reset.",
+        Error::DriverFault => "Find out what the motor driver reports, and switch it off and on.",
+        Error::RetractBelowBottom => "Give R above the bottom of the hole.",
+        Error::UnknownOperation
+        | Error::DivisionByZero
+        | Error::ArgumentOutOfRange
+        | Error::InvalidArgument
+        | Error::ExpressionSyntax
+        | Error::InvalidResult => {
+            "Correct the expression; docs/expressions.md has operators, functions and parameters."
+        }
+        Error::FlowSyntax => "Look for the beginning or the end of this block: each O number needs both.",
+        Error::TooDeep => "Nest fewer brackets, calls or loops.",
+        Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
+        Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
+        Error::NothingSaved => "Save the state with M70 before M72.",
+        Error::ExtendedLeftOut | Error::ExpressionsLeftOut => {
+            "Use a board with more flash, or a post-processor that writes plain moves."
+        }
+        Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
+        Error::EndlessLoop => "Look for a condition that never becomes false.",
+    }
+}
+
+/// What helps against an alarm.
+pub fn for_alarm(alarm: Alarm) -> &'static str {
+    match alarm {
+        Alarm::HardLimit => "Find out which switch has tripped ($PINS), unlock with $X, move away from it, and home.",
+        Alarm::SoftLimit => "Compare the job's extents and the work zero with the travel ($130 to $132); then $X.",
+        Alarm::AbortInMotion => {
+            "Home, or set the work zero again: the position may be lost. Hold before a reset keeps it."
+        }
+        Alarm::ProbeInitialState => "Clear the probe before the cycle, or invert its input with $6.",
+        Alarm::ProbeNoContact => {
+            "Begin nearer to the plate, or let the probe travel further; check the wire of the plate."
+        }
+        Alarm::HomingReset => "Home again.",
+        Alarm::HomingDoor => "Close the door and home again.",
+        Alarm::HomingPullOff => "Raise the pull-off ($27), and check that the switch opens.",
+        Alarm::HomingNoSwitch => "Check direction ($23), travel ($130 to $132) and the switches ($PINS).",
+        Alarm::HomingSquaring => {
+            "Check both switches of the axis with two motors, and how far it may be out of square ($347 to $349)."
+        }
+        Alarm::SpindleSpeed => "Check the spindle and its at-speed signal ($915), or allow it more time ($916).",
+        Alarm::Underrun => "Home, and report this: the controller should have braked.",
+        Alarm::EmergencyStop => "Make the machine safe, release the stop, reset, and home.",
+        Alarm::DriverFault => "Find out what the motor driver reports, switch it off and on, and home.",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_error_has_a_sentence_and_every_alarm_is_in_the_list() {
+        for error in Error::ALL {
+            let advice = for_code(error.code());
+            assert!(advice.ends_with('.') && advice.len() > 15, "{error:?}: {advice}");
+        }
+        assert_eq!(for_code(255), "");
+        let codes: Vec<u8> = ALARMS.iter().map(|alarm| alarm.code()).collect();
+        assert!(codes.is_sorted() && codes.windows(2).all(|pair| pair[0] != pair[1]));
+        for alarm in ALARMS {
+            assert!(for_alarm(alarm).ends_with('.'), "{alarm:?}");
+        }
+        // `for_alarm` would not compile without all of them; the list is as long as the match.
+        let text = include_str!("advice.rs");
+        let arms =
+            text.lines().filter(|line| line.trim_start().starts_with("Alarm::") && line.contains(" => ")).count();
+        assert_eq!(arms, ALARMS.len());
+    }
+}

@@ -1,0 +1,291 @@
+//! A job through the controller, piece by piece, and the report about it. It has no files, threads or clock of the host, so
+//! it runs wherever a processor is; whoever drives it shows the progress.
+
+use crate::advice;
+use crate::power_up::{Dialect, error_text};
+use crate::simulator::Simulator;
+use crate::summary::{AlarmReport, Extents, LineError, Summary};
+use crate::text::{JobText, Said};
+use oxmill_controller::error::Error;
+use oxmill_controller::messages::Realtime;
+
+/// Errors that the report keeps. The others are counted.
+const KEPT_ERRORS: usize = 1000;
+/// Messages of the controller, and notes of the simulator, that the report keeps. The others are counted.
+const KEPT_MESSAGES: usize = 50;
+
+/// What became of a job.
+#[derive(Debug, Default)]
+struct Outcome {
+    errors: Vec<LineError>,
+    more_errors: u64,
+    messages: Vec<String>,
+    more_messages: u64,
+    notes: Vec<String>,
+    more_notes: u64,
+    alarm: Option<AlarmReport>,
+    complete: bool,
+}
+
+impl Outcome {
+    fn hear(&mut self, job: &mut JobText) {
+        for said in job.said() {
+            match said {
+                Said::Error { line, code, text } => self.refused(line, code, error_text(code), text),
+                Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
+                Said::Message(_) => self.more_messages += 1,
+            }
+        }
+    }
+
+    fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
+        if self.errors.len() < KEPT_ERRORS {
+            self.errors.push(LineError {
+                line,
+                code,
+                text: text.into(),
+                source,
+                advice: advice::for_code(code).into(),
+            });
+        } else {
+            self.more_errors += 1;
+        }
+    }
+
+    /// A subroutine, loop or condition that has not come to its end with the file: what is in it was not carried out, or
+    /// not as it was meant.
+    fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
+        if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
+            let source = source.to_owned();
+            self.refused(line, Error::FlowSyntax.code(), "the program ended within the block that begins here", source);
+        }
+    }
+
+    fn note(&mut self, note: String) {
+        if self.notes.len() < KEPT_MESSAGES {
+            self.notes.push(note);
+        } else {
+            self.more_notes += 1;
+        }
+    }
+}
+
+/// A job on its way through the controller.
+///
+/// ```
+/// use oxmill_simulator::{JobText, Options, Simulator, check::Check};
+/// let mut check = Check::new(Simulator::new(Options::default()), JobText::new(&b"G21 G91\nG1 X1 F600\n"[..]));
+/// while !check.advance(1000) {}
+/// let summary = check.summary("one.nc", 0.0);
+/// assert!(summary.is_good() && summary.position_mm == [1.0, 0.0, 0.0]);
+/// ```
+pub struct Check {
+    simulator: Simulator,
+    origin: u64,
+    outcome: Outcome,
+    done: bool,
+}
+
+impl Check {
+    /// Begins a job on a simulator that is idle. What the simulator is to record has to be told to it before.
+    pub fn new(mut simulator: Simulator, job: JobText) -> Self {
+        let origin = simulator.clock().now();
+        simulator.begin_job();
+        simulator.take_output();
+        simulator.load_job(job);
+        Self { simulator, origin, outcome: Outcome::default(), done: false }
+    }
+
+    /// Takes the job further by so many rounds of the virtual clock, some microseconds of the host each. Whether it has come
+    /// to its end.
+    pub fn advance(&mut self, rounds: u32) -> bool {
+        for _ in 0..rounds {
+            if self.done {
+                break;
+            }
+            if self.round() {
+                self.finish();
+            }
+        }
+        self.done
+    }
+
+    /// One round. Whether there is no further one.
+    fn round(&mut self) -> bool {
+        let (simulator, outcome) = (&mut self.simulator, &mut self.outcome);
+        if simulator.unfetched() > 0 {
+            simulator.take_output();
+            let is_open = simulator.controller().open_since().is_some();
+            if let Some(job) = simulator.job_mut() {
+                outcome.hear(job);
+                if !is_open {
+                    job.forget_openers();
+                }
+            }
+        }
+        if outcome.alarm.is_none()
+            && let Some(alarm) = simulator.controller().alarm()
+        {
+            let line = simulator.job().and_then(JobText::oldest_unanswered);
+            outcome.alarm = Some(AlarmReport {
+                code: alarm.code(),
+                text: alarm.text().into(),
+                line,
+                advice: advice::for_alarm(alarm).into(),
+            });
+            if let Some(job) = simulator.job_mut() {
+                job.stop();
+            }
+        }
+        if simulator.is_idle() {
+            return true;
+        }
+        if simulator.controller().is_paused() {
+            let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
+            outcome.note(format!("line {line} paused the program; cycle start was pressed at once"));
+            simulator.press(Realtime::CycleStart);
+            return false;
+        }
+        if simulator.advance_once(u64::MAX) || simulator.unfetched() > 0 {
+            return false;
+        }
+        if outcome.alarm.is_none() {
+            let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
+            outcome.note(format!("line {line} waits for something that will not come"));
+        }
+        true
+    }
+
+    fn finish(&mut self) {
+        self.done = true;
+        self.simulator.take_output();
+        let open_since = self.simulator.controller().open_since();
+        if let Some(job) = self.simulator.job_mut() {
+            self.outcome.hear(job);
+            self.outcome.look_for_open_block(open_since, job);
+            self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();
+        }
+    }
+
+    /// The text of the job could not be read to its end.
+    pub fn cut_short(&mut self) {
+        self.outcome.complete = false;
+    }
+
+    /// Bytes of the job read up to now.
+    pub fn consumed(&self) -> u64 {
+        self.simulator.job().map_or(0, JobText::consumed)
+    }
+
+    /// Machine time that has passed since power-up, in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.simulator.clock().seconds(self.simulator.clock().now())
+    }
+
+    /// The simulator.
+    pub fn simulator(&self) -> &Simulator {
+        &self.simulator
+    }
+
+    /// The simulator, to have its records taken.
+    pub fn simulator_mut(&mut self) -> &mut Simulator {
+        &mut self.simulator
+    }
+
+    /// The report about what was done up to now. `host_s` is what it took the host, in seconds.
+    pub fn summary(&self, name: &str, host_s: f64) -> Summary {
+        let simulator = &self.simulator;
+        let (clock, trace, machine) = (simulator.clock(), simulator.trace(), simulator.machine());
+        let outcome = &self.outcome;
+        let forecast = clock.seconds(clock.now() - self.origin);
+        let measured = simulator.meter().measured();
+        let (low, high) = machine.extents();
+        // The step counter began at 0 at power-up; homing may have given the place another name since.
+        let here = simulator.machine_position();
+        let counted = simulator.meter().millimetres(machine.position());
+        let named = |steps: [i32; 3]| {
+            let place = simulator.meter().carriages_mm(steps);
+            std::array::from_fn(|axis| round(place[axis] - counted[axis] + here[axis]))
+        };
+        Summary {
+            job: name.into(),
+            board: simulator.board().name.into(),
+            dialect: Dialect::of(simulator).map_or("?", Dialect::name).into(),
+            step_clock_hz: simulator.board().step_clock_hz,
+            lines: simulator.job().map_or(0, JobText::lines),
+            tape_marks: simulator.job().map_or(0, JobText::tape_marks),
+            errors: outcome.errors.clone(),
+            more_errors: outcome.more_errors,
+            alarm: outcome.alarm.clone(),
+            complete: outcome.complete,
+            notes: outcome.notes.clone(),
+            more_notes: outcome.more_notes,
+            messages: outcome.messages.clone(),
+            more_messages: outcome.more_messages,
+            forecast_s: forecast,
+            duration_s: clock.seconds(trace.duration()),
+            feed_s: round(measured.feed_time),
+            rapid_s: round(measured.rapid_time),
+            standing_s: round((forecast - measured.feed_time - measured.rapid_time).max(0.0)),
+            moving_s: clock.seconds(simulator.busy_ticks()),
+            position_mm: here,
+            work_position_mm: simulator.work_position(),
+            steps: machine.position().map(i64::from),
+            pulses: machine.pulses(),
+            step_events: trace.events(),
+            distance_mm: round(measured.distance),
+            rapid_distance_mm: round(measured.rapid_distance),
+            extents_mm: Extents { min: named(low), max: named(high) },
+            peak_speed_mm_s: round(measured.speed),
+            peak_acceleration_mm_s2: round(measured.acceleration),
+            peak_axis_speed_mm_s: measured.axis_speed.map(round),
+            peak_axis_acceleration_mm_s2: measured.axis_acceleration.map(round),
+            trace_hash: format!("{:016x}", trace.digest().time_hash()),
+            order_hash: format!("{:016x}", trace.digest().order_hash()),
+            host_s,
+        }
+    }
+}
+
+/// To a nanometre: what lies beyond is the arithmetic's, not the machine's.
+fn round(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[test]
+    fn the_lists_of_a_report_are_bounded() {
+        let text = "bad\n".repeat(KEPT_ERRORS + 5);
+        let mut job = JobText::new(io::Cursor::new(text));
+        while job.next_byte().is_some() {}
+        let answers = "[MSG:x]\r\nerror:9\r\n".repeat(KEPT_ERRORS + 5);
+        job.answered(answers.as_bytes());
+        let mut outcome = Outcome::default();
+        outcome.hear(&mut job);
+        assert_eq!((outcome.errors.len(), outcome.more_errors), (KEPT_ERRORS, 5));
+        assert_eq!(outcome.messages.len() as u64 + outcome.more_messages, KEPT_ERRORS as u64 + 5);
+        for _ in 0..KEPT_MESSAGES + 3 {
+            outcome.note("paused".into());
+        }
+        assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
+    }
+
+    #[test]
+    fn a_job_in_pieces_is_the_same_job() {
+        let text = "G21 G91\nG1 X3 Y1 F600\nbad\nG2 X2 I1\nM0\nG0 Z1\n";
+        let summary = |rounds| {
+            let mut check = Check::new(Simulator::new(crate::Options::default()), JobText::new(text.as_bytes()));
+            while !check.advance(rounds) {}
+            assert_eq!(check.consumed(), text.len() as u64);
+            check.summary("a.nc", 0.0)
+        };
+        let whole = summary(u32::MAX);
+        assert_eq!((whole.errors.len(), whole.notes.len(), whole.complete), (1, 1, true));
+        assert_eq!(summary(1), whole);
+        assert_eq!(summary(7), whole);
+    }
+}

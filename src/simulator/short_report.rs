@@ -1,0 +1,94 @@
+//! What `check` prints: the verdict, the refused lines with what helps, time and extents, on one screen.
+
+use crate::summary::{Summary, clock_time, counted};
+use anstyle::{AnsiColor, Style};
+use std::fmt;
+
+/// Refused lines that are shown.
+const SHOWN_ERRORS: usize = 8;
+
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const BAD: Style = AnsiColor::Red.on_default().bold();
+const FAINT: Style = Style::new().dimmed();
+
+/// A summary on one screen.
+#[derive(Clone, Copy, Debug)]
+pub struct ShortReport<'a>(pub &'a Summary);
+
+impl fmt::Display for ShortReport<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(summary) = self;
+        let (style, verdict) = verdict(summary);
+        writeln!(
+            f,
+            "{style}{verdict}{style:#}: {} on {}, {}",
+            summary.job,
+            summary.board,
+            counted(summary.lines, "line")
+        )?;
+        for error in summary.errors.iter().take(SHOWN_ERRORS) {
+            writeln!(f, "  line {}: {}", error.line, error.source)?;
+            writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
+            writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
+        }
+        if summary.error_count() > SHOWN_ERRORS as u64 {
+            writeln!(f, "  and {} more", summary.error_count() - SHOWN_ERRORS as u64)?;
+        }
+        if let Some(alarm) = &summary.alarm {
+            let place = alarm.line.map_or(String::new(), |line| format!(" at line {line}"));
+            writeln!(f, "  {BAD}ALARM:{}{BAD:#}{place}: {}", alarm.code, alarm.text)?;
+            writeln!(f, "    {FAINT}{}{FAINT:#}", alarm.advice)?;
+        }
+        for message in summary.messages.iter().chain(&summary.notes).take(SHOWN_ERRORS) {
+            writeln!(f, "  {message}")?;
+        }
+        let skipped = if summary.errors.is_empty() { "" } else { ", with the refused lines left out" };
+        writeln!(f, "  time     {}{skipped}", clock_time(summary.forecast_s))?;
+        let parts = [("at feed", summary.feed_s), ("in rapids", summary.rapid_s), ("standing", summary.standing_s)];
+        writeln!(f, "           {}", parts.map(|(name, s)| format!("{} {name}", clock_time(s))).join(", "))?;
+        for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
+            let title = if axis == 0 { "extents" } else { "" };
+            let (low, high) = (summary.extents_mm.min[axis], summary.extents_mm.max[axis]);
+            writeln!(f, "  {title:<9}{name} {low:>10.3} to {high:>10.3} mm of machine coordinates")?;
+        }
+        Ok(())
+    }
+}
+
+fn verdict(summary: &Summary) -> (Style, String) {
+    if summary.alarm.is_some() {
+        (BAD, "ends in an alarm".into())
+    } else if !summary.errors.is_empty() {
+        (BAD, format!("{} refused", counted(summary.error_count(), "line")))
+    } else if !summary.complete {
+        (BAD, "not taken to the end".into())
+    } else {
+        (GOOD, "every line is accepted".into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::summary::tests::example;
+
+    #[test]
+    fn the_report_fits_on_a_screen_whatever_happened() {
+        let mut summary = example();
+        summary.errors = vec![summary.errors[0].clone(); 1000];
+        summary.messages = vec!["[MSG:x]".into(); 50];
+        let text = ShortReport(&summary).to_string();
+        assert!(text.contains("1000 lines refused") && text.contains("and 992 more"), "{text}");
+        assert!(text.lines().count() <= 40, "{text}");
+        assert!(text.contains("with the refused lines left out"));
+    }
+
+    #[test]
+    fn a_good_job_has_no_red() {
+        let mut summary = example();
+        summary.errors.clear();
+        let text = ShortReport(&summary).to_string();
+        assert!(text.contains("every line is accepted") && !text.contains(&BAD.to_string()), "{text}");
+        assert!(text.contains("1 h 2 min 6 s") && text.contains("-2.000"), "{text}");
+    }
+}

@@ -1,0 +1,249 @@
+//! What the module does, without pointers: orders as JSON in, reports as JSON out.
+
+use oxmill_controller::axes::Axis;
+use oxmill_controller::error::Error;
+use oxmill_controller::settings::{Entry, Kind, Settings};
+use oxmill_simulator::boards::{self, AXES, Board};
+use oxmill_simulator::check::Check;
+use oxmill_simulator::path::{Drawing, Point};
+use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
+use oxmill_simulator::streaming::Streaming;
+use oxmill_simulator::{Fittings, JobText, Options, Simulator, Store, advice};
+use serde::Deserialize;
+use serde_json::{Number, Value, json};
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::time::Duration;
+
+/// What a caller wants to have simulated.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Order {
+    /// Name of the job, for its summary.
+    pub name: String,
+    /// Name of the board; without one, the desk's.
+    pub board: Option<String>,
+    /// `grbl`, `oxmill` or `seed`.
+    pub dialect: Option<String>,
+    /// Numbers of settings and their values.
+    pub settings: BTreeMap<u16, Number>,
+    /// Whether the path is kept: [`rows`].
+    pub path: bool,
+    /// What is fitted to the machine, as a file for `--machine` says it.
+    pub machine: String,
+    /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
+    pub baud: u32,
+}
+
+/// Splits an input into the order and the job behind it: JSON, a byte 0, the job.
+///
+/// # Errors
+/// If the order is no JSON of this form.
+pub fn parse(input: &[u8]) -> Result<(Order, &[u8]), String> {
+    let end = input.iter().position(|byte| *byte == 0).unwrap_or(input.len());
+    let (order, job) = input.split_at(end);
+    let order = serde_json::from_slice(order).map_err(|error| format!("the order is not understood: {error}"))?;
+    Ok((order, job.get(1..).unwrap_or_default()))
+}
+
+/// A simulator as ordered, idle.
+///
+/// # Errors
+/// If there is no such board or dialect, or if a setting is refused.
+pub fn power_up(order: &Order) -> Result<Simulator, String> {
+    let board: Board = order.board.as_deref().map_or(Ok(boards::DESK), board_named)?;
+    let fittings = match order.machine.as_str() {
+        "" => Fittings::default(),
+        text => Fittings::parse(text).map_err(|error| format!("the machine is not understood: {error:#}"))?,
+    };
+    let mut simulator = Simulator::new(Options { board, store: Store::in_memory(), fittings, keep_steps: false });
+    simulator.run_until_idle();
+    for (number, value) in &order.settings {
+        let setting = format!("{number}={value}");
+        apply_setting(&mut simulator, &setting).map_err(|why| format!("${setting} {why}"))?;
+    }
+    if let Some(name) = &order.dialect {
+        let dialect = Dialect::by_name(name).ok_or_else(|| format!("there is no dialect `{name}`"))?;
+        apply_setting(&mut simulator, &dialect.assignment()).map_err(|why| format!("the dialect {why}"))?;
+    }
+    Ok(simulator)
+}
+
+/// A job that is ready to be checked.
+///
+/// # Errors
+/// As [`power_up`].
+pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
+    let mut simulator = power_up(order)?;
+    if order.path {
+        simulator.number_by_lines();
+        let start = simulator.meter().millimetres(simulator.machine().position());
+        let seconds = simulator.clock().seconds(simulator.clock().now());
+        simulator.meter_mut().draw(Drawing::new(start, seconds));
+    }
+    Ok(Check::new(simulator, JobText::new(Cursor::new(job.to_vec()))))
+}
+
+/// The same job over a link without limit, and over the one that is ordered.
+///
+/// # Errors
+/// As [`power_up`].
+pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
+    Ok([Streaming::new(power_up(order)?, job, 0), Streaming::new(power_up(order)?, job, order.baud)])
+}
+
+/// A machine that a host has been connected to.
+///
+/// # Errors
+/// As [`power_up`].
+pub fn machine(order: &Order) -> Result<Simulator, String> {
+    let mut simulator = power_up(order)?;
+    simulator.take_output();
+    simulator.connect();
+    Ok(simulator)
+}
+
+/// Sends bytes to a machine, lets microseconds pass, and gives what it has said.
+pub fn turn(machine: &mut Simulator, bytes: &[u8], microseconds: u32) -> String {
+    if !bytes.is_empty() {
+        machine.send(bytes);
+    }
+    machine.run_for(Duration::from_micros(u64::from(microseconds)));
+    machine.take_output()
+}
+
+/// Numbers of a row of the path: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in seconds from the
+/// start of the job.
+pub const ROW: usize = 6;
+/// The bit of a row's line number that tells a rapid.
+pub const RAPID: u32 = 1 << 31;
+
+/// The path of a job as rows of [`ROW`] numbers, and for each row the line of the file that it belongs to, with [`RAPID`].
+/// The first row is the start.
+pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>) {
+    let simulator = check.simulator();
+    let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
+    // The step counter began at 0 at power-up; the machine's own name of the place may be another.
+    let here = simulator.machine_position();
+    let counted = simulator.meter().millimetres(simulator.machine().position());
+    let row = |point: &Point| {
+        let [x, y, z] = std::array::from_fn(|axis| point.at[axis] + (here[axis] - counted[axis]) as f32);
+        [x, y, z, point.speed, point.seconds[0] as f32, point.seconds[1] as f32]
+    };
+    let line = |point: &Point| {
+        let line = simulator.job().map_or(0, |job| job.file_line(point.line));
+        u32::try_from(line).unwrap_or(0) & !RAPID | if point.rapid { RAPID } else { 0 }
+    };
+    (points.iter().flat_map(row).collect(), points.iter().map(line).collect())
+}
+
+/// All that a user interface needs to know of the firmware: boards, settings, errors and alarms.
+pub fn describe() -> Value {
+    let board = |board: &Board| {
+        json!({ "name": board.name, "step_clock_hz": board.step_clock_hz, "safe_step_hz": board.safe_step_hz,
+            "blocks": board.blocks, "received_bytes": board.received_bytes })
+    };
+    let errors: Vec<Value> = Error::ALL
+        .iter()
+        .map(|e| json!({ "code": e.code(), "text": e.text(), "advice": advice::for_error(*e) }))
+        .collect();
+    let alarms: Vec<Value> = advice::ALARMS
+        .iter()
+        .map(|a| json!({ "code": a.code(), "text": a.text(), "advice": advice::for_alarm(*a) }))
+        .collect();
+    let settings = Settings::<AXES>::default();
+    let rows: Vec<Value> =
+        (0..Settings::<AXES>::LINES).filter_map(|line| settings.row(line)).map(|row| setting(&row)).collect();
+    json!({ "version": env!("CARGO_PKG_VERSION"), "boards": boards::ALL.iter().map(board).collect::<Vec<_>>(),
+        "settings": rows, "errors": errors, "alarms": alarms })
+}
+
+/// A row of the table of settings, as `$$` has it.
+fn setting((entry, number, value): &(Entry, u16, f32)) -> Value {
+    let axis = Axis::ALL.get(usize::from(number - entry.number)).map(|axis| format!("{axis:?}"));
+    let per_axis = oxmill_controller::settings::PER_AXIS.iter().any(|row| row.number == entry.number);
+    let (kind, min, max) = match entry.kind {
+        Kind::Whole(min, max) => ("whole", Some(min), Some(max)),
+        Kind::Mask(bits) => ("mask", Some(0), Some(bits)),
+        Kind::Switch => ("switch", Some(0), Some(1)),
+        Kind::Axes => ("axes", Some(0), Some((1 << AXES) - 1)),
+        Kind::Real | Kind::Speed => ("real", Some(0), None),
+        Kind::Place => ("place", None, None),
+    };
+    json!({ "number": number, "name": entry.name, "unit": entry.unit, "kind": kind, "min": min, "max": max,
+        // As people write it: an f32 has some nine digits, and a table seven.
+        "default": value.to_string().parse::<f64>().unwrap_or_default(), "grbl": entry.grbl,
+        "axis": axis.filter(|_| per_axis) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_and_its_job_come_apart() {
+        let (order, job) = parse(b"{\"board\":\"desk\",\"settings\":{\"110\":5000,\"11\":0.02}}\0G0 X1\n").unwrap();
+        assert_eq!((order.board.as_deref(), job), (Some("desk"), &b"G0 X1\n"[..]));
+        assert_eq!(order.settings[&11].to_string(), "0.02");
+        assert!(parse(b"{\"bored\":1}").is_err());
+        assert_eq!(parse(b"{}").unwrap().1, b"");
+    }
+
+    #[test]
+    fn refusals_say_why() {
+        let refused = |text: &str| power_up(&parse(text.as_bytes()).unwrap().0).err().unwrap();
+        assert!(refused(r#"{"board":"toaster"}"#).contains("blackpill_f411"));
+        assert!(refused(r#"{"settings":{"7":1}}"#).starts_with("$7=1 was refused with error:3"));
+        assert!(refused(r#"{"dialect":"x"}"#).contains("no dialect"));
+        assert!(refused(r#"{"machine":"x"}"#).contains("not understood"));
+    }
+
+    #[test]
+    fn rows_have_lines_and_times() {
+        let (order, job) = parse(b"{\"path\":true}\0%\nG21 G91 F600\n\nG0 X1\nG4 P1\nG2 X2 I1\n").unwrap();
+        let mut check = check(&order, job).unwrap();
+        while !check.advance(1000) {}
+        let (rows, lines) = rows(&check);
+        let rows = rows.as_chunks::<ROW>().0;
+        assert_eq!(rows.len(), lines.len());
+        assert_eq!(rows[0][..3], [0.0; 3]);
+        assert!(lines[1..].iter().all(|line| [4 | RAPID, 6].contains(line)), "{lines:?}");
+        assert!(lines.contains(&(4 | RAPID)) && lines.contains(&6));
+        assert!(rows.windows(2).all(|pair| pair[1][4] >= pair[0][5] - 1e-5 && pair[1][5] > pair[1][4]));
+        let arc = lines.iter().position(|line| *line == 6).unwrap();
+        assert!(rows[arc][4] > rows[arc - 1][5] + 0.9, "the dwell lies between");
+        let last = rows[rows.len() - 1];
+        assert!((last[0] - 3.0).abs() < 1e-3 && last[1].abs() < 1e-3, "{last:?}");
+        let seconds = check.summary("", 0.0).forecast_s;
+        assert!((f64::from(last[5]) - seconds).abs() < 0.01, "{last:?} {seconds}");
+    }
+
+    /// Short moves of several lines become one, N words keep them apart, and neither changes when moves are numbered by lines.
+    #[test]
+    fn a_path_changes_nothing_of_the_job() {
+        let short: String = (1..400).map(|i| format!("G1 X{}\n", f64::from(i) * 0.003)).collect();
+        let numbered: String = (1..400).map(|i| format!("N{i} G1 X{}\n", f64::from(i) * 0.003)).collect();
+        for text in [short, numbered] {
+            let hash = |path: bool| {
+                let order = Order { path, ..Order::default() };
+                let mut check = check(&order, format!("G21 F300\n{text}").as_bytes()).unwrap();
+                while !check.advance(1000) {}
+                check.summary("", 0.0)
+            };
+            assert_eq!(hash(true), hash(false));
+            assert!(hash(true).is_good());
+        }
+    }
+
+    #[test]
+    fn the_description_has_every_setting_with_its_axis() {
+        let description = describe();
+        let settings = description["settings"].as_array().unwrap();
+        let row = |number: u16| settings.iter().find(|row| row["number"] == number).unwrap();
+        assert_eq!(row(121)["axis"], "Y");
+        assert_eq!((&row(11)["unit"], &row(11)["default"]), (&json!("mm"), &json!(0.01)));
+        assert!(row(11)["axis"].is_null());
+        assert_eq!(settings.len(), Settings::<AXES>::LINES);
+        assert!(description["errors"].as_array().unwrap().len() > 50);
+    }
+}

@@ -1,0 +1,273 @@
+//! The simulator as a WebAssembly module: no imports, so it runs in a page, in Node, in Python, in a sender, wherever a
+//! WebAssembly engine is. All state is in the module; whoever wants two simulators makes two instances.
+//!
+//! # How to call it
+//!
+//! Text and bytes go in through a buffer and come out through another one:
+//! 1. `oxmill_input(n)` gives the address of `n` bytes in the module's memory: write the input there. It is used up by the
+//!    next call that takes one. The address is good until the next call.
+//! 2. Call. What says `status` gives 0, or 1 for a refusal: then the output is a text that says why.
+//! 3. `oxmill_output()` and `oxmill_output_len()` tell where the output is. It is good until the next call.
+//!
+//! | function | input | gives | output |
+//! |---|---|---|---|
+//! | `oxmill_abi()` | | number of this interface, [`ABI`] | |
+//! | `oxmill_describe()` | | status | JSON: `version`, `boards`, `settings`, `errors`, `alarms` |
+//! | `oxmill_check_begin()` | order, 0, job | status | |
+//! | `oxmill_check_advance(rounds)` | | part of the job read, 0 to 1000, or [`DONE`] | |
+//! | `oxmill_check_seconds()` | | machine time up to now, in s | |
+//! | `oxmill_check_summary()` | | status | JSON: what `oxmill run --json` prints; `host_s` is 0 |
+//! | `oxmill_path()` | | rows of the path, for an order with `"path": true` | |
+//! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in s | |
+//! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid | |
+//! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
+//! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
+//! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
+//! | `oxmill_machine_begin()` | order | status | what the machine says at power-up |
+//! | `oxmill_machine_turn(us)` | bytes of the host | status | what the machine has said after so many microseconds |
+//! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or what is wrong |
+//! | `oxmill_panic_len()`, `oxmill_panic()` | | length and address of the text of a panic | |
+//! | `oxmill_fail()` | | does not return: a panic, to try how it is shown | |
+//!
+//! An order is JSON, all parts of which may be left out: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
+//! "settings": {"110": 5000}, "path": true, "machine": "...", "baud": 115200}`. `machine` is what `--machine` reads from a
+//! file. Settings are applied in the order of their numbers, the dialect last.
+//!
+//! A panic ends the instance with a trap; its text can still be fetched.
+
+pub mod engine;
+
+use engine::Order;
+use oxmill_simulator::Simulator;
+use oxmill_simulator::check::Check;
+use oxmill_simulator::streaming::Streaming;
+use std::cell::RefCell;
+
+/// Number of this interface. It changes when a caller would have to.
+pub const ABI: u32 = 1;
+/// What `oxmill_check_advance` gives at the end of the job.
+pub const DONE: u32 = 1001;
+/// Parts that progress is told in.
+const PARTS: u64 = 1000;
+
+/// The state of an instance.
+#[derive(Default)]
+struct Instance {
+    input: Vec<u8>,
+    output: Vec<u8>,
+    check: Option<Check>,
+    job_length: u64,
+    rows: Vec<f32>,
+    lines: Vec<u32>,
+    streams: Option<[Streaming; 2]>,
+    machine: Option<Simulator>,
+}
+
+thread_local! {
+    static INSTANCE: RefCell<Instance> = RefCell::default();
+    // Apart, because an instance that panics is in use.
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+fn with<T>(call: impl FnOnce(&mut Instance) -> T) -> T {
+    INSTANCE.with_borrow_mut(call)
+}
+
+/// Carries out a call that takes the input and may be refused; its result is the output.
+fn answer(call: impl FnOnce(&mut Instance, &[u8]) -> Result<Vec<u8>, String>) -> u32 {
+    with(|instance| {
+        let input = std::mem::take(&mut instance.input);
+        let result = call(instance, &input);
+        let status = u32::from(result.is_err());
+        instance.output = result.unwrap_or_else(String::into_bytes);
+        status
+    })
+}
+
+fn order(input: &[u8]) -> Result<(Order, &[u8]), String> {
+    engine::parse(input)
+}
+
+fn json(value: &impl serde::Serialize) -> Result<Vec<u8>, String> {
+    serde_json::to_vec(value).map_err(|error| error.to_string())
+}
+
+/// Number of this interface.
+// SAFETY of every `no_mangle` here: unsafe because two functions of one name would clash; safe because the names begin with
+// that of the project.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_abi() -> u32 {
+    ABI
+}
+
+/// Makes room for an input of so many bytes, and gives its address.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_input(length: usize) -> *mut u8 {
+    std::panic::set_hook(Box::new(|panic| PANIC.with_borrow_mut(|text| *text = panic.to_string())));
+    with(|instance| {
+        instance.input.clear();
+        instance.input.resize(length, 0);
+        instance.input.as_mut_ptr()
+    })
+}
+
+/// Address of the output.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_output() -> *const u8 {
+    with(|instance| instance.output.as_ptr())
+}
+
+/// Length of the output.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_output_len() -> usize {
+    with(|instance| instance.output.len())
+}
+
+/// Describes the firmware.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_describe() -> u32 {
+    answer(|_, _| json(&engine::describe()))
+}
+
+/// Begins a job.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_check_begin() -> u32 {
+    answer(|instance, input| {
+        let (order, job) = order(input)?;
+        instance.check = None;
+        instance.check = Some(engine::check(&order, job)?);
+        instance.job_length = job.len() as u64;
+        instance.output = order.name.into_bytes();
+        Ok(std::mem::take(&mut instance.output))
+    })
+}
+
+/// Takes the job further.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_check_advance(rounds: u32) -> u32 {
+    with(|instance| {
+        let Some(check) = &mut instance.check else { return DONE };
+        if check.advance(rounds) {
+            return DONE;
+        }
+        part(check.consumed(), instance.job_length)
+    })
+}
+
+fn part(done: u64, all: u64) -> u32 {
+    (done.min(all) * PARTS / all.max(1)) as u32
+}
+
+/// Machine time of the job up to now, in seconds.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_check_seconds() -> f64 {
+    with(|instance| instance.check.as_ref().map_or(0.0, Check::seconds))
+}
+
+/// The summary of the job. The input may hold its name.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_check_summary() -> u32 {
+    answer(|instance, name| {
+        let check = instance.check.as_ref().ok_or("no job has begun")?;
+        json(&check.summary(&String::from_utf8_lossy(name), 0.0))
+    })
+}
+
+/// Makes the rows of the path ready, and gives their number.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_path() -> usize {
+    with(|instance| {
+        (instance.rows, instance.lines) = instance.check.as_ref().map(engine::rows).unwrap_or_default();
+        instance.lines.len()
+    })
+}
+
+/// Address of the rows.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_path_rows() -> *const f32 {
+    with(|instance| instance.rows.as_ptr())
+}
+
+/// Address of the lines of the rows.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_path_lines() -> *const u32 {
+    with(|instance| instance.lines.as_ptr())
+}
+
+/// Begins to send a job over a link.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_stream_begin() -> u32 {
+    answer(|instance, input| {
+        let (order, job) = order(input)?;
+        instance.streams = Some(engine::stream(&order, job)?);
+        Ok(Vec::new())
+    })
+}
+
+/// Lets so many milliseconds of the machine pass.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
+    with(|instance| {
+        let Some([free, limited]) = &mut instance.streams else { return DONE };
+        if free.advance(milliseconds) & limited.advance(milliseconds) {
+            return DONE;
+        }
+        let (done, all) = limited.progress();
+        part(done, all)
+    })
+}
+
+/// What became of the job that was sent.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_stream_summary() -> u32 {
+    answer(|instance, _| {
+        let [free, limited] = instance.streams.as_ref().ok_or("no job is being sent")?;
+        json(&limited.summary(free))
+    })
+}
+
+/// Powers a machine up and connects a host to it.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_machine_begin() -> u32 {
+    answer(|instance, input| {
+        let machine = instance.machine.insert(engine::machine(&order(input)?.0)?);
+        Ok(machine.take_output().into_bytes())
+    })
+}
+
+/// Sends the input to the machine and lets time pass.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_machine_turn(microseconds: u32) -> u32 {
+    answer(|instance, input| {
+        let machine = instance.machine.as_mut().ok_or("no machine is powered")?;
+        Ok(engine::turn(machine, input, microseconds).into_bytes())
+    })
+}
+
+/// Moves an input pin of the machine.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_machine_pin() -> u32 {
+    answer(|instance, input| {
+        let machine = instance.machine.as_mut().ok_or("no machine is powered")?;
+        Ok(machine.pin_line(&String::from_utf8_lossy(input)).into_bytes())
+    })
+}
+
+/// Length of the text of a panic; 0 if there was none.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_panic_len() -> usize {
+    PANIC.with_borrow(String::len)
+}
+
+/// Address of the text of a panic.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_panic() -> *const u8 {
+    PANIC.with_borrow(|text| text.as_ptr())
+}
+
+/// Panics.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_fail() {
+    let _ = oxmill_input(0);
+    panic!("oxmill_fail was called");
+}
