@@ -19,6 +19,7 @@ mod sizes;
 mod suites;
 mod thumb;
 mod virtual_board;
+mod web;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -44,6 +45,8 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
+                             `--test [NAME..]` tries it in headless Chromium (needs Debian's package chromium)
   cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
@@ -76,6 +79,8 @@ fn main() -> ExitCode {
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
+        ["web"] => web::build(),
+        ["web", "--test", ref names @ ..] => web::test(names),
         ["mutants", ref names @ ..] => mutants::run(names),
         ["fuzz", ref arguments @ ..] => fuzz::fuzz(arguments),
         ["rs274", ref arguments @ ..] => rs274::run(arguments),

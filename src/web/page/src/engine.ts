@@ -1,0 +1,168 @@
+// The WebAssembly module: bytes in, bytes out. Its interface is described in src/web/lib.rs.
+
+export interface Order {
+  name?: string;
+  board?: string;
+  dialect?: string;
+  settings?: Record<string, number>;
+  path?: boolean;
+  machine?: string;
+  baud?: number;
+}
+
+export interface LineError { line: number; code: number; text: string; source: string; advice: string }
+export interface AlarmReport { code: number; text: string; line: number | null; advice: string }
+
+/** What `oxmill run --json` prints: docs/json.md. */
+export interface Summary {
+  job: string; board: string; dialect: string; lines: number; errors: LineError[]; more_errors: number;
+  alarm: AlarmReport | null; complete: boolean; notes: string[]; messages: string[];
+  forecast_s: number; feed_s: number; rapid_s: number; standing_s: number;
+  position_mm: number[]; work_position_mm: number[]; pulses: number[];
+  distance_mm: number; rapid_distance_mm: number; extents_mm: { min: number[]; max: number[] };
+  peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
+}
+
+/** A row has x, y, z in mm, speed in mm/s, begin and end in s. */
+export const ROW = 6;
+export const RAPID = 0x80000000;
+export interface Path { rows: Float32Array; lines: Uint32Array }
+
+export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
+
+export interface Setting {
+  number: number; name: string; unit: string; kind: string; min: number | null; max: number | null;
+  default: number; grbl: boolean; axis: string | null;
+}
+export interface Meaning { code: number; text: string; advice: string }
+export interface Description {
+  version: string; boards: { name: string; step_clock_hz: number }[]; settings: Setting[]; errors: Meaning[]; alarms: Meaning[];
+}
+
+interface Exports {
+  memory: WebAssembly.Memory;
+  oxmill_abi(): number;
+  oxmill_input(length: number): number;
+  oxmill_output(): number;
+  oxmill_output_len(): number;
+  oxmill_describe(): number;
+  oxmill_check_begin(): number;
+  oxmill_check_advance(rounds: number): number;
+  oxmill_check_seconds(): number;
+  oxmill_check_summary(): number;
+  oxmill_path(): number;
+  oxmill_path_rows(): number;
+  oxmill_path_lines(): number;
+  oxmill_stream_begin(): number;
+  oxmill_stream_advance(ms: number): number;
+  oxmill_stream_summary(): number;
+  oxmill_machine_begin(): number;
+  oxmill_machine_turn(us: number): number;
+  oxmill_machine_pin(): number;
+  oxmill_panic_len(): number;
+  oxmill_panic(): number;
+}
+
+const ABI = 1;
+const DONE = 1001;
+const encode = (text: string) => new TextEncoder().encode(text);
+
+export class Engine {
+  private constructor(private readonly wasm: Exports) {}
+
+  static async start(module: WebAssembly.Module): Promise<Engine> {
+    const wasm = (await WebAssembly.instantiate(module, {})).exports as unknown as Exports;
+    if (wasm.oxmill_abi() !== ABI) throw new Error("the module and the page are not of one build");
+    return new Engine(wasm);
+  }
+
+  describe(): Description {
+    return JSON.parse(this.call(() => this.wasm.oxmill_describe()));
+  }
+
+  /** Takes a job through the controller. `progress` gets the part of the file that was read, 0 to 1. */
+  check(order: Order, job: Uint8Array, progress: (part: number) => void = () => {}): Summary {
+    this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
+    this.call(() => this.wasm.oxmill_check_begin());
+    this.toTheEnd(() => this.wasm.oxmill_check_advance(16384), progress);
+    this.put(encode(order.name ?? ""));
+    return JSON.parse(this.call(() => this.wasm.oxmill_check_summary()));
+  }
+
+  /** The path of the job that was checked with `path` in its order. */
+  path(): Path {
+    const count = this.guard(() => this.wasm.oxmill_path());
+    const { buffer } = this.wasm.memory;
+    return {
+      rows: new Float32Array(buffer, this.wasm.oxmill_path_rows(), count * ROW).slice(),
+      lines: new Uint32Array(buffer, this.wasm.oxmill_path_lines(), count).slice(),
+    };
+  }
+
+  stream(order: Order, job: Uint8Array): Streamed {
+    this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
+    this.call(() => this.wasm.oxmill_stream_begin());
+    this.toTheEnd(() => this.wasm.oxmill_stream_advance(1000), () => {});
+    return JSON.parse(this.call(() => this.wasm.oxmill_stream_summary()));
+  }
+
+  powerUp(order: Order): string {
+    this.put(encode(JSON.stringify(order)));
+    return this.call(() => this.wasm.oxmill_machine_begin());
+  }
+
+  turn(bytes: Uint8Array, microseconds: number): string {
+    this.put(bytes);
+    return this.call(() => this.wasm.oxmill_machine_turn(microseconds));
+  }
+
+  pin(line: string): string {
+    this.put(encode(line));
+    return this.call(() => this.wasm.oxmill_machine_pin());
+  }
+
+  /** Bytes of memory that the module has. */
+  memory(): number {
+    return this.wasm.memory.buffer.byteLength;
+  }
+
+  private toTheEnd(advance: () => number, progress: (part: number) => void): void {
+    let shown = performance.now();
+    for (;;) {
+      const part = this.guard(advance);
+      if (part === DONE) return;
+      if (performance.now() - shown > 50) {
+        shown = performance.now();
+        progress(part / 1000);
+      }
+    }
+  }
+
+  private put(...parts: Uint8Array[]): void {
+    let at = this.guard(() => this.wasm.oxmill_input(parts.reduce((sum, part) => sum + part.length, 0)));
+    for (const part of parts) {
+      new Uint8Array(this.wasm.memory.buffer, at, part.length).set(part);
+      at += part.length;
+    }
+  }
+
+  private call(exported: () => number): string {
+    const status = this.guard(exported);
+    const text = this.text(this.wasm.oxmill_output(), this.wasm.oxmill_output_len());
+    if (status !== 0) throw new Error(text);
+    return text;
+  }
+
+  private guard(exported: () => number): number {
+    try {
+      return exported() >>> 0;
+    } catch (trap) {
+      const text = this.text(this.wasm.oxmill_panic(), this.wasm.oxmill_panic_len());
+      throw new Error(text || String(trap), { cause: trap });
+    }
+  }
+
+  private text(at: number, length: number): string {
+    return new TextDecoder().decode(new Uint8Array(this.wasm.memory.buffer, at >>> 0, length >>> 0));
+  }
+}

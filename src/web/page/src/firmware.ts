@@ -1,0 +1,76 @@
+// The firmware as the page calls it: each job in a worker of its own.
+import type { Description, Order, Path, Streamed, Summary } from "./engine";
+import type { Task } from "./worker";
+
+declare const OXMILL: { wasm: string; worker: string; examples: Record<string, string> };
+export const examples = OXMILL.examples;
+
+export interface Checked { summary: Summary; path?: Path; memory: number }
+
+let module: WebAssembly.Module;
+const source = URL.createObjectURL(new Blob([OXMILL.worker], { type: "text/javascript" }));
+
+export async function load(): Promise<void> {
+  module = await WebAssembly.compile(Uint8Array.from(atob(OXMILL.wasm), c => c.charCodeAt(0)));
+}
+
+/** A worker that has the module. */
+export function worker(): Worker {
+  const made = new Worker(source);
+  made.postMessage({ task: "module", module } satisfies Task);
+  return made;
+}
+
+type Answer = { is: string; part: number; why: string };
+
+/** Has a task done in a worker of its own, which ends with it, or with the signal. */
+function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, progress?: (part: number) => void): Promise<T> {
+  return new Promise((resolve, reject) => {
+    const one = worker();
+    const end = () => one.terminate();
+    signal?.addEventListener("abort", () => {
+      end();
+      reject(signal.reason);
+    });
+    one.onmessage = ({ data }: MessageEvent<T>) => {
+      if (data.is === "progress") progress?.(data.part);
+      if (data.is === is) {
+        end();
+        resolve(data);
+      }
+      if (data.is === "failed") {
+        end();
+        reject(new Error(data.why));
+      }
+    };
+    one.onerror = event => {
+      end();
+      reject(new Error(event.message));
+    };
+    one.postMessage(task);
+  });
+}
+
+export async function describe(): Promise<Description> {
+  return (await run<Answer & { description: Description }>({ task: "describe" }, "described")).description;
+}
+
+export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progress?: (part: number) => void): Promise<Checked> {
+  return run<Answer & Checked>({ task: "check", order, job }, "checked", signal, progress);
+}
+
+export async function stream(order: Order, job: Uint8Array, signal?: AbortSignal): Promise<Streamed> {
+  return (await run<Answer & { streamed: Streamed }>({ task: "stream", order, job }, "streamed", signal)).streamed;
+}
+
+/** Does tasks with as many workers at a time as there are cores, but not more than four. */
+export async function each<T>(tasks: (() => Promise<T>)[], done: (index: number, result: T) => void): Promise<void> {
+  let next = 0;
+  const lanes = Math.max(1, Math.min(navigator.hardwareConcurrency || 2, 4, tasks.length));
+  await Promise.all(Array.from({ length: lanes }, async () => {
+    while (next < tasks.length) {
+      const index = next++;
+      done(index, await tasks[index]());
+    }
+  }));
+}

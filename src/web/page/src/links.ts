@@ -1,0 +1,105 @@
+// Where a machine is: in the page, or at a serial port. Both are written to and heard alike.
+import type { Order } from "./engine";
+import { worker } from "./firmware";
+import type { Link } from "./sender";
+import type { Task } from "./worker";
+
+/** A machine in the page. */
+export class PageLink implements Link {
+  onsaid: (text: string) => void = () => {};
+  onlost: (why: string) => void = () => {};
+  private readonly machine = worker();
+
+  constructor(order: Order) {
+    this.machine.onmessage = ({ data }) => {
+      if (data.is === "said") this.onsaid(data.text);
+      if (data.is === "failed") this.onlost(data.why);
+    };
+    this.tell({ task: "power", order });
+  }
+
+  write(bytes: Uint8Array): void {
+    this.tell({ task: "send", bytes });
+  }
+
+  /** Moves an input pin, as `probe 1`. */
+  pin(line: string): void {
+    this.tell({ task: "pin", line });
+  }
+
+  /** How many times faster than real time. */
+  speed(times: number): void {
+    this.tell({ task: "speed", times });
+  }
+
+  close(): void {
+    this.machine.terminate();
+  }
+
+  private tell(task: Task): void {
+    this.machine.postMessage(task);
+  }
+}
+
+interface SerialPort {
+  open(options: { baudRate: number; bufferSize?: number }): Promise<void>;
+  close(): Promise<void>;
+  readable: ReadableStream<Uint8Array> | null;
+  writable: WritableStream<Uint8Array> | null;
+}
+interface Serial { requestPort(): Promise<SerialPort> }
+
+export const serial = (): Serial | undefined => (navigator as unknown as { serial?: Serial }).serial;
+
+/** A board at a serial port. */
+export class SerialLink implements Link {
+  onsaid: (text: string) => void = () => {};
+  onlost: (why: string) => void = () => {};
+  private readonly writer: WritableStreamDefaultWriter<Uint8Array>;
+  private readonly reader: ReadableStreamDefaultReader<Uint8Array>;
+
+  private constructor(private readonly port: SerialPort) {
+    if (!port.readable || !port.writable) throw new Error("the port is not open");
+    this.writer = port.writable.getWriter();
+    this.reader = port.readable.getReader();
+    void this.read();
+  }
+
+  /** Lets the user choose a port, and opens it. */
+  static async open(baudRate: number): Promise<SerialLink> {
+    const ports = serial();
+    if (!ports) throw new Error("this browser has no Web Serial");
+    const port = await ports.requestPort();
+    await port.open({ baudRate, bufferSize: 4096 });
+    return new SerialLink(port);
+  }
+
+  write(bytes: Uint8Array): void {
+    this.writer.write(bytes).catch(error => this.onlost(String(error)));
+  }
+
+  async close(): Promise<void> {
+    try {
+      await this.reader.cancel();
+      this.writer.releaseLock();
+      await this.port.close();
+    } catch {
+      // A board that is unplugged has closed its port already.
+    }
+  }
+
+  private async read(): Promise<void> {
+    const decoder = new TextDecoder();
+    try {
+      for (;;) {
+        const { value, done } = await this.reader.read();
+        if (done) break;
+        this.onsaid(decoder.decode(value, { stream: true }));
+      }
+      this.reader.releaseLock();
+      this.onlost("the port is closed");
+    } catch (error) {
+      this.onlost(String(error));
+    }
+  }
+}

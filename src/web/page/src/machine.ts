@@ -1,0 +1,254 @@
+// The machine: in the page, or a real board at a serial port, with the same code.
+import type { App } from "./app";
+import { $, el } from "./dom";
+import { PageLink, SerialLink, serial } from "./links";
+import { type Link, REALTIME, Sender, type Status } from "./sender";
+import { parseSettings } from "./settings";
+
+/** How often the machine is asked for its state, ms. */
+const POLL = 200;
+/** A held jog is sent as moves of this duration, two of them ahead: a page that dies stops within twice that. */
+const JOG_SECONDS = 0.2;
+const JOGS_AHEAD = 2;
+const BAUD = 115_200;
+/** Lines that the console keeps. */
+const KEPT = 400;
+
+/** What is fitted to the machine in the page: a switch at the positive end of each axis, and a plate below Z. */
+const FITTED = `steps_per_mm = [250, 250, 250]
+${["x", "y", "z"].map(axis => `[[switch]]\naxis = "${axis}"\nat_mm = 20.0\nside = "positive"\nbounce_us = 900`).join("\n")}
+[plate]
+axis = "z"
+at_mm = -12.5
+side = "negative"
+`;
+
+const html = `
+<p>A machine in this page, with limit switches and a probe plate; or a board at a serial port. Both are driven by the same code.</p>
+<div class="row">
+  <button id="power" type="button">Machine in the page</button>
+  <button id="connect" type="button">Connect a board</button>
+  <button id="leave" type="button" hidden>Disconnect</button>
+</div>
+<p id="noserial" hidden>This browser has no Web Serial: Chromium, Chrome, Edge and Firefox of today have it.</p>
+<p id="machine-note" role="status"></p>
+<div id="live" hidden>
+  <div class="row"><span id="state" class="state">?</span><span id="sent"></span>
+    <label for="times">time</label><select id="times"><option value="1">1 ×</option><option value="10">10 ×</option><option value="100">100 ×</option></select></div>
+  <div class="dro" id="dro"></div>
+  <div class="row">
+    <button id="start" type="button" class="go">Run job</button>
+    <button type="button" data-realtime="hold">Hold</button>
+    <button type="button" data-realtime="resume">Resume</button>
+    <button id="reset" type="button" class="stop">Reset</button>
+  </div>
+  <div class="row">
+    <button type="button" data-line="$H">Home</button>
+    <button type="button" data-line="$X">Unlock</button>
+    <button id="probe" type="button">Probe Z</button>
+    <label for="plate">plate</label><input id="plate" type="number" value="10" step="any" style="width:64px" aria-label="thickness of the plate in mm">
+    <button id="read" type="button">Settings to forecast</button>
+  </div>
+  <h2>Jog: hold to move</h2>
+  <div class="jog" id="jog"></div>
+  <div class="row"><label for="jog-feed">at</label><input id="jog-feed" type="number" value="400" min="1" step="any" style="width:80px"><span>mm/min</span></div>
+  <h2>Overrides</h2>
+  <div class="row">
+    <span id="overrides">100 %, 100 %, 100 %</span>
+    <button type="button" data-realtime="feedMinus">Feed −</button><button type="button" data-realtime="feed100">100</button><button type="button" data-realtime="feedPlus">Feed +</button>
+    <button type="button" data-realtime="rapid25">Rapid 25</button><button type="button" data-realtime="rapid50">50</button><button type="button" data-realtime="rapid100">100</button>
+    <button type="button" data-realtime="spindleMinus">Spindle −</button><button type="button" data-realtime="spindlePlus">Spindle +</button>
+  </div>
+  <h2>Console</h2>
+  <div class="console" id="console" role="log" tabindex="0" aria-label="Console"></div>
+  <div class="row"><label for="command">Line</label><input id="command" type="text" spellcheck="false" autocomplete="off"></div>
+</div>`;
+
+export class MachinePanel {
+  sender?: Sender;
+  status?: Status;
+  private link?: Link;
+  private poll?: ReturnType<typeof setInterval>;
+  private jogging?: string;
+
+  constructor(private readonly app: App) {
+    $("machine").innerHTML = html;
+    for (const [axis, name] of ["X", "Y", "Z"].entries()) {
+      const zero = el("button", { type: "button", textContent: "0", "aria-label": `0: set work zero of ${name} here` });
+      zero.addEventListener("click", () => void this.line(`G10 L20 P0 ${name}0`));
+      $("dro").append(el("b", { textContent: name }), el("span", { className: "work", id: `work-${axis}`, textContent: "0.000" }),
+        el("span", { className: "at", id: `at-${axis}`, textContent: "0.000" }), zero);
+    }
+    for (const way of ["X-", "Y-", "Z-", "X+", "Y+", "Z+"]) $("jog").append(this.jogButton(way));
+    $("noserial").hidden = serial() !== undefined;
+    $<HTMLButtonElement>("connect").disabled = serial() === undefined;
+    this.listen();
+  }
+
+  /** Sends a line and shows it. */
+  async line(text: string): Promise<string> {
+    if (!this.sender) return "";
+    this.say(text, "sent");
+    const answer = await this.sender.command(text);
+    this.say(answer, answer === "ok" ? "" : "wrong");
+    return answer;
+  }
+
+  private attach(link: Link): void {
+    this.link = link;
+    const sender = (this.sender = new Sender(link));
+    link.onlost = why => this.detach(`The machine is gone: ${why}`);
+    sender.onstatus = status => this.show(status);
+    sender.onmessage = text => this.say(text);
+    sender.onrefused = (line, answer) => this.say(`line ${line}: ${answer}`, "wrong");
+    sender.onprogress = () => {
+      $("sent").textContent = sender.lines.length ? `${sender.done} of ${sender.lines.length} lines` : "";
+    };
+    $("live").hidden = $("leave").hidden = false;
+    $("power").hidden = $("connect").hidden = true;
+    $<HTMLSelectElement>("times").disabled = !(link instanceof PageLink);
+    $("machine-note").textContent = "";
+    this.poll = setInterval(() => sender.realtime(REALTIME.status), POLL);
+    void this.line("$I");
+  }
+
+  private detach(why: string): void {
+    clearInterval(this.poll);
+    void this.link?.close();
+    this.link = this.sender = this.status = undefined;
+    $("live").hidden = $("leave").hidden = true;
+    this.app.player.showMachine();
+    $("power").hidden = $("connect").hidden = false;
+    $("machine-note").textContent = why;
+  }
+
+  private show(status: Status): void {
+    this.status = status;
+    const name = status.state.split(":")[0];
+    $("state").textContent = status.state;
+    $("state").className = `state ${name}`;
+    for (let axis = 0; axis < 3; axis++) {
+      $(`work-${axis}`).textContent = (status.work[axis] ?? 0).toFixed(3);
+      $(`at-${axis}`).textContent = (status.machine[axis] ?? 0).toFixed(3);
+    }
+    this.app.player.showMachine(status.machine);
+    if (status.fields.Ov) $("overrides").textContent = status.fields.Ov.split(",").map(part => `${part} %`).join(", ");
+  }
+
+  private say(text: string, kind = ""): void {
+    const console_ = $("console");
+    console_.append(el("div", { className: kind, textContent: text }));
+    while (console_.childNodes.length > KEPT) console_.firstChild?.remove();
+    console_.scrollTop = console_.scrollHeight;
+  }
+
+  private jogButton(way: string): HTMLElement {
+    const button = el("button", { type: "button", textContent: way, "aria-label": `jog ${way.replace("-", " to minus").replace("+", " to plus")}, hold` });
+    const begin = (event: Event) => {
+      event.preventDefault();
+      if (!this.jogging) void this.jog(way);
+    };
+    button.addEventListener("pointerdown", event => {
+      button.setPointerCapture(event.pointerId);
+      begin(event);
+    });
+    button.addEventListener("keydown", event => {
+      if (event.key === " " || event.key === "Enter") begin(event);
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) button.addEventListener(end, () => this.endJog());
+    return button;
+  }
+
+  /** Short jogs one after the other, as long as the button is held. */
+  private async jog(way: string): Promise<void> {
+    const { sender } = this;
+    if (!sender) return;
+    this.jogging = way;
+    const feed = Math.max(1, Number($<HTMLInputElement>("jog-feed").value) || 1);
+    const distance = ((feed / 60) * JOG_SECONDS).toFixed(3);
+    const text = `$J=G91 G21 ${way[0]}${way[1] === "-" ? "-" : ""}${distance} F${feed}`;
+    const ahead: Promise<string>[] = [];
+    const began = performance.now();
+    let sentJogs = 0;
+    while (this.jogging === way && this.sender === sender) {
+      // Answers come when a jog is planned, not when it is done: time tells how many are ahead.
+      const due = (performance.now() - began) / 1000 / JOG_SECONDS + JOGS_AHEAD;
+      if (sentJogs < due) {
+        sentJogs++;
+        ahead.push(sender.command(text));
+        const answer = await (ahead.shift() as Promise<string>);
+        if (answer !== "ok") {
+          this.say(`${text}: ${answer}`, "wrong");
+          break;
+        }
+      } else await new Promise(resolve => setTimeout(resolve, 20));
+    }
+    this.endJog();
+  }
+
+  private endJog(): void {
+    if (!this.jogging) return;
+    this.jogging = undefined;
+    this.sender?.realtime(REALTIME.jogCancel);
+  }
+
+  private async probe(): Promise<void> {
+    const thickness = Number($<HTMLInputElement>("plate").value);
+    if ((await this.line("G21 G91 G38.2 Z-25 F100")) !== "ok") return;
+    await this.line(`G90 G10 L20 P0 Z${thickness}`);
+    await this.line("G91 G0 Z2");
+    await this.line("G90");
+  }
+
+  private async readSettings(): Promise<void> {
+    if (!this.sender) return;
+    const lines: string[] = [];
+    const { onmessage } = this.sender;
+    this.sender.onmessage = text => {
+      lines.push(text);
+      onmessage(text);
+    };
+    await this.line("$$");
+    this.sender.onmessage = onmessage;
+    this.app.settings.replace(parseSettings(lines.join("\n")));
+  }
+
+  private listen(): void {
+    $("power").addEventListener("click", () => {
+      const settings: Record<string, number> = { "22": 1, ...this.app.settings.values() };
+      this.attach(new PageLink(this.app.order({ settings, machine: FITTED })));
+      void this.line("$X");
+    });
+    $("connect").addEventListener("click", async () => {
+      try {
+        this.attach(await SerialLink.open(BAUD));
+      } catch (error) {
+        $("machine-note").textContent = (error as Error).message;
+      }
+    });
+    $("leave").addEventListener("click", () => this.detach("Disconnected."));
+    $("start").addEventListener("click", () => this.sender?.stream(this.app.job.text));
+    $("reset").addEventListener("click", () => this.sender?.reset());
+    $("probe").addEventListener("click", () => void this.probe());
+    $("read").addEventListener("click", () => void this.readSettings());
+    $("times").addEventListener("change", () => {
+      if (this.link instanceof PageLink) this.link.speed(Number($<HTMLSelectElement>("times").value));
+    });
+    for (const button of $("machine").querySelectorAll<HTMLElement>("[data-realtime]")) {
+      button.addEventListener("click", () => this.sender?.realtime(REALTIME[button.dataset.realtime as keyof typeof REALTIME]));
+    }
+    for (const button of $("machine").querySelectorAll<HTMLElement>("[data-line]")) {
+      button.addEventListener("click", () => void this.line(button.dataset.line as string));
+    }
+    const command = $<HTMLInputElement>("command");
+    command.addEventListener("keydown", event => {
+      if (event.key !== "Enter" || !command.value) return;
+      void this.line(command.value);
+      command.value = "";
+    });
+    // A page that goes leaves the machine in a hold.
+    addEventListener("pagehide", () => this.sender?.busy && this.sender.realtime(REALTIME.hold));
+    addEventListener("beforeunload", event => this.sender?.busy && event.preventDefault());
+    addEventListener("blur", () => this.endJog());
+  }
+}

@@ -1,0 +1,328 @@
+// The tool path in three dimensions, drawn with WebGL 2.
+import { Camera, type Vector } from "./camera";
+import { rgb } from "./dom";
+import { type Path, ROW } from "./engine";
+import { FRAGMENT, VERTEX } from "./shaders";
+
+/** Floats of a row on the graphics processor: place, begin and end, shade. */
+const STRIDE = 6;
+/** Rows up to which thick lines are drawn at once. Beyond, a strip of thin ones until the view has come to rest. */
+const QUICK = 20_000;
+/** A picture with thick lines that took longer than this is not asked for again, ms. */
+const SLOW = 250;
+const REST = 200;
+
+interface Lines { thick: WebGLVertexArrayObject; thin: WebGLVertexArrayObject; buffer: WebGLBuffer; count: number }
+
+export class Picture {
+  readonly camera = new Camera();
+  /** Time up to which the path is drawn as done, s. */
+  now = Infinity;
+  /** Called after each picture. */
+  onpaint = () => {};
+  /** Called when somebody points at a row. */
+  onpick: (row: number) => void = () => {};
+  private readonly gl: WebGL2RenderingContext;
+  private readonly uniforms: Record<string, WebGLUniformLocation | null> = {};
+  private readonly path: Lines;
+  private readonly grid: Lines;
+  private readonly box: Lines;
+  private rows: Float32Array = new Float32Array(0);
+  private shades: Float32Array = new Float32Array(0);
+  private low: Vector = [0, 0, 0];
+  private high: Vector = [1, 1, 1];
+  private asked = false;
+  private thickIsSlow = false;
+  private lastMove = -Infinity;
+
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("this browser has no WebGL 2");
+    this.gl = gl;
+    const program = this.program();
+    gl.useProgram(program);
+    for (const name of ["view", "pixel", "width", "strip", "now", "plain", "ink", "rapid", "plunge", "future", "scale"]) {
+      this.uniforms[name] = gl.getUniformLocation(program, name);
+    }
+    this.path = this.lines(1);
+    this.grid = this.lines(2);
+    this.box = this.lines(2);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    this.listen();
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  /** Shows a path. */
+  show(path: Path, shades: Float32Array): void {
+    this.rows = path.rows;
+    const count = path.lines.length;
+    [this.low, this.high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+    for (let i = 0; i < count; i++) {
+      for (let axis = 0; axis < 3; axis++) {
+        this.low[axis] = Math.min(this.low[axis], path.rows[i * ROW + axis]);
+        this.high[axis] = Math.max(this.high[axis], path.rows[i * ROW + axis]);
+      }
+    }
+    if (count === 0) [this.low, this.high] = [[0, 0, 0], [10, 10, 10]];
+    this.thickIsSlow = false;
+    this.shade(shades);
+    this.load(this.grid, this.gridLines());
+    this.fit();
+  }
+
+  /** Colours the path: a number from 0 to 1 for each row, or one of SHADE. */
+  shade(shades: Float32Array): void {
+    this.shades = shades;
+    const data = new Float32Array(shades.length * STRIDE);
+    for (let i = 0; i < shades.length; i++) {
+      data.set(this.rows.subarray(i * ROW, i * ROW + 3), i * STRIDE);
+      data[i * STRIDE + 3] = this.rows[i * ROW + 4];
+      data[i * STRIDE + 4] = this.rows[i * ROW + 5];
+      data[i * STRIDE + 5] = shades[i];
+    }
+    this.load(this.path, data);
+    this.draw();
+  }
+
+  /** Shows the limits of the machine, or takes them away. */
+  limits(box?: { low: Vector; high: Vector }): void {
+    const edges: number[] = [];
+    if (box) {
+      const corner = (bits: number): Vector => [0, 1, 2].map(axis => (bits >> axis & 1 ? box.high : box.low)[axis]) as Vector;
+      for (let bits = 0; bits < 8; bits++) {
+        for (let axis = 0; axis < 3; axis++) if (!(bits >> axis & 1)) edges.push(...segment(corner(bits), corner(bits | 1 << axis)));
+      }
+      for (let axis = 0; axis < 3; axis++) {
+        this.low[axis] = Math.min(this.low[axis], box.low[axis]);
+        this.high[axis] = Math.max(this.high[axis], box.high[axis]);
+      }
+    }
+    this.load(this.box, new Float32Array(edges));
+    this.fit();
+  }
+
+  fit(): void {
+    this.camera.fit(this.low, this.high, this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight));
+    this.draw();
+  }
+
+  look(turn: number, height: number): void {
+    this.camera.look(turn, height);
+    this.draw();
+  }
+
+  draw(): void {
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame(() => {
+      this.asked = false;
+      this.paint();
+    });
+  }
+
+  /** Where a place is on the canvas, in CSS pixels. */
+  place(at: number[]): [number, number] | undefined {
+    const seen = this.camera.project(at);
+    return seen && [seen[0] * this.canvas.clientWidth, seen[1] * this.canvas.clientHeight];
+  }
+
+  private program(): WebGLProgram {
+    const gl = this.gl;
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]] as const) {
+      const shader = gl.createShader(kind) as WebGLShader;
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader) ?? "a shader failed");
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) ?? "no program");
+    return program;
+  }
+
+  /**
+   * Vertices that are read twice: two neighbours as a quad, or all of them as a strip. From one quad to the next it is one
+   * row in a path, and two where lines are apart.
+   */
+  private lines(rows: number): Lines {
+    const gl = this.gl;
+    const buffer = gl.createBuffer();
+    const size = STRIDE * 4;
+    const array = (thick: boolean) => {
+      const made = gl.createVertexArray();
+      gl.bindVertexArray(made);
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      const next = thick ? size : 0;
+      const parts = [[0, 3, 0], [1, 2, 12], [2, 3, next], [3, 2, next + 12], [4, 1, next + 20]] as const;
+      for (const [location, length, offset] of parts) {
+        gl.enableVertexAttribArray(location);
+        gl.vertexAttribPointer(location, length, gl.FLOAT, false, thick ? size * rows : size, offset);
+        if (thick) gl.vertexAttribDivisor(location, 1);
+      }
+      return made;
+    };
+    return { thick: array(true), thin: array(false), buffer, count: 0 };
+  }
+
+  private load(lines: Lines, data: Float32Array): void {
+    const gl = this.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, lines.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    lines.count = data.length / STRIDE;
+  }
+
+  /** A grid on the plane Z = 0 under the path, and the axes at 0. */
+  private gridLines(): Float32Array {
+    const { low, high } = this;
+    const step = 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / 3));
+    const from = [0, 1].map(axis => Math.floor(low[axis] / step - 1) * step);
+    const to = [0, 1].map(axis => Math.ceil(high[axis] / step + 1) * step);
+    const all: number[] = [];
+    for (let x = from[0]; x <= to[0] + step / 2; x += step) all.push(...segment([x, from[1], 0], [x, to[1], 0]));
+    for (let y = from[1]; y <= to[1] + step / 2; y += step) all.push(...segment([from[0], y, 0], [to[0], y, 0]));
+    for (const axis of [0, 1, 2]) {
+      const tip: Vector = [0, 0, 0];
+      tip[axis] = step * 1.5;
+      all.push(...segment([0, 0, 0], tip), ...segment([0, 0, 0], tip));
+    }
+    return new Float32Array(all);
+  }
+
+  private paint(): void {
+    const { gl, canvas, uniforms } = this;
+    const ratio = devicePixelRatio || 1;
+    const [width, height] = [Math.max(1, Math.round(canvas.clientWidth * ratio)), Math.max(1, Math.round(canvas.clientHeight * ratio))];
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...rgb("--sheet"), 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.uniformMatrix4fv(uniforms.view, false, this.camera.view(width / height));
+    gl.uniform2f(uniforms.pixel, 2 / width, 2 / height);
+    gl.uniform1i(uniforms.plain, 1);
+    gl.uniform1i(uniforms.strip, 0);
+    gl.uniform1f(uniforms.width, 0.7 * ratio);
+    gl.uniform4f(uniforms.ink, ...rgb("--grid"), 1);
+    this.separate(this.grid);
+    gl.uniform4f(uniforms.ink, ...rgb("--accent"), 0.8);
+    this.separate(this.box);
+    this.paintPath(ratio);
+    this.onpaint();
+  }
+
+  private paintPath(ratio: number): void {
+    const { gl, uniforms, path } = this;
+    gl.uniform1i(uniforms.plain, 0);
+    gl.uniform3f(uniforms.rapid, ...rgb("--rapid"));
+    gl.uniform3f(uniforms.plunge, ...rgb("--plunge"));
+    gl.uniform3f(uniforms.future, ...rgb("--sheet"));
+    gl.uniform3fv(uniforms.scale, [0, 1, 2, 3, 4, 5].flatMap(i => rgb(`--scale-${i}`)));
+    gl.uniform1f(uniforms.now, Math.min(this.now, 3e38));
+    gl.uniform1f(uniforms.width, 1.1 * ratio);
+    if (path.count < 2) return;
+    const moving = performance.now() - this.lastMove < REST;
+    if (path.count > QUICK && (moving || this.thickIsSlow)) {
+      gl.uniform1i(uniforms.strip, 1);
+      gl.bindVertexArray(path.thin);
+      gl.drawArrays(gl.LINE_STRIP, 0, path.count);
+      if (!this.thickIsSlow) setTimeout(() => this.draw(), REST);
+      return;
+    }
+    const began = performance.now();
+    gl.bindVertexArray(path.thick);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, path.count - 1);
+    if (path.count > QUICK) {
+      // Waits for the picture.
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      this.thickIsSlow = performance.now() - began > SLOW;
+    }
+  }
+
+  /** Lines that are pairs of rows. */
+  private separate(lines: Lines): void {
+    const gl = this.gl;
+    gl.bindVertexArray(lines.thick);
+    if (lines.count > 1) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, lines.count / 2);
+  }
+
+  /** The row that is drawn nearest to a place on the canvas, within so many pixels. */
+  private nearest(x: number, y: number, within = 12): number {
+    let [best, found] = [within * within, -1];
+    for (let i = 1; i < this.shades.length; i++) {
+      for (const part of [0.5, 1]) {
+        const at = [0, 1, 2].map(axis => this.rows[(i - 1) * ROW + axis] * (1 - part) + this.rows[i * ROW + axis] * part);
+        const seen = this.place(at);
+        const off = seen ? (seen[0] - x) ** 2 + (seen[1] - y) ** 2 : Infinity;
+        if (off < best) [best, found] = [off, i];
+      }
+    }
+    return found;
+  }
+
+  private moved(): void {
+    this.lastMove = performance.now();
+    this.draw();
+  }
+
+  private listen(): void {
+    const { canvas, camera } = this;
+    const down = new Map<number, [number, number]>();
+    let travelled = 0;
+    canvas.addEventListener("pointerdown", event => {
+      canvas.setPointerCapture(event.pointerId);
+      down.set(event.pointerId, [event.clientX, event.clientY]);
+      travelled = 0;
+    });
+    canvas.addEventListener("pointercancel", event => down.delete(event.pointerId));
+    canvas.addEventListener("pointerup", event => {
+      down.delete(event.pointerId);
+      const frame = canvas.getBoundingClientRect();
+      const row = travelled < 4 ? this.nearest(event.clientX - frame.left, event.clientY - frame.top) : -1;
+      if (row > 0) this.onpick(row);
+    });
+    canvas.addEventListener("contextmenu", event => event.preventDefault());
+    canvas.addEventListener("pointermove", event => {
+      const was = down.get(event.pointerId);
+      if (!was) return;
+      const [dx, dy] = [event.clientX - was[0], event.clientY - was[1]];
+      travelled += Math.abs(dx) + Math.abs(dy);
+      const other = [...down].find(([id]) => id !== event.pointerId)?.[1];
+      if (other) {
+        const apart = (at: [number, number]) => Math.hypot(at[0] - other[0], at[1] - other[1]);
+        const now = apart([event.clientX, event.clientY]);
+        if (now > 1) camera.distance *= apart(was) / now;
+        camera.pan(dx / 2, dy / 2, canvas.clientHeight);
+      } else if (event.buttons & 6 || event.shiftKey) camera.pan(dx, dy, canvas.clientHeight);
+      else camera.look(camera.turn - dx * 0.008, camera.height + dy * 0.008);
+      down.set(event.pointerId, [event.clientX, event.clientY]);
+      this.moved();
+    });
+    canvas.addEventListener("wheel", event => {
+      event.preventDefault();
+      camera.distance *= Math.exp(event.deltaY * 0.001);
+      this.moved();
+    }, { passive: false });
+    canvas.addEventListener("keydown", event => {
+      const keys: Record<string, () => void> = {
+        ArrowLeft: () => camera.look(camera.turn - 0.1, camera.height),
+        ArrowRight: () => camera.look(camera.turn + 0.1, camera.height),
+        ArrowUp: () => camera.look(camera.turn, camera.height + 0.1),
+        ArrowDown: () => camera.look(camera.turn, camera.height - 0.1),
+        "+": () => (camera.distance *= 0.9),
+        "-": () => (camera.distance /= 0.9),
+        "0": () => this.fit(),
+      };
+      if (!keys[event.key]) return;
+      keys[event.key]();
+      event.preventDefault();
+      this.moved();
+    });
+  }
+}
+
+/** The two rows of a straight line. */
+function segment(from: Vector, to: Vector): number[] {
+  const row = (at: Vector) => [...at, 0, 0, 0];
+  return [...row(from), ...row(to)];
+}

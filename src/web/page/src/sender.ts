@@ -1,0 +1,151 @@
+// A sender for Grbl's protocol over any link: it counts characters, so that the controller's receive buffer is never too
+// full, and realtime commands go past all lines.
+
+export interface Link {
+  write(bytes: Uint8Array): void;
+  /** Called with what the machine says. */
+  onsaid: (text: string) => void;
+  /** Called when the machine is gone. */
+  onlost: (why: string) => void;
+  close(): Promise<void> | void;
+}
+
+export interface Status {
+  state: string;
+  machine: number[];
+  work: number[];
+  fields: Record<string, string>;
+}
+
+/** Realtime commands. */
+export const REALTIME = {
+  status: 0x3f, hold: 0x21, resume: 0x7e, reset: 0x18, door: 0x84, jogCancel: 0x85,
+  feed100: 0x90, feedPlus: 0x91, feedMinus: 0x92, rapid100: 0x95, rapid50: 0x96, rapid25: 0x97,
+  spindle100: 0x99, spindlePlus: 0x9a, spindleMinus: 0x9b, spindleStop: 0x9e,
+} as const;
+
+/** Receive buffer of a controller that has not told its own. */
+const SMALLEST_BUFFER = 128;
+
+interface Sent { length: number; line?: number; answered?: (answer: string) => void }
+
+export class Sender {
+  onstatus: (status: Status) => void = () => {};
+  onmessage: (text: string) => void = () => {};
+  onprogress: () => void = () => {};
+  onrefused: (line: number, answer: string) => void = () => {};
+  /** Lines of the job, and how many of them have been answered. */
+  lines: string[] = [];
+  done = 0;
+  /** Bytes of the controller's receive buffer. */
+  room = SMALLEST_BUFFER;
+  private next = 0;
+  private readonly commands: { text: string; answered?: (answer: string) => void }[] = [];
+  private flight: Sent[] = [];
+  private heard = "";
+  private offset = [0, 0, 0];
+
+  constructor(private readonly link: Link) {
+    link.onsaid = text => this.hear(text);
+  }
+
+  /** Whether lines of a job are still to be sent or answered. */
+  get busy(): boolean {
+    return this.done < this.lines.length;
+  }
+
+  realtime(command: number): void {
+    this.link.write(new Uint8Array([command]));
+  }
+
+  /** Sends a line between those of the job, and gives its answer. */
+  command(text: string): Promise<string> {
+    return new Promise(resolve => {
+      this.commands.push({ text, answered: resolve });
+      this.pump();
+    });
+  }
+
+  /** Begins a job. */
+  stream(text: string): void {
+    this.lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
+    if (this.lines.at(-1) === "") this.lines.pop();
+    [this.next, this.done] = [0, 0];
+    this.pump();
+  }
+
+  /** Resets the controller. What was sent is void. */
+  reset(): void {
+    this.realtime(REALTIME.reset);
+    this.lines = [];
+    this.flight.forEach(sent => sent.answered?.("reset"));
+    this.flight = [];
+    this.commands.length = 0;
+    [this.next, this.done] = [0, 0];
+    this.onprogress();
+  }
+
+  private get used(): number {
+    return this.flight.reduce((sum, sent) => sum + sent.length, 0);
+  }
+
+  private pump(): void {
+    for (;;) {
+      const command = this.commands[0];
+      const text = command?.text ?? this.lines[this.next];
+      if (text === undefined) return;
+      if (!command && text.trimStart().startsWith("%")) {
+        // A tape mark is no line for the controller.
+        this.next++;
+        this.done++;
+        continue;
+      }
+      const bytes = plain(text);
+      if (this.flight.length && this.used + bytes.length > this.room) return;
+      if (command) this.commands.shift();
+      this.flight.push({ length: bytes.length, line: command ? undefined : ++this.next, answered: command?.answered });
+      this.link.write(bytes);
+    }
+  }
+
+  private hear(text: string): void {
+    this.heard += text;
+    const lines = this.heard.split("\n");
+    this.heard = lines.pop() ?? "";
+    for (const line of lines) this.line(line.trim());
+    this.pump();
+    this.onprogress();
+  }
+
+  private line(line: string): void {
+    if (line === "") return;
+    if (line === "ok" || line.startsWith("error:")) {
+      const sent = this.flight.shift();
+      if (sent?.line !== undefined) {
+        this.done++;
+        if (line !== "ok") this.onrefused(sent.line, line);
+      }
+      sent?.answered?.(line);
+    } else if (line.startsWith("<")) {
+      this.onstatus(this.status(line));
+    } else {
+      const buffer = /^\[OPT:[^,]*,\d+,(\d+)/.exec(line);
+      if (buffer) this.room = Number(buffer[1]);
+      this.onmessage(line);
+    }
+  }
+
+  private status(line: string): Status {
+    const [state, ...parts] = line.slice(1, -1).split("|");
+    const fields = Object.fromEntries(parts.map(part => part.split(":", 2) as [string, string]));
+    const numbers = (text?: string) => text?.split(",").map(Number);
+    this.offset = numbers(fields.WCO) ?? this.offset;
+    const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + this.offset[i]) ?? [0, 0, 0];
+    return { state, machine, work: machine.map((v, i) => v - this.offset[i]), fields };
+  }
+}
+
+/** A line as it goes over the wire: no byte of it is a realtime command. */
+function plain(text: string): Uint8Array<ArrayBuffer> {
+  return new TextEncoder().encode(text.replace(/[^\x20-\x7e]|[!?~]/g, " ").trimEnd() + "\n") as Uint8Array<ArrayBuffer>;
+}

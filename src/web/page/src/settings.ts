@@ -1,0 +1,102 @@
+// The settings, from the firmware's own table: number, name, unit and range are never written here again.
+import { $, el } from "./dom";
+import type { Description, Setting } from "./engine";
+
+const STORED = "oxmill settings";
+
+/** `$$` of a machine as numbers and values. */
+export function parseSettings(text: string): Record<string, number> {
+  return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)/gm)].map(match => [match[1], Number(match[2])]));
+}
+
+export function nameOf(setting: Setting): string {
+  return setting.axis && setting.kind !== "axes" ? `${setting.axis} ${setting.name.charAt(0).toLowerCase()}${setting.name.slice(1)}` : setting.name;
+}
+
+export function rangeOf(setting: Setting): string {
+  const range = setting.kind === "switch" ? "0 or 1" : setting.max === null ? "" : `${setting.min} to ${setting.max}`;
+  return [setting.unit === "mask" ? "" : setting.unit, range, `new ${setting.default}`].filter(Boolean).join(", ");
+}
+
+export class SettingsPanel {
+  private changed: Record<string, number>;
+  private readonly inputs = new Map<number, HTMLInputElement>();
+
+  constructor(readonly description: Description, private readonly onchange: () => void) {
+    this.changed = stored();
+    const body = $("settings-table").querySelector("tbody") as HTMLElement;
+    // What decides on time comes first.
+    const weight = (setting: Setting) => (setting.axis && setting.kind !== "axes" ? 0 : 1);
+    const rows = [...description.settings].sort((a, b) => weight(a) - weight(b) || a.number - b.number);
+    body.append(...rows.map(setting => this.row(setting)));
+    $("find").addEventListener("input", () => this.find($<HTMLInputElement>("find").value));
+    $("defaults").addEventListener("click", () => this.replace({}));
+    $("take").addEventListener("click", () => this.replace(parseSettings($<HTMLTextAreaElement>("paste").value)));
+    this.refresh();
+  }
+
+  /** Settings that differ from those of a new controller. */
+  values(): Record<string, number> {
+    return { ...this.changed };
+  }
+
+  value(number: number): number {
+    return this.changed[number] ?? this.description.settings.find(setting => setting.number === number)?.default ?? 0;
+  }
+
+  replace(values: Record<string, number>): void {
+    const known = new Set(this.description.settings.map(setting => String(setting.number)));
+    const entries = Object.entries(values).filter(([number, value]) => known.has(number) && Number.isFinite(value));
+    this.changed = Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));
+    this.refresh();
+    this.onchange();
+  }
+
+  set(number: number, value: number): void {
+    this.replace({ ...this.changed, [number]: value });
+  }
+
+  private default(number: number): number | undefined {
+    return this.description.settings.find(setting => setting.number === number)?.default;
+  }
+
+  private row(setting: Setting): HTMLElement {
+    const label = `$${setting.number} ${nameOf(setting)}`;
+    const input = el("input", { type: "number", step: "any", "aria-label": label });
+    input.addEventListener("change", () => {
+      if (input.value !== "") this.set(setting.number, Number(input.value));
+    });
+    this.inputs.set(setting.number, input);
+    const row = el("tr", {}, el("th", { scope: "row", textContent: String(setting.number) }),
+      el("td", {}, nameOf(setting), el("small", { textContent: rangeOf(setting) })), el("td", {}, input));
+    row.dataset.text = `${label} ${setting.unit}`.toLowerCase();
+    return row;
+  }
+
+  private refresh(): void {
+    for (const [number, input] of this.inputs) {
+      input.value = String(this.value(number));
+      input.closest("tr")?.classList.toggle("changed", String(number) in this.changed);
+    }
+    try {
+      localStorage.setItem(STORED, JSON.stringify(this.changed));
+    } catch {
+      // A page without storage forgets.
+    }
+  }
+
+  private find(text: string): void {
+    for (const input of this.inputs.values()) {
+      const row = input.closest("tr") as HTMLElement;
+      row.hidden = !(row.dataset.text ?? "").includes(text.toLowerCase());
+    }
+  }
+}
+
+function stored(): Record<string, number> {
+  try {
+    return JSON.parse(localStorage.getItem(STORED) ?? "{}");
+  } catch {
+    return {};
+  }
+}

@@ -1,0 +1,97 @@
+// What the page reads out of the rows of a path. No row is interpreted as G-code: places, times and lines come from the
+// firmware.
+import { type Path, RAPID, ROW } from "./engine";
+import { SHADE } from "./shaders";
+
+export type Coloring = "speed" | "acceleration" | "kind" | "line";
+export interface Legend { low: string; high: string }
+
+export const isRapid = (path: Path, row: number): boolean => path.lines[row] >= RAPID;
+export const lineOf = (path: Path, row: number): number => path.lines[row] % RAPID;
+export const endOf = (path: Path): number => (path.lines.length ? path.rows[(path.lines.length - 1) * ROW + 5] : 0);
+
+/** The first row that has not ended at a time. */
+export function rowAt(path: Path, seconds: number): number {
+  let [low, high] = [0, Math.max(0, path.lines.length - 1)];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (path.rows[middle * ROW + 5] < seconds) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** Where the tool is at a time. */
+export function placeAt(path: Path, seconds: number): number[] {
+  const row = rowAt(path, seconds);
+  const before = Math.max(0, row - 1);
+  const [began, ended] = [path.rows[row * ROW + 4], path.rows[row * ROW + 5]];
+  const part = ended > began ? Math.max(0, Math.min(1, (seconds - began) / (ended - began))) : 1;
+  return [0, 1, 2].map(axis => {
+    const from = path.rows[before * ROW + axis];
+    return from + (path.rows[row * ROW + axis] - from) * part;
+  });
+}
+
+/** The first row of a line, or else of the next line that has any. */
+export function rowOfLine(path: Path, line: number): number {
+  let [best, found] = [Infinity, 0];
+  for (let row = 1; row < path.lines.length; row++) {
+    const of = lineOf(path, row);
+    if (of >= line && of < best) {
+      [best, found] = [of, row];
+      if (of === line) break;
+    }
+  }
+  return found;
+}
+
+const length = (path: Path, row: number) =>
+  Math.hypot(...[0, 1, 2].map(axis => path.rows[row * ROW + axis] - path.rows[(row - 1) * ROW + axis]));
+
+/** Whether a row leads straight down at feed. */
+export function isPlunge(path: Path, row: number): boolean {
+  if (row === 0 || isRapid(path, row)) return false;
+  const down = path.rows[(row - 1) * ROW + 2] - path.rows[row * ROW + 2];
+  return down > 1e-4 && down > 0.98 * length(path, row);
+}
+
+/** Change of speed per time from the row before, mm/s². */
+function acceleration(path: Path, row: number): number {
+  if (row < 2) return 0;
+  const middle = (of: number) => (path.rows[of * ROW + 4] + path.rows[of * ROW + 5]) / 2;
+  const time = middle(row) - middle(row - 1);
+  return time > 0 ? Math.abs(path.rows[row * ROW + 3] - path.rows[(row - 1) * ROW + 3]) / time : 0;
+}
+
+/** Which part of the values lies below: a single piece must not set the scale. */
+function top(values: number[], part = 0.995): number {
+  const sorted = values.filter(value => value > 0).sort((a, b) => a - b);
+  return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;
+}
+
+/** The colour of each row, and what the ends of the scale mean. */
+export function shades(path: Path, coloring: Coloring): { shades: Float32Array; legend: Legend } {
+  const count = path.lines.length;
+  const made = new Float32Array(count);
+  const feeds = Array.from({ length: count }, (_, row) => row).filter(row => row > 0 && !isRapid(path, row));
+  const value = {
+    speed: (row: number) => path.rows[row * ROW + 3],
+    acceleration: (row: number) => acceleration(path, row),
+    line: (row: number) => lineOf(path, row),
+    kind: () => 0,
+  }[coloring];
+  const most = coloring === "speed" ? feeds.reduce((most, row) => Math.max(most, value(row)), 0) || 1 : coloring === "kind" ? 1 : top(feeds.map(value));
+  for (let row = 0; row < count; row++) {
+    if (isRapid(path, row)) made[row] = SHADE.rapid;
+    else if (coloring === "kind" && isPlunge(path, row)) made[row] = SHADE.plunge;
+    else made[row] = coloring === "kind" ? 0.4 : Math.min(1, value(row) / most);
+  }
+  const legend = {
+    speed: { low: "0", high: `${(most * 60).toFixed(0)} mm/min` },
+    acceleration: { low: "0", high: `${most.toFixed(0)} mm/s²` },
+    line: { low: "line 1", high: `line ${most}` },
+    kind: { low: "feed", high: "" },
+  }[coloring];
+  return { shades: made, legend };
+}

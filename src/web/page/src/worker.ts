@@ -1,0 +1,94 @@
+// Runs the firmware beside the page: whole jobs, or one machine in real time.
+import { Engine, type Order } from "./engine";
+
+export type Task =
+  | { task: "module"; module: WebAssembly.Module }
+  | { task: "describe" }
+  | { task: "check"; order: Order; job: Uint8Array }
+  | { task: "stream"; order: Order; job: Uint8Array }
+  | { task: "power"; order: Order }
+  | { task: "send"; bytes: Uint8Array }
+  | { task: "pin"; line: string }
+  | { task: "speed"; times: number };
+
+const worker = globalThis as unknown as { postMessage(message: unknown, transfer?: Transferable[]): void; onmessage: unknown };
+/** The machine looks at its clock so often, ms. */
+const PERIOD = 4;
+/** Machine time between two batches of bytes, ms. */
+const SLICE = 2;
+/** A worker that was asleep does not catch up more than this, ms. */
+const MOST = 100;
+
+let module: WebAssembly.Module;
+let machine: Engine | undefined;
+let speed = 1;
+let last = 0;
+const pending: Uint8Array[] = [];
+
+function tick(): void {
+  const now = performance.now();
+  const passed = Math.min(now - last, MOST);
+  last = now;
+  let said = "";
+  for (let left = passed * speed; left > 0 && machine; left -= SLICE) {
+    const bytes = pending.shift() ?? new Uint8Array(0);
+    said += machine.turn(bytes, Math.round(Math.min(left, SLICE) * 1000));
+    // A host that answers what it hears must hear it in time.
+    if (said && speed > 1 && performance.now() - now > PERIOD * 4) break;
+  }
+  if (said) worker.postMessage({ is: "said", text: said });
+}
+
+async function carryOut(task: Task): Promise<void> {
+  switch (task.task) {
+    case "module":
+      module = task.module;
+      return;
+    case "describe":
+      worker.postMessage({ is: "described", description: (await Engine.start(module)).describe() });
+      return;
+    case "check": {
+      const began = performance.now();
+      const engine = await Engine.start(module);
+      const summary = engine.check(task.order, task.job, part => worker.postMessage({ is: "progress", part }));
+      const path = task.order.path ? engine.path() : undefined;
+      summary.host_s = (performance.now() - began) / 1000;
+      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer] : []);
+      return;
+    }
+    case "stream":
+      worker.postMessage({ is: "streamed", streamed: (await Engine.start(module)).stream(task.order, task.job) });
+      return;
+    case "power": {
+      machine = await Engine.start(module);
+      const greeting = machine.powerUp(task.order);
+      worker.postMessage({ is: "said", text: greeting });
+      last = performance.now();
+      setInterval(() => {
+        try {
+          tick();
+        } catch (error) {
+          machine = undefined;
+          worker.postMessage({ is: "failed", why: String((error as Error).message) });
+        }
+      }, PERIOD);
+      return;
+    }
+    case "send":
+      pending.push(task.bytes);
+      return;
+    case "pin":
+      machine?.pin(task.line);
+      return;
+    case "speed":
+      speed = task.times;
+  }
+}
+
+worker.onmessage = async ({ data }: { data: Task }) => {
+  try {
+    await carryOut(data);
+  } catch (error) {
+    worker.postMessage({ is: "failed", why: (error as Error).message });
+  }
+};

@@ -1,0 +1,39 @@
+// A page in headless Chromium, as the tests want it: from the disk, with everything heard that goes wrong.
+import { chromium } from "playwright-core";
+import { pathToFileURL } from "node:url";
+
+const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
+// WebGL without a graphics processor, and nothing that asks the network by itself.
+const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
+  "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
+
+export async function launch(more = []) {
+  return chromium.launch({ ...PROGRAMS, args: [...ARGUMENTS, ...more] });
+}
+
+/** Opens the page; `faults` collects what must not happen. */
+export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", prepare } = {}) {
+  const context = await browser.newContext({ viewport, colorScheme });
+  const page = await context.newPage();
+  const faults = [];
+  page.on("pageerror", error => faults.push(`error: ${error.message}`));
+  page.on("console", message => ["error", "warning"].includes(message.type()) && !/GPU stall|GL Driver/.test(message.text()) && faults.push(`console: ${message.text()}`));
+  page.on("request", request => /^(file|blob|data):/.test(request.url()) || faults.push(`request: ${request.url()}`));
+  await prepare?.(page);
+  await page.goto(pathToFileURL(file).href);
+  await checked(page);
+  return { page, faults, context };
+}
+
+/** Waits until the job that is shown has been checked; gives its summary. */
+export async function checked(page, name = "") {
+  await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name), name, { timeout: 120_000 });
+  return page.evaluate(() => oxmill.app.checked.summary);
+}
+
+/** Drops a job on the page. */
+export async function openJob(page, name, text) {
+  await page.evaluate(() => (oxmill.app.checked = undefined));
+  await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(text) });
+  return checked(page, name);
+}

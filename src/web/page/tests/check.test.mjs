@@ -1,0 +1,187 @@
+// Check, forecast and picture, against the program of this host.
+import assert from "node:assert/strict";
+import { checked, open, openJob } from "./browser.mjs";
+import { example, examples, page as file, run, traced } from "./program.mjs";
+
+/** A small mill. */
+const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
+const BOARDS = ["desk", "blackpill_f411", "nucleo_f446re"];
+const same = (a, b, what) => assert.deepEqual({ ...a, host_s: 0, job: "" }, { ...b, host_s: 0, job: "" }, what);
+
+/** Chooses settings and waits for the check with them. */
+async function settings(page, values) {
+  await page.evaluate(values => {
+    oxmill.app.settings.replace(values);
+    oxmill.app.checked = undefined;
+  }, values);
+  return checked(page);
+}
+
+export async function every_example_is_as_in_the_program(browser) {
+  const { page, faults } = await open(browser, file);
+  for (const name of examples()) {
+    for (const board of BOARDS) {
+      const order = { board, settings: MILL };
+      const found = await page.evaluate(([text, order]) => oxmill.check(text, order), [example(name), order]);
+      same(found, run(name, example(name), order), `${name} on ${board}`);
+    }
+  }
+  assert.deepEqual(faults, []);
+}
+
+/** The way of a user: a file chosen, a board chosen, settings typed. */
+export async function what_the_page_shows_is_what_the_program_says(browser) {
+  const { page, faults } = await open(browser, file);
+  const text = example("pcb_isolation.nc");
+  await openJob(page, "pcb_isolation.nc", text);
+  await page.evaluate(() => (oxmill.app.checked = undefined));
+  await page.selectOption("#board", "blackpill_f411");
+  await checked(page);
+  const typed = async (number, value) => {
+    await page.evaluate(() => (oxmill.app.checked = undefined));
+    await page.fill(`[aria-label^="$${number} "]`, String(value));
+    await page.keyboard.press("Tab");
+    return checked(page);
+  };
+  await typed(110, 6000);
+  const found = await typed(120, 500);
+  same(found, run("pcb_isolation.nc", text, { board: "blackpill_f411", settings: { 110: 6000, 120: 500 } }));
+  // A value that the firmware refuses is named, and the job is not shown as checked.
+  await page.fill('[aria-label^="$0 "]', "256");
+  await page.keyboard.press("Tab");
+  await page.waitForFunction(() => document.getElementById("refused").textContent.includes("error:6"));
+  assert(await page.evaluate(() => oxmill.app.checked === undefined));
+  assert.deepEqual(faults, []);
+}
+
+export async function refused_lines_are_listed_with_what_helps(browser) {
+  const { page, faults } = await open(browser, file);
+  const jobs = {
+    "bad.nc": "G21 G90\nG0 X10\nG999\nG1 Y10\nG1 X20 F600 Q3\n(ok)\nG2 X30 Y30 I1 J1\n",
+    "crlf.nc": "\uFEFFG21\r\nG0 X1\r\nbad\r\n\r\nG0 X2\rG0 Y1\r\n",
+    "alarm.nc": "G21 F100\nG38.2 Z-1\nG0 X5\n",
+    "binary.nc": "\0\x01\x02\x80\xff\x18?!~\nG0 X1\n",
+    "empty.nc": "",
+    "open.nc": "o100 sub\nG0 X1\n",
+    "words.nc": "<script>alert(1)</script>\n&amp;\n",
+  };
+  for (const [name, text] of Object.entries(jobs)) {
+    const found = await openJob(page, name, text);
+    same(found, run(name, text), name);
+    const shown = await page.locator("#errors button").allInnerTexts();
+    assert.equal(shown.length, found.errors.length + (found.alarm ? 1 : 0), name);
+    for (const [index, error] of found.errors.entries()) {
+      for (const part of [`line ${error.line}:`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].includes(part), `${name}: ${shown[index]}`);
+    }
+  }
+  await openJob(page, "bad.nc", jobs["bad.nc"]);
+  await page.locator("#errors button").nth(2).click();
+  assert.match(await page.locator("#lines [aria-selected=true]").innerText(), /G1 X20 F600 Q3/);
+  assert.deepEqual(faults, []);
+}
+
+export async function a_million_lines_are_checked_within_bounds(browser) {
+  const { page, faults } = await open(browser, file);
+  const body = example("relief.nc").split("\n").filter(line => !/M30|M2|%/.test(line)).join("\n");
+  const text = Array(17).fill(body).join("\n");
+  const found = await openJob(page, "million.nc", text);
+  assert(found.lines > 1_000_000 && found.complete && found.errors.length === 0, JSON.stringify(found).slice(0, 300));
+  const { memory, rows } = await page.evaluate(() => ({ memory: oxmill.app.checked.memory, rows: oxmill.app.checked.path.lines.length }));
+  assert(memory < 300 * 2 ** 20, `${memory} bytes`);
+  assert(rows > 10_000 && rows <= 300_000, `${rows} rows`);
+  // The list of lines is no longer than a browser draws, and still shows the last line.
+  await page.evaluate(() => oxmill.app.player.goToLine(oxmill.app.job.lines.length));
+  assert(await page.locator(`#line-${found.lines}`).isVisible());
+  assert.deepEqual(faults, []);
+}
+
+export async function the_picture_is_where_the_machine_was(browser) {
+  const { page, faults } = await open(browser, file);
+  const order = { settings: MILL };
+  await settings(page, MILL);
+  const text = example("five_circles.nc");
+  const found = await openJob(page, "five_circles.nc", text);
+  const at = traced("five_circles.nc", text, order, 250);
+  for (const part of [0.1, 0.33, 0.5, 0.77, 1]) {
+    const seconds = part * found.forecast_s;
+    const place = await page.evaluate(seconds => {
+      oxmill.app.player.seek(seconds);
+      return oxmill.placeAt(oxmill.app.checked.path, oxmill.app.player.time);
+    }, seconds);
+    const expected = at(seconds);
+    for (let axis = 0; axis < 3; axis++) assert(Math.abs(place[axis] - expected[axis]) < 0.06, `${seconds} s: ${place} and ${expected}`);
+  }
+  // The line under the tool is the one of the circle.
+  await page.evaluate(() => oxmill.app.player.goToLine(29));
+  const line = await page.evaluate(() => oxmill.app.player.line);
+  assert.equal(line, 29);
+  // Pixels: the path has colours of the scale, and a scrubbed job has fewer of them.
+  const colored = () => page.evaluate(async () => {
+    const canvas = document.getElementById("view");
+    await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+    const gl = canvas.getContext("webgl2");
+    const pixels = new Uint8Array(canvas.width * canvas.height * 4);
+    gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    let count = 0;
+    for (let i = 0; i < pixels.length; i += 4) count += Math.max(...pixels.subarray(i, i + 3)) - Math.min(...pixels.subarray(i, i + 3)) > 80 ? 1 : 0;
+    return count;
+  });
+  await page.evaluate(() => oxmill.app.player.seek(Infinity));
+  const whole = await colored();
+  await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time / 3));
+  const part = await colored();
+  assert(whole > 300 && part > 20 && part < whole / 2, `${whole}, ${part}`);
+  // A click on the path finds its line.
+  await page.evaluate(() => {
+    oxmill.app.player.picture.look(0, 1.5707);
+    oxmill.app.player.goToLine(29);
+  });
+  await page.waitForTimeout(100);
+  const row = await page.evaluate(() => {
+    const { lines } = oxmill.app.checked.path;
+    const rows = [...lines.keys()].filter(row => lines[row] === 29);
+    const { rows: all } = oxmill.app.checked.path;
+    const middle = rows[Math.floor(rows.length / 2)];
+    return oxmill.app.player.picture.place([0, 1, 2].map(axis => all[middle * 6 + axis]));
+  });
+  await page.evaluate(() => oxmill.app.player.seek(0));
+  await page.locator("#view").click({ position: { x: row[0], y: row[1] } });
+  assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
+  assert.deepEqual(faults, []);
+}
+
+export async function forecasts_are_those_of_single_runs(browser) {
+  const { page, faults } = await open(browser, file);
+  const text = example("pocket_mm.nc");
+  await settings(page, MILL);
+  await openJob(page, "pocket_mm.nc", text);
+  await page.click("#tab-whatif");
+  await page.click("#vary");
+  await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"), null, { timeout: 120_000 });
+  const shown = await page.locator("#whatif-table tbody tr").evaluateAll(rows => rows.map(row => [row.cells[0].textContent, Number(row.dataset.seconds)]));
+  assert.equal(shown.length, 6);
+  for (const [name, seconds] of shown) {
+    const value = Number(name.replace(/[^\d.]/g, "").replace(/\.$/, ""));
+    assert.equal(seconds, run("pocket_mm.nc", text, { settings: { ...MILL, 120: value, 121: value } }).forecast_s, name);
+  }
+  assert(shown[0][1] > shown[5][1], "more acceleration is faster");
+  assert.deepEqual(faults, []);
+}
+
+export async function a_slow_link_is_told(browser) {
+  const { page, faults } = await open(browser, file);
+  await settings(page, { ...MILL, 120: 1000, 121: 1000, 122: 1000 });
+  const text = example("relief.nc").split("\n").slice(0, 8000).join("\n");
+  await openJob(page, "relief.nc", text);
+  await page.click("#tab-link");
+  await page.click("#starve");
+  await page.waitForFunction(() => document.getElementById("link-note").textContent !== "", null, { timeout: 180_000 });
+  const rows = await page.locator("#link-table tbody tr").evaluateAll(all =>
+    all.map(row => ({ baud: Number(row.dataset.baud), seconds: Number(row.dataset.seconds), starved: row.className === "starved", places: row.querySelectorAll("button").length })));
+  const of = baud => rows.find(row => row.baud === baud);
+  assert(of(9600).starved && of(9600).places > 0 && of(9600).seconds > 1.5 * of(0).seconds, JSON.stringify(rows));
+  assert(!of(115200).starved && of(115200).places === 0 && !of(0).starved, JSON.stringify(rows));
+  await page.locator("#link-table button").first().click();
+  assert(await page.evaluate(() => oxmill.app.player.line) > 0);
+  assert.deepEqual(faults, []);
+}

@@ -1,0 +1,178 @@
+// The machine: in the page, and behind a serial port, where the firmware of this host answers.
+import assert from "node:assert/strict";
+import net from "node:net";
+import { open, openJob } from "./browser.mjs";
+import { example, page as file, run, serve } from "./program.mjs";
+
+const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
+
+const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: 60_000 });
+const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
+const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
+/** Waits until the job has been answered and the machine is idle. */
+const jobDone = page => page.waitForFunction(() => {
+  const { sender, status } = oxmill.app.machine;
+  return sender.lines.length > 0 && !sender.busy && status.state === "Idle";
+}, null, { timeout: 120_000 });
+
+async function powered(browser) {
+  const opened = await open(browser, file);
+  const { page } = opened;
+  await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
+  await page.click("#tab-machine");
+  await page.click("#power");
+  await state(page, "^Idle");
+  return opened;
+}
+
+export async function a_machine_in_the_page_does_the_job(browser) {
+  const { page, faults } = await powered(browser);
+  const text = example("house.nc");
+  const found = await openJob(page, "house.nc", text);
+  assert(await page.evaluate(() => oxmill.app.machine.sender.room) >= 255, "the buffer is told by $I");
+  await page.selectOption("#times", "100");
+  await page.click("#start");
+  await state(page, "^Run");
+  await jobDone(page);
+  near(await place(page), found.position_mm);
+  assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function hold_resume_overrides_and_reset_act(browser) {
+  const { page, faults } = await powered(browser);
+  await openJob(page, "long.nc", "G21 G91\nG1 X50 F300\nG1 X-50\n");
+  await page.click("#start");
+  await state(page, "^Run");
+  await page.click("[data-realtime=feedMinus]");
+  await page.waitForFunction(() => document.getElementById("overrides").textContent.startsWith("90 %"));
+  await page.click("[data-realtime=hold]");
+  await state(page, "^Hold:0");
+  const held = await place(page);
+  await page.waitForTimeout(300);
+  near(await place(page), held);
+  await page.click("[data-realtime=resume]");
+  await state(page, "^Run");
+  await page.click("#reset");
+  await state(page, "^Alarm");
+  assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
+  await page.click("[data-line='$X']");
+  await state(page, "^Idle");
+  assert.deepEqual(faults, []);
+}
+
+export async function jogs_last_as_long_as_the_button_is_held(browser) {
+  const { page, faults } = await powered(browser);
+  const from = await place(page);
+  const button = await page.getByRole("button", { name: /jog X to plus/ }).boundingBox();
+  await page.mouse.move(button.x + 10, button.y + 10);
+  await page.mouse.down();
+  await state(page, "^Jog");
+  await page.waitForTimeout(900);
+  await page.mouse.up();
+  await state(page, "^Idle");
+  const to = await place(page);
+  // 400 mm/min for a second or so, and not for ever.
+  assert(to[0] - from[0] > 1 && to[0] - from[0] < 40, `${from} to ${to}`);
+  await page.waitForTimeout(500);
+  near(await place(page), to);
+  assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function homing_and_probing_find_switch_and_plate(browser) {
+  const { page, faults } = await powered(browser);
+  await page.selectOption("#times", "10");
+  await page.click("#probe");
+  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: 60_000 });
+  await state(page, "^Idle");
+  await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: 30_000 });
+  await page.click("[data-line='$H']");
+  await state(page, "^Home");
+  await state(page, "^Idle");
+  near(await place(page), [-1, -1, -1]);
+  // What the machine says of its settings, the forecast takes over.
+  await page.evaluate(() => oxmill.app.machine.line("$120=777"));
+  await page.click("#read");
+  await page.waitForFunction(() => oxmill.app.settings.value(120) === 777);
+  assert.deepEqual(faults, []);
+}
+
+/** A serial port of the browser behind which a TCP port is. */
+async function fakeSerial(page, port) {
+  const socket = net.connect(port, "127.0.0.1");
+  await page.exposeFunction("__write", bytes => void socket.write(Buffer.from(bytes)));
+  await page.exposeFunction("__listen", () => {
+    socket.on("data", data => page.evaluate(bytes => __said(bytes), [...data]).catch(() => {}));
+  });
+  await page.addInitScript(() => {
+    const made = { opened: undefined, closed: false };
+    globalThis.__port = made;
+    const port = {
+      async open(options) {
+        made.opened = options;
+        this.readable = new ReadableStream({ start(to) {
+          globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
+          globalThis.__unplug = () => to.error(new DOMException("The device has been lost.", "NetworkError"));
+        } });
+        this.writable = new WritableStream({ write: bytes => __write([...bytes]) });
+        await __listen();
+      },
+      async close() { made.closed = true; },
+    };
+    Object.defineProperty(navigator, "serial", { configurable: true, get: () => ({ requestPort: async () => port }) });
+  });
+  return socket;
+}
+
+/** A page with a board at a serial port, which is the firmware of this host at a speed. */
+async function connected(browser, speed, test) {
+  const order = { board: "blackpill_f411", settings: MILL };
+  const device = await serve(order, speed);
+  let socket;
+  const { page, faults } = await open(browser, file, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
+  try {
+    await page.click("#tab-machine");
+    await page.click("#connect");
+    await state(page, "^Idle");
+    await test(page, order);
+    assert.deepEqual(faults, []);
+  } finally {
+    socket.destroy();
+    device.stop();
+  }
+}
+
+export async function a_board_at_a_serial_port_does_the_job(browser) {
+  await connected(browser, "max", async (page, order) => {
+    assert.equal(await page.evaluate(() => __port.opened.baudRate), 115200);
+    const text = example("pocket_mm.nc");
+    await openJob(page, "pocket_mm.nc", text);
+    await page.click("#start");
+    await jobDone(page);
+    near(await place(page), run("pocket_mm.nc", text, order).position_mm);
+    // A refused line in mid-job is named, and the job goes on.
+    await openJob(page, "bad.nc", "G21 G91\nG1 X2 F600\nG999\nG1 X2\n");
+    await page.click("#start");
+    await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:20"));
+    await jobDone(page);
+  });
+}
+
+export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(browser) {
+  await connected(browser, "1", async page => {
+    await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);
+    await page.click("#start");
+    await state(page, "^Run");
+    await page.click("[data-realtime=hold]");
+    await state(page, "^Hold");
+    assert(await page.evaluate(() => oxmill.app.machine.sender.busy), "the job is not done");
+    await page.click("#reset");
+    await state(page, "^(Idle|Alarm)");
+    assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
+    // Unplugged: the page says so, and another board may be connected.
+    await page.evaluate(() => __unplug());
+    await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent));
+    assert(await page.locator("#connect").isVisible());
+  });
+}

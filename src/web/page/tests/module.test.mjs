@@ -1,0 +1,52 @@
+// The module alone, as another program would use it.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { example, page, run, wasm } from "./program.mjs";
+
+const encode = text => new TextEncoder().encode(text);
+
+async function instance() {
+  const module = await WebAssembly.compile(readFileSync(wasm));
+  assert.deepEqual(WebAssembly.Module.imports(module), [], "the module needs nothing");
+  const { exports: x } = await WebAssembly.instantiate(module, {});
+  return {
+    x,
+    put(bytes) {
+      const at = x.oxmill_input(bytes.length);
+      new Uint8Array(x.memory.buffer, at, bytes.length).set(bytes);
+    },
+    output: () => new TextDecoder().decode(new Uint8Array(x.memory.buffer, x.oxmill_output(), x.oxmill_output_len())),
+  };
+}
+
+export async function any_program_can_use_the_module() {
+  const { x, put, output } = await instance();
+  assert.equal(x.oxmill_abi(), 1);
+  const text = example("house.nc");
+  put(encode(`${JSON.stringify({ board: "nucleo_f446re", settings: { 110: 4000 } })}\0${text}`));
+  assert.equal(x.oxmill_check_begin(), 0, output());
+  let last = 0;
+  for (let part; (part = x.oxmill_check_advance(1000)) <= 1000; last = part) assert(part >= last, "progress goes on");
+  put(encode("house.nc"));
+  assert.equal(x.oxmill_check_summary(), 0);
+  const expected = run("house.nc", text, { board: "nucleo_f446re", settings: { 110: 4000 } });
+  assert.deepEqual({ ...JSON.parse(output()), host_s: 0 }, { ...expected, host_s: 0 });
+}
+
+export async function refusals_and_panics_have_a_text() {
+  const { x, put, output } = await instance();
+  for (const [order, why] of [["{", "not understood"], ['{"board":"toaster"}', "the boards are"], ['{"settings":{"7":1}}', "error:3"]]) {
+    put(encode(order));
+    assert.equal(x.oxmill_check_begin(), 1);
+    assert.match(output(), new RegExp(why));
+  }
+  assert.throws(() => x.oxmill_fail(), WebAssembly.RuntimeError);
+  const text = new TextDecoder().decode(new Uint8Array(x.memory.buffer, x.oxmill_panic(), x.oxmill_panic_len()));
+  assert.match(text, /oxmill_fail was called/);
+}
+
+export async function the_page_is_one_file_with_a_policy() {
+  const html = readFileSync(page, "utf8");
+  assert.match(html, /Content-Security-Policy[^>]*default-src 'none'[^>]*connect-src 'none'/);
+  assert(!/<(script|link|img|iframe)[^>]+(src|href)=/.test(html.replace(/<script>[^]*?<\/script>/g, "")), "nothing is loaded");
+}

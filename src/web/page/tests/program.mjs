@@ -1,0 +1,51 @@
+// The program of this host, for comparison: what the page gives has to be the same.
+import { execFileSync, spawn, spawnSync } from "node:child_process";
+import { mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+export const root = join(dirname(fileURLToPath(import.meta.url)), "../../../..");
+export const page = join(root, "target/web/oxmill.html");
+export const wasm = join(root, "target/web/oxmill.wasm");
+const oxmill = join(root, "target/release/oxmill");
+const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
+
+export const examples = () => readdirSync(join(root, "examples")).filter(name => name.endsWith(".nc"));
+export const example = name => readFileSync(join(root, "examples", name), "utf8");
+
+function options({ board = "desk", settings = {}, dialect }) {
+  const set = Object.entries(settings).flatMap(([number, value]) => ["--set", `${number}=${value}`]);
+  return ["--board", board, ...set, ...(dialect ? ["--dialect", dialect] : [])];
+}
+
+function write(name, text) {
+  const file = join(folder, name);
+  writeFileSync(file, text);
+  return file;
+}
+
+/** What `oxmill run --json` prints. */
+export function run(name, text, order = {}) {
+  const done = spawnSync(oxmill, ["run", write(name, text), "--json", ...options(order)], { encoding: "utf8", maxBuffer: 1 << 26 });
+  if (!done.stdout) throw new Error(done.stderr);
+  return JSON.parse(done.stdout);
+}
+
+/** Where the machine is at a time after the first step, mm: from the trace of every step. */
+export function traced(name, text, order, steps_per_mm) {
+  const csv = join(folder, "trace.csv");
+  execFileSync(oxmill, ["run", write(name, text), "--trace", csv, ...options(order)], { stdio: "ignore" });
+  const rows = readFileSync(csv, "utf8").trim().split("\n").slice(1).map(row => row.split(",").slice(0, 4).map(Number));
+  return seconds => (rows.findLast(row => row[0] <= seconds) ?? [0, 0, 0, 0]).slice(1).map(v => v / steps_per_mm);
+}
+
+/** The firmware as a Grbl device on a TCP port. */
+export async function serve(order, speed) {
+  const child = spawn(oxmill, ["serve", "--tcp", "127.0.0.1:0", "--speed", speed, ...options(order)]);
+  const port = await new Promise((resolve, reject) => {
+    child.stdout.once("data", data => resolve(Number(String(data).trim().split(":").pop())));
+    child.once("error", reject);
+  });
+  return { port, stop: () => child.kill() };
+}

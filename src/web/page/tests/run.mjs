@@ -1,0 +1,27 @@
+// The tests of the page, in headless Chromium, from the disk. Names of tests as arguments; without any, all.
+import assert from "node:assert/strict";
+import { launch } from "./browser.mjs";
+import * as check from "./check.test.mjs";
+import * as machine from "./machine.test.mjs";
+import * as module from "./module.test.mjs";
+import * as use from "./use.test.mjs";
+
+const wanted = process.argv.slice(2);
+const tests = Object.entries({ ...module, ...check, ...machine, ...use }).filter(([name]) => wanted.length === 0 || wanted.includes(name));
+assert(tests.length > 0, "no test of this name");
+const browser = await launch();
+let failed = 0;
+for (const [name, test] of tests) {
+  const began = performance.now();
+  try {
+    await test(browser);
+    console.log(`ok      ${name} (${((performance.now() - began) / 1000).toFixed(1)} s)`);
+  } catch (error) {
+    failed++;
+    console.log(`FAILED  ${name}\n${error.stack}`);
+  }
+  for (const context of browser.contexts()) await context.close();
+}
+await browser.close();
+console.log(`${tests.length - failed} of ${tests.length} tests passed`);
+process.exit(failed ? 1 : 0);

@@ -1,0 +1,63 @@
+//! The page: the module is built, the page is made around it, and both are tried in a browser.
+
+use crate::{Failure, cargo, exists, root, run};
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// The target of the module.
+const MODULE: &str = "wasm32-unknown-unknown";
+
+/// Builds the module and the page into `target/web`.
+pub fn build() -> Result<(), Failure> {
+    module()?;
+    tools()?;
+    run(in_page("npm").args(["run", "--silent", "types"]))?;
+    run(in_page("npm").args(["run", "--silent", "build"]))?;
+    println!("{}", root().join("target/web/oxmill.html").display());
+    Ok(())
+}
+
+/// Tries the page in a browser, with the program of this host beside it; `names` are the tests to run, all if there are
+/// none.
+pub fn test(names: &[&str]) -> Result<(), Failure> {
+    build()?;
+    run(cargo().args(["build", "--quiet", "--release", "--package", "oxmill"]))?;
+    run(in_page("node").arg("tests/run.mjs").args(names))
+}
+
+/// Builds the module.
+fn module() -> Result<(), Failure> {
+    let built =
+        run(cargo().args(["build", "--quiet", "--package", "oxmill-web", "--profile", "web", "--target", MODULE]));
+    built.map_err(|why| format!("{why}\nif the target is missing: rustup target add {MODULE}"))?;
+    let folder = root().join("target/web");
+    let from = root().join("target").join(MODULE).join("web/oxmill_web.wasm");
+    let failed = |error: std::io::Error| format!("{}: {error}", from.display());
+    fs::create_dir_all(&folder).map_err(failed)?;
+    fs::copy(&from, folder.join("oxmill.wasm")).map_err(failed)?;
+    Ok(())
+}
+
+/// Installs the tools of the page as the lock file names them, unless they are there.
+fn tools() -> Result<(), Failure> {
+    if !exists("npm") {
+        return Err("Node.js with npm is missing: the page is written in TypeScript".into());
+    }
+    let (lock, installed) = (page().join("package-lock.json"), page().join("node_modules/.package-lock.json"));
+    let time = |path: &PathBuf| fs::metadata(path).and_then(|about| about.modified()).ok();
+    if time(&installed).is_some_and(|done| time(&lock).is_some_and(|wanted| wanted <= done)) {
+        return Ok(());
+    }
+    run(in_page("npm").args(["ci", "--silent", "--ignore-scripts"]))
+}
+
+fn page() -> PathBuf {
+    root().join("src/web/page")
+}
+
+fn in_page(program: &str) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(page());
+    command
+}
