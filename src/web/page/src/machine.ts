@@ -135,6 +135,11 @@ export class MachinePanel {
     if (status.fields.Ov) $("overrides").textContent = status.fields.Ov.split(",").map(part => `${part} %`).join(", ");
   }
 
+  /** Whether the machine has something to do: all lines may be answered while it still moves. */
+  private moves(): boolean {
+    return this.sender !== undefined && (this.sender.busy || /^(Run|Jog|Home)/.test(this.status?.state ?? ""));
+  }
+
   private say(text: string, kind = ""): void {
     const console_ = $("console");
     console_.append(el("div", { className: kind, textContent: text }));
@@ -247,8 +252,8 @@ export class MachinePanel {
       command.value = "";
     });
     // A page that goes leaves the machine in a hold.
-    addEventListener("pagehide", () => this.sender?.busy && this.sender.realtime(REALTIME.hold));
-    addEventListener("beforeunload", event => this.sender?.busy && event.preventDefault());
+    addEventListener("pagehide", () => this.moves() && this.sender?.realtime(REALTIME.hold));
+    addEventListener("beforeunload", event => this.moves() && event.preventDefault());
     addEventListener("blur", () => this.endJog());
   }
 }

@@ -101,7 +101,19 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
 /** A serial port of the browser behind which a TCP port is. */
 async function fakeSerial(page, port) {
   const socket = net.connect(port, "127.0.0.1");
-  await page.exposeFunction("__write", bytes => void socket.write(Buffer.from(bytes)));
+  // What a board's receive buffer would hold: lines sent and not yet answered. Realtime commands take no room.
+  const wire = (socket.wire = { lengths: [], most: 0, realtime: [], said: "" });
+  socket.on("data", data => {
+    const lines = (wire.said + data).split("\n");
+    wire.said = lines.pop();
+    for (const line of lines) if (/^(ok|error:)/.test(line)) wire.lengths.shift();
+  });
+  await page.exposeFunction("__write", bytes => {
+    if (bytes.length === 1) wire.realtime.push(bytes[0]);
+    else wire.lengths.push(bytes.length);
+    wire.most = Math.max(wire.most, wire.lengths.reduce((a, b) => a + b, 0));
+    socket.write(Buffer.from(bytes));
+  });
   await page.exposeFunction("__listen", () => {
     socket.on("data", data => page.evaluate(bytes => __said(bytes), [...data]).catch(() => {}));
   });
@@ -135,7 +147,7 @@ async function connected(browser, speed, test) {
     await page.click("#tab-machine");
     await page.click("#connect");
     await state(page, "^Idle");
-    await test(page, order);
+    await test(page, order, socket.wire);
     assert.deepEqual(faults, []);
   } finally {
     socket.destroy();
@@ -144,14 +156,15 @@ async function connected(browser, speed, test) {
 }
 
 export async function a_board_at_a_serial_port_does_the_job(browser) {
-  await connected(browser, "max", async (page, order) => {
+  await connected(browser, "max", async (page, order, wire) => {
     assert.equal(await page.evaluate(() => __port.opened.baudRate), 115200);
     const text = example("pocket_mm.nc");
     await openJob(page, "pocket_mm.nc", text);
     await page.click("#start");
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
-    // A refused line in mid-job is named, and the job goes on.
+    assert(wire.most <= 255 && wire.most > 200, `${wire.most} bytes were under way`);
+    // A refused line in mid-job is named, and the lines after it are carried out.
     await openJob(page, "bad.nc", "G21 G91\nG1 X2 F600\nG999\nG1 X2\n");
     await page.click("#start");
     await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:20"));
@@ -174,5 +187,18 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await page.evaluate(() => __unplug());
     await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent));
     assert(await page.locator("#connect").isVisible());
+  });
+}
+
+export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
+  await connected(browser, "1", async (page, order, wire) => {
+    await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
+    await page.click("#start");
+    await state(page, "^Run");
+    // What the browser tells a page that it leaves; whether the last byte gets out is the browser's affair.
+    assert(await page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))), "the user is asked");
+    await page.evaluate(() => dispatchEvent(new Event("pagehide")));
+    await state(page, "^Hold");
+    assert(wire.realtime.includes(0x21));
   });
 }

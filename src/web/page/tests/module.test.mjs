@@ -26,7 +26,7 @@ export async function any_program_can_use_the_module() {
   put(encode(`${JSON.stringify({ board: "nucleo_f446re", settings: { 110: 4000 } })}\0${text}`));
   assert.equal(x.oxmill_check_begin(), 0, output());
   let last = 0;
-  for (let part; (part = x.oxmill_check_advance(1000)) <= 1000; last = part) assert(part >= last, "progress goes on");
+  for (let part; (part = x.oxmill_check_advance(1000)) <= 1000; last = part) assert(part >= last, "progress never falls");
   put(encode("house.nc"));
   assert.equal(x.oxmill_check_summary(), 0);
   const expected = run("house.nc", text, { board: "nucleo_f446re", settings: { 110: 4000 } });

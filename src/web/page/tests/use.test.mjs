@@ -7,7 +7,7 @@ import { example, page as file } from "./program.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-export async function nothing_serious_stands_in_the_way_of_a_screen_reader(browser) {
+export async function a_screen_reader_finds_nothing_serious(browser) {
   for (const colorScheme of ["light", "dark"]) {
     const { page } = await open(browser, file, { colorScheme });
     await openJob(page, "bad.nc", "G21\nG999\nG1 X1 F100\n");
