@@ -59,6 +59,8 @@ export async function a_telephone_shows_all_of_it(browser) {
     await page.click(`#tab-${tab}`);
     if (tab === "machine") await page.click("#power");
     assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 390, tab);
+    const panel = await page.locator("[role=tabpanel]:visible").evaluate(panel => [panel.scrollWidth, panel.clientWidth]);
+    assert(panel[0] <= panel[1], `${tab}: ${panel}`);
   }
   assert.deepEqual(faults, []);
 }
@@ -93,5 +95,7 @@ export async function the_same_file_again_is_checked_again(browser) {
   await openJob(page, "a.nc", "G21\nG0 X1\n");
   const found = await openJob(page, "a.nc", "G21\nG0 X2\n");
   assert.equal(found.position_mm[0], 2);
+  // A browser tells of a file only if another one was chosen before.
+  assert.equal(await page.inputValue("#file"), "");
   assert.deepEqual(faults, []);
 }
