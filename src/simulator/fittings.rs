@@ -8,7 +8,7 @@ use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 
-/// A machine as its file describes it (TOML).
+/// A machine as it is described: in a file as TOML, elsewhere in any form that serde knows.
 ///
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
@@ -28,7 +28,7 @@ use serde::Deserialize;
 /// ```
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Description {
+pub struct Description {
     steps_per_mm: [f64; AXES],
     #[serde(default)]
     kinematics: Kinematics,
@@ -98,12 +98,20 @@ pub struct Fittings {
 }
 
 impl Fittings {
-    /// Reads a description.
+    /// Reads a description as TOML.
     ///
     /// # Errors
-    /// If it is not TOML of the form above or names an axis that does not exist.
+    /// If it is not TOML of the form of [`Description`], or as [`Fittings::new`].
+    #[cfg(feature = "program")]
     pub fn parse(text: &str) -> Result<Self> {
-        let description: Description = toml::from_str(text)?;
+        Self::new(toml::from_str(text)?)
+    }
+
+    /// What a description says.
+    ///
+    /// # Errors
+    /// If it names an axis that does not exist, or a number is out of range.
+    pub fn new(description: Description) -> Result<Self> {
         let mut contacts = Vec::new();
         let all = description.switch.iter().map(|c| (c, false)).chain(description.plate.iter().map(|c| (c, true)));
         for (contact, probe) in all {

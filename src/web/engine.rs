@@ -5,6 +5,7 @@ use oxmill_controller::error::Error;
 use oxmill_controller::settings::{Entry, Kind, Settings};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
+use oxmill_simulator::fittings::Description;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
 use oxmill_simulator::streaming::Streaming;
@@ -29,8 +30,8 @@ pub struct Order {
     pub settings: BTreeMap<u16, Number>,
     /// Whether the path is kept: [`rows`].
     pub path: bool,
-    /// What is fitted to the machine, as a file for `--machine` says it.
-    pub machine: String,
+    /// What is fitted to the machine, with the names that a file for `--machine` has.
+    pub machine: Option<Description>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
 }
@@ -52,10 +53,8 @@ pub fn parse(input: &[u8]) -> Result<(Order, &[u8]), String> {
 /// If there is no such board or dialect, or if a setting is refused.
 pub fn power_up(order: &Order) -> Result<Simulator, String> {
     let board: Board = order.board.as_deref().map_or(Ok(boards::DESK), board_named)?;
-    let fittings = match order.machine.as_str() {
-        "" => Fittings::default(),
-        text => Fittings::parse(text).map_err(|error| format!("the machine is not understood: {error:#}"))?,
-    };
+    let fittings = order.machine.clone().map_or_else(|| Ok(Fittings::default()), Fittings::new);
+    let fittings = fittings.map_err(|error| format!("the machine is not understood: {error:#}"))?;
     let mut simulator = Simulator::new(Options { board, store: Store::in_memory(), fittings, keep_steps: false });
     simulator.run_until_idle();
     for (number, value) in &order.settings {
@@ -195,7 +194,8 @@ mod tests {
         assert!(refused(r#"{"board":"toaster"}"#).contains("blackpill_f411"));
         assert!(refused(r#"{"settings":{"7":1}}"#).starts_with("$7=1 was refused with error:3"));
         assert!(refused(r#"{"dialect":"x"}"#).contains("no dialect"));
-        assert!(refused(r#"{"machine":"x"}"#).contains("not understood"));
+        let plate = r#"{"machine":{"steps_per_mm":[1,1,1],"plate":{"axis":"q","at_mm":1,"side":"negative"}}}"#;
+        assert!(refused(plate).contains("not an axis"));
     }
 
     #[test]

@@ -6,7 +6,7 @@ export interface Order {
   dialect?: string;
   settings?: Record<string, number>;
   path?: boolean;
-  machine?: string;
+  machine?: object;
   baud?: number;
 }
 

@@ -15,13 +15,10 @@ const BAUD = 115_200;
 const KEPT = 400;
 
 /** What is fitted to the machine in the page: a switch at the positive end of each axis, and a plate below Z. */
-const FITTED = `steps_per_mm = [250, 250, 250]
-${["x", "y", "z"].map(axis => `[[switch]]\naxis = "${axis}"\nat_mm = 20.0\nside = "positive"\nbounce_us = 900`).join("\n")}
-[plate]
-axis = "z"
-at_mm = -12.5
-side = "negative"
-`;
+const FITTED = {
+  switch: ["x", "y", "z"].map(axis => ({ axis, at_mm: 20, side: "positive", bounce_us: 900 })),
+  plate: { axis: "z", at_mm: -12.5, side: "negative" },
+};
 
 const html = `
 <p>A machine in this page, with limit switches and a probe plate; or a board at a serial port. Both are driven by the same code.</p>
@@ -221,7 +218,8 @@ export class MachinePanel {
   private listen(): void {
     $("power").addEventListener("click", () => {
       const settings: Record<string, number> = { "22": 1, ...this.app.settings.values() };
-      this.attach(new PageLink(this.app.order({ settings, machine: FITTED })));
+      const steps_per_mm = [100, 101, 102].map(number => this.app.settings.value(number));
+      this.attach(new PageLink(this.app.order({ settings, machine: { ...FITTED, steps_per_mm } })));
       void this.line("$X");
     });
     $("connect").addEventListener("click", async () => {
