@@ -305,6 +305,9 @@ fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
         }
         for entry in fs::read_dir(from).map_err(failure)? {
             let entry = entry.map_err(failure)?;
+            if entry.file_name() == "node_modules" {
+                continue;
+            }
             copy(&entry.path(), &to.join(entry.file_name()))?;
         }
         return Ok(());
