@@ -14,6 +14,8 @@ export class Player {
   /** The time that is shown, s, and the line that the tool is at. */
   time = 0;
   line = 0;
+  /** The same path from above, once it was asked for. */
+  private second?: Picture;
   private machine?: number[];
   private path?: Path;
   private summary?: Summary;
@@ -40,6 +42,7 @@ export class Player {
     this.path = path;
     this.summary = summary;
     this.picture?.show(path, this.color());
+    this.showSecond();
     this.limits();
     this.scrub.max = String(endOf(path));
     ($("lines-all") as HTMLElement).style.height = `${Math.min(TALLEST, this.app.job.lines.length * LINE)}px`;
@@ -55,9 +58,10 @@ export class Player {
     this.scrub.value = String(this.time);
     this.line = this.path.lines.length ? lineOf(this.path, rowAt(this.path, this.time)) : 0;
     $("clock").textContent = `${clock(this.time)} of ${clock(end)}`;
-    if (this.picture) {
-      this.picture.now = this.time >= end ? Infinity : this.time;
-      this.picture.draw();
+    for (const picture of [this.picture, this.second]) {
+      if (!picture) continue;
+      picture.now = this.time >= end ? Infinity : this.time;
+      picture.draw();
     }
     this.scrollTo(this.line || 1);
     this.drawLines();
@@ -82,6 +86,20 @@ export class Player {
     $("plunges").hidden = coloring !== "kind";
     $("scale").classList.toggle("single", coloring === "kind");
     return made.shades;
+  }
+
+  /** Shows or hides the view from above. */
+  private showSecond(): void {
+    const shown = $<HTMLInputElement>("two").checked && this.picture !== undefined;
+    $("second").hidden = !shown;
+    $("picture").classList.toggle("two", shown);
+    if (!shown || !this.path) return;
+    if (!this.second) {
+      this.second = new Picture($<HTMLCanvasElement>("second"));
+      this.second.onpick = row => this.seek(this.path ? this.path.rows[row * ROW + 5] : 0);
+    }
+    this.second.show(this.path, this.color());
+    this.second.look(0, Math.PI / 2);
   }
 
   private limits(): void {
@@ -202,7 +220,17 @@ export class Player {
     const { picture } = this;
     this.scrub.addEventListener("input", () => this.seek(Number(this.scrub.value)));
     $("play").addEventListener("click", () => this.play());
-    $("coloring").addEventListener("change", () => this.path && picture?.shade(this.color()));
+    $("coloring").addEventListener("change", () => {
+      if (!this.path) return;
+      picture?.shade(this.color());
+      this.second?.shade(this.color());
+    });
+    $("two").addEventListener("change", () => {
+      this.showSecond();
+      this.seek(this.time);
+      // The first view has another width from now on.
+      picture?.fit();
+    });
     $("limits").addEventListener("change", () => this.limits());
     $("fit").addEventListener("click", () => picture?.fit());
     for (const button of document.querySelectorAll<HTMLElement>("[data-look]")) {

@@ -116,16 +116,7 @@ export async function the_picture_is_where_the_machine_was(browser) {
   const line = await page.evaluate(() => oxmill.app.player.line);
   assert.equal(line, 29);
   // Pixels: the path has colours of the scale, and a scrubbed job has fewer of them.
-  const colored = () => page.evaluate(async () => {
-    const canvas = document.getElementById("view");
-    await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
-    const gl = canvas.getContext("webgl2");
-    const pixels = new Uint8Array(canvas.width * canvas.height * 4);
-    gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
-    let count = 0;
-    for (let i = 0; i < pixels.length; i += 4) count += Math.max(...pixels.subarray(i, i + 3)) - Math.min(...pixels.subarray(i, i + 3)) > 80 ? 1 : 0;
-    return count;
-  });
+  const colored = () => colorsOn(page, "view");
   await page.evaluate(() => oxmill.app.player.seek(Infinity));
   const whole = await colored();
   await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time / 3));
@@ -147,6 +138,33 @@ export async function the_picture_is_where_the_machine_was(browser) {
   await page.evaluate(() => oxmill.app.player.seek(0));
   await page.locator("#view").click({ position: { x: row[0], y: row[1] } });
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
+  assert.deepEqual(faults, []);
+}
+
+/** Colours of the scale on a canvas: so many pixels. */
+const colorsOn = (page, id) => page.evaluate(async id => {
+  const canvas = document.getElementById(id);
+  await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+  const gl = canvas.getContext("webgl2");
+  const pixels = new Uint8Array(canvas.width * canvas.height * 4);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  let count = 0;
+  for (let i = 0; i < pixels.length; i += 4) count += Math.max(...pixels.subarray(i, i + 3)) - Math.min(...pixels.subarray(i, i + 3)) > 80 ? 1 : 0;
+  return count;
+}, id);
+
+export async function two_views_show_one_time(browser) {
+  const { page, faults } = await open(browser, file);
+  await page.check("#two");
+  await page.evaluate(() => oxmill.app.player.seek(Infinity));
+  const whole = [await colorsOn(page, "view"), await colorsOn(page, "second")];
+  await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time / 4));
+  const part = [await colorsOn(page, "view"), await colorsOn(page, "second")];
+  for (const view of [0, 1]) assert(whole[view] > 200 && part[view] > 0 && part[view] < whole[view] / 2, `${whole}, ${part}`);
+  await openJob(page, "line.nc", "G21 G91\nG1 X50 Y5 F600\n");
+  assert(await colorsOn(page, "second") > 50);
+  await page.uncheck("#two");
+  assert(await page.locator("#second").isHidden());
   assert.deepEqual(faults, []);
 }
 
