@@ -11,9 +11,13 @@ export async function launch(more = []) {
   return chromium.launch({ ...PROGRAMS, args: [...ARGUMENTS, ...more] });
 }
 
+/** How long a check may take on a machine that is busy with other things, ms: no test measures time. */
+const PATIENCE = 600_000;
+
 /** Opens the page; `faults` collects what must not happen. */
 export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", prepare } = {}) {
   const context = await browser.newContext({ viewport, colorScheme });
+  context.setDefaultTimeout(PATIENCE);
   const page = await context.newPage();
   const faults = [];
   page.on("pageerror", error => faults.push(`error: ${error.message}`));
@@ -27,7 +31,7 @@ export async function open(browser, file, { viewport = { width: 1440, height: 90
 
 /** Waits until the job that is shown has been checked; gives its summary. */
 export async function checked(page, name = "") {
-  await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name), name, { timeout: 120_000 });
+  await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name), name, { timeout: PATIENCE });
   return page.evaluate(() => oxmill.app.checked.summary);
 }
 

@@ -82,6 +82,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
 
 export async function a_million_lines_are_checked_within_bounds(browser) {
   const { page, faults } = await open(browser, file);
+  await settings(page, { ...MILL, 120: 1000, 121: 1000, 122: 1000 });
   const body = example("relief.nc").split("\n").filter(line => !/M30|M2|%/.test(line)).join("\n");
   const text = Array(17).fill(body).join("\n");
   const found = await openJob(page, "million.nc", text);
@@ -175,7 +176,7 @@ export async function forecasts_are_those_of_single_runs(browser) {
   await openJob(page, "pocket_mm.nc", text);
   await page.click("#tab-whatif");
   await page.click("#vary");
-  await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"), null, { timeout: 120_000 });
+  await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"), null, { timeout: 600_000 });
   const shown = await page.locator("#whatif-table tbody tr").evaluateAll(rows => rows.map(row => [row.cells[0].textContent, Number(row.dataset.seconds)]));
   assert.equal(shown.length, 6);
   for (const [name, seconds] of shown) {
@@ -193,7 +194,7 @@ export async function a_slow_link_is_told(browser) {
   await openJob(page, "relief.nc", text);
   await page.click("#tab-link");
   await page.click("#starve");
-  await page.waitForFunction(() => document.getElementById("link-note").textContent !== "", null, { timeout: 180_000 });
+  await page.waitForFunction(() => document.getElementById("link-note").textContent !== "", null, { timeout: 600_000 });
   const rows = await page.locator("#link-table tbody tr").evaluateAll(all =>
     all.map(row => ({ baud: Number(row.dataset.baud), seconds: Number(row.dataset.seconds), starved: row.className === "starved", places: row.querySelectorAll("button").length })));
   const of = baud => rows.find(row => row.baud === baud);

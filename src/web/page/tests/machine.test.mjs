@@ -6,14 +6,14 @@ import { example, page as file, run, serve } from "./program.mjs";
 
 const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
 
-const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: 60_000 });
+const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: 300_000 });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
 /** Waits until the job has been answered and the machine is idle. */
 const jobDone = page => page.waitForFunction(() => {
   const { sender, status } = oxmill.app.machine;
   return sender.lines.length > 0 && !sender.busy && status.state === "Idle";
-}, null, { timeout: 120_000 });
+}, null, { timeout: 600_000 });
 
 async function powered(browser) {
   const opened = await open(browser, file);
@@ -84,7 +84,7 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
   const { page, faults } = await powered(browser);
   await page.selectOption("#times", "10");
   await page.click("#probe");
-  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: 60_000 });
+  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: 300_000 });
   await state(page, "^Idle");
   await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: 30_000 });
   await page.click("[data-line='$H']");
