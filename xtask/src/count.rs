@@ -68,7 +68,7 @@ const ROWS: [Row; 20] = [
         .beside("147 / 206", "209 / 304"),
     row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (202, 331)),
     row("wait", "a call that comes too near an edge", Figure::Worst, None, (90, 157)),
-    row("stop", "stop, with its report", Figure::Worst, None, (384, 697)),
+    row("stop", "stop, with its report", Figure::Worst, None, (408, 725)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1_475))
