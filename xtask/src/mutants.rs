@@ -117,8 +117,8 @@ const MUTANTS: &[Mutant] = &[
         name: "fraction-of-a-tick-dropped",
         edits: &[Edit {
             file: STEPPER,
-            find: "wrapping_add(u64::from(interval) << FRACTION_SHIFT)",
-            replace: "wrapping_add(u64::from(interval) << FRACTION_SHIFT >> 32 << 32)",
+            find: "self.moment = self.moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);",
+            replace: "self.moment = self.moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT >> 32 << 32);",
         }],
     },
     Mutant {
