@@ -386,11 +386,16 @@ impl<F: Flash> Log<F> {
             [] => return Ok((true, false)),
             // A first word that was cut short may look like anything.
             [_] => return Ok((false, false)),
-            [first, .., last] => (Outline::read(*first), *last, words.get(..words.len() - 1).unwrap_or_default()),
+            [first, .., last] => (*first, *last, words.get(..words.len() - 1).unwrap_or_default()),
         };
-        let size = until - self.end;
-        let cut_short = size < first.size() || size == first.size() && crc(ERASED, covered) & !last == 0;
-        Ok((false, !first.is_possible() || !cut_short || wrong_byte(&words).is_some()))
+        let (outline, size) = (Outline::read(first), until - self.end);
+        let cut_short = size < outline.size() || size == outline.size() && crc(ERASED, covered) & !last == 0;
+        // With the byte mended the record is as long as what is there: else its crc fits by chance.
+        let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
+            let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
+            mended.is_possible() && mended.size() == size
+        });
+        Ok((false, !outline.is_possible() || !cut_short || one_byte))
     }
 
     /// Whether a memory holds a log, as [`Log::open`] would find it.
