@@ -577,7 +577,7 @@ impl Step {
         }
         while shared::stops_asked() != self.stops_done {
             self.stops_done = self.stops_done.wrapping_add(1);
-            let mut event = self.stepper.stop();
+            let mut event = self.stepper.stop([0; AXES]);
             // The newest counts; that something was moving at an older one must not be forgotten.
             if let (StepEvent::Stopped { moving, .. }, Some(StepEvent::Stopped { moving: before, .. })) =
                 (&mut event, self.unsent.stopped)

@@ -227,7 +227,7 @@ impl StepTask {
 
     /// Stops at once.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
-        let event = self.stepper.stop();
+        let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
         // What is queued is void, and a full queue would have no room for `Resume`.
         self.load(clock, world);

@@ -161,7 +161,7 @@ impl Run {
     }
 
     fn stop(&mut self) {
-        let StepEvent::Stopped { stops, position, .. } = self.stepper.stop() else { unreachable!() };
+        let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; 3]) else { unreachable!() };
         assert_eq!(position.0, self.counted, "the position of a stop");
         self.shut = true;
         self.tick();

@@ -189,6 +189,35 @@ impl<const N: usize> Course<N> {
     }
 }
 
+/// The countdown of `K` axes, each with what is left until its next step and with its increment, over as many ticks as there
+/// are words: for each the word of the axes that step. What is left of each axis after them.
+#[inline(always)]
+fn count_down<const K: usize>(
+    axes: [(u32, u32); K],
+    threshold: u32,
+    of_steps: &[u32; 8],
+    words: &mut [u32],
+) -> [u32; 3] {
+    let mut axes = axes;
+    for word in words {
+        let mut steps = 0_usize;
+        for (bit, (left, increment)) in axes.iter_mut().enumerate() {
+            // As in `step_axes`: the sign says whether the axis steps.
+            *left = left.wrapping_sub(*increment);
+            if (*left as i32) < 0 {
+                *left = left.wrapping_add(threshold);
+                steps |= 1 << bit;
+            }
+        }
+        *word = of_steps.get(steps & 7).copied().unwrap_or(0);
+    }
+    let mut left = [0; 3];
+    for (slot, (new, _)) in left.iter_mut().zip(axes) {
+        *slot = new;
+    }
+    left
+}
+
 impl<const N: usize> Default for Stepper<N> {
     fn default() -> Self {
         Self::new()
@@ -365,6 +394,98 @@ impl<const N: usize> Stepper<N> {
         self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
         let steps = self.step_axes();
         Some(self.set_out(steps))
+    }
+
+    /// Plain ticks in a row, as many as there is room for or as the segment has left: for each its steps, as the entry of
+    /// `table` that belongs to them (bit 0 for X), and its moment. How many.
+    ///
+    /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
+    /// if [`Stepper::plain_tick`] had been called as often.
+    #[inline(always)]
+    pub fn plain_ticks(&mut self, table: &[u32; 8], words: &mut [u32], moments: &mut [u32]) -> usize {
+        const { assert!(N <= 3, "a table of eight words is for three axes") };
+        let count = words.len().min(moments.len()).min(self.piece.plain_ticks as usize);
+        let (Some(words), Some(moments)) = (words.get_mut(..count), moments.get_mut(..count)) else { return 0 };
+        self.piece.plain_ticks = self.piece.plain_ticks.wrapping_sub(count as u32);
+        self.steps_into(table, words);
+        self.moments_into(moments);
+        count
+    }
+
+    /// The steps of plain ticks. An axis that steps at each of them (the dominant one, when a tick is a whole step) needs no
+    /// countdown, one that never steps neither: the loop counts for as many axes as are left.
+    #[inline(always)]
+    fn steps_into(&mut self, table: &[u32; 8], words: &mut [u32]) {
+        let mut always = 0_usize;
+        let mut counting = [(0_usize, 0_u32, 0_u32); 3];
+        let mut count = 0_usize;
+        for (axis, (left, increment)) in self.left.iter().zip(&self.piece.increments).enumerate() {
+            if *increment == self.threshold {
+                always |= 1 << axis;
+            } else if *increment != 0
+                && let Some(slot) = counting.get_mut(count)
+            {
+                *slot = (axis, *left, *increment);
+                count += 1;
+            }
+        }
+        // Of the steps of the counting axes, one bit each in their order: the word with all axes.
+        let of_counting: [u32; 8] = core::array::from_fn(|steps| {
+            let all = counting.iter().enumerate().take(count);
+            let axes = all.fold(always, |axes, (bit, (axis, ..))| axes | (steps >> bit & 1) << axis);
+            table.get(axes & 7).copied().unwrap_or(0)
+        });
+        let threshold = self.threshold;
+        let [a, b, c] = counting.map(|(_, left, increment)| (left, increment));
+        let left = match count {
+            0 => {
+                words.fill(table.get(always & 7).copied().unwrap_or(0));
+                return;
+            }
+            1 => count_down([a], threshold, &of_counting, words),
+            2 => count_down([a, b], threshold, &of_counting, words),
+            _ => count_down([a, b, c], threshold, &of_counting, words),
+        };
+        for ((axis, ..), new) in counting.iter().zip(left).take(count) {
+            if let Some(left) = self.left.get_mut(*axis) {
+                *left = new;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn moments_into(&mut self, moments: &mut [u32]) {
+        let (mut moment, mut interval, ramp) = (self.moment, self.piece.interval, self.piece.ramp);
+        for at in moments {
+            *at = (moment >> 32) as u32;
+            moment = moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);
+            interval = interval.wrapping_add_signed(ramp);
+        }
+        (self.moment, self.piece.interval) = (moment, interval);
+    }
+
+    /// Whether the next tick is one for [`Stepper::plain_ticks`].
+    #[inline(always)]
+    pub fn has_plain(&self) -> bool {
+        self.piece.plain_ticks != 0
+    }
+
+    /// The least and the greatest interval, in whole step-clock ticks rounded down, between the ticks of the segment from
+    /// the next tick on.
+    #[inline]
+    pub fn intervals(&self) -> (u32, u32) {
+        let Piece { interval, ramp, .. } = self.piece;
+        // Exact in 32 bits, as each interval is.
+        let last = interval.wrapping_add((ramp as u32).wrapping_mul(self.piece.ticks().wrapping_sub(1)));
+        let (least, greatest) = if last < interval { (last, interval) } else { (interval, last) };
+        (least >> INTERVAL_FRACTION_BITS, greatest >> INTERVAL_FRACTION_BITS)
+    }
+
+    /// Whether the next tick ends a segment that another one is to follow, and that one is not here yet: the tick would be
+    /// an underrun.
+    #[inline]
+    pub fn lacks_segment(&self) -> bool {
+        self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.unnoted
     }
 
     /// The steps of a tick with which a segment may end or motion begin or end, or at which the probe is waited for; for
@@ -548,9 +669,18 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Stops at once, forgets everything and shuts the gate until [`ToStep::Resume`] with this count of stops.
-    pub fn stop(&mut self) -> StepEvent<N> {
-        let moving = self.piece.ticks() != 0;
+    ///
+    /// `undone` are the net steps of ticks that have been made ahead of their time and will not come out: the position is
+    /// that without them.
+    pub fn stop(&mut self, undone: [i32; N]) -> StepEvent<N> {
+        let moving = self.piece.ticks() != 0 || undone.iter().any(|steps| *steps != 0);
         self.shut();
+        if let Some(course) = self.course_mut(false) {
+            for ((base, end), undone) in course.base.iter_mut().zip(course.end.iter_mut()).zip(undone) {
+                *base = base.wrapping_sub(undone);
+                *end = *base;
+            }
+        }
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
 
@@ -753,6 +883,68 @@ mod tests {
                 }
                 prop_assert_eq!(counted, base);
             }
+        }
+
+        /// A batch equals its ticks made one by one: the same steps, the same moments, and the same state behind them.
+        #[test]
+        fn a_batch_equals_its_ticks(
+            legs in legs(3000), level in 0_u8..=4, ramp in -300_i32..300, part in prop::collection::vec(0_usize..70, 1..12),
+            table in prop::array::uniform8(any::<u32>()), start in any::<u32>(),
+        ) {
+            let total = Measure::of(&legs).total;
+            let ticks = (total >> (MAX_LEVEL - level)).clamp(1, 60_000) as u16;
+            let mut single: Stepper<3> = Stepper::new();
+            single.load(ToStep::Block { legs, directions: 5 });
+            let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
+            single.load(ToStep::Segment(Segment { interval: 1 << 21, ramp, ticks, power: 0, level, flags }));
+            single.begin_at(start);
+            single.tick();
+            let mut batch = single.clone();
+            for room in part {
+                let (mut words, mut moments) = ([9; 70], [9; 70]);
+                let made = batch.plain_ticks(&table, &mut words[..room], &mut moments[..room]);
+                prop_assert_eq!(made, room.min(single.piece.plain_ticks as usize));
+                for (word, at) in words.into_iter().zip(moments).take(made) {
+                    prop_assert_eq!(at, single.moment());
+                    let (least, greatest) = single.intervals();
+                    let tick = single.plain_tick().expect("it is plain");
+                    prop_assert_eq!(word, table[usize::from(tick.steps)]);
+                    prop_assert!((least..=greatest + 1).contains(&tick.interval));
+                }
+                prop_assert_eq!(format!("{single:?}"), format!("{batch:?}"));
+            }
+        }
+
+        /// A stop of ticks that were made ahead leaves the position at those that came out.
+        #[test]
+        fn what_is_undone_is_not_counted(
+            chords in prop::collection::vec((legs(60), 0_u8..8), 1..4), done in 0_usize..300, ahead in 0_usize..80,
+        ) {
+            let mut stepper: Stepper<3> = Stepper::new();
+            let mut waiting = chords.iter().peekable();
+            let (mut out, mut undone, mut directions) = ([0; 3], [0; 3], 0);
+            for at in 0..done + ahead {
+                if stepper.wants() && let Some((legs, directions)) = waiting.next() {
+                    stepper.load(ToStep::Block { legs: *legs, directions: *directions });
+                    let ticks = (Measure::of(legs).total >> MAX_LEVEL).max(1) as u16;
+                    let flags = Segment::FLAG_NEW_BLOCK | if waiting.peek().is_none() { Segment::FLAG_LAST } else { 0 };
+                    stepper.load(ToStep::Segment(Segment { interval: 1 << 20, ramp: 0, ticks, power: 0, level: 0, flags }));
+                }
+                let tick = stepper.tick();
+                let net = if at < done { &mut out } else { &mut undone };
+                for (axis, net) in net.iter_mut().enumerate() {
+                    *net += signed(i128::from(tick.steps >> axis & 1), directions, axis);
+                }
+                directions = tick.directions;
+            }
+            let StepEvent::Stopped { position, .. } = stepper.stop(undone) else { unreachable!() };
+            prop_assert_eq!(position.0, out);
+            prop_assert_eq!(stepper.position().0, out);
+            // The next block begins there.
+            stepper.load(ToStep::Resume { stops: 1 });
+            enter(&mut stepper, [Leg::on_steps(5); 3], 0, 0, 5, 0);
+            for _ in 0..4 { stepper.tick(); }
+            prop_assert_eq!(stepper.position().0, out.map(|place| place + 4));
         }
 
         /// The position of a block that was not entered at its start is that of the steps before.

@@ -60,11 +60,11 @@ mod suite {
         for _ in 0..3 {
             stepper.tick();
         }
-        let StepEvent::Stopped { stops, moving, position } = stepper.stop() else { defmt::panic!("no stop") };
+        let StepEvent::Stopped { stops, moving, position } = stepper.stop([0; 3]) else { defmt::panic!("no stop") };
         defmt::assert!(moving);
         defmt::assert_eq!(position.0, [2, 1, 0]);
         // A second stop before the first is answered: the answer to the first opens nothing.
-        stepper.stop();
+        stepper.stop([0; 3]);
         defmt::assert!(send.try_send(ToStep::Resume { stops }).is_ok());
         load(&mut stepper, &mut receive);
         defmt::assert!(stepper.is_idle());

@@ -251,7 +251,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// Stops the step task at once; the control side learns it from the event only.
     pub fn stop(&mut self) -> StepEvent<N> {
-        let event = self.stepper.stop();
+        let event = self.stepper.stop([0; N]);
         self.after_stop(event);
         event
     }
