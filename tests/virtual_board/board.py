@@ -25,6 +25,7 @@ from .models.iwdg import Iwdg
 from .models.nvic import HARD_FAULT, Nvic
 from .models.otg import OtgFs
 from .models.peripheral import Misuse, Peripheral, Unmodelled
+from .models.pulse import PulseTimer
 from .models.pwr import Pwr
 from .models.rcc import Rcc
 from .models.timer import FUNCTION, INPUTS, Timer
@@ -136,6 +137,7 @@ class Board:
     def _fit(self):
         self.peripherals = {}
         self.pages = {}
+        self.dma = []
         self.nvic = None
         fit = self._add
         self.rcc = fit(0x4002_3800, Rcc("RCC", self))
@@ -159,6 +161,8 @@ class Board:
             ("USART2", 0x4000_4400, (0x40, 17), 38, "pclk1"),
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
+        tim1 = fit(0x4001_0000, PulseTimer("TIM1", self))
+        self.peripherals["TIM2"].slaves.append(tim1)
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
         self.otg = self.peripherals["OTG_FS"] = OtgFs("OTG_FS", self)
         self.exti = fit(0x4001_3C00, Exti("EXTI", self))
@@ -321,6 +325,13 @@ class Board:
             raise Unmodelled(f"store of {size} bytes to {address:#010x}")
         self._at(address).write(address & 0x3FC, value)
 
+    def store_by_dma(self, address, value, at):
+        """A DMA stream writes a word, at a cycle that may be an instruction ago."""
+        if address >> 28 == 2:
+            self.write_memory(address, value.to_bytes(4, "little"))
+        else:
+            self._at(address).store_by_dma(address & 0x3FC, value, at)
+
     def _read_otg(self, uc, offset, size, _):
         # AHB2: no wait for a slower bus. The FIFO of the receiver is read at endpoint 0's.
         return self._otg_on().read(offset)
@@ -371,8 +382,8 @@ class Board:
 
     # Pins.
 
-    def edge(self, port, pin, level):
-        edge = (self.now, port, pin, level)
+    def edge(self, port, pin, level, at=None):
+        edge = (self.now if at is None else at, port, pin, level)
         self.edges.append(edge)
         for watcher in self.watchers:
             watcher(edge)

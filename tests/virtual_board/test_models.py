@@ -6,7 +6,7 @@ Run by `cargo xtask virtual` before the boards.
 import unittest
 from types import SimpleNamespace
 
-from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pwr, rcc, timer, usart
+from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
 
@@ -36,8 +36,8 @@ class Bench:
 
     look = replan
 
-    def edge(self, port, pin, level):
-        self.edges.append((self.now, port, pin, level))
+    def edge(self, port, pin, level, at=None):
+        self.edges.append((self.now if at is None else at, port, pin, level))
 
     def cycles(self, seconds):
         return round(seconds * self.hz)
@@ -365,7 +365,7 @@ class TimerTraces(unittest.TestCase):
             model.write(timer.CCER, 0x0010)
             model.edge(2)
         with self.assertRaises(Unmodelled):
-            # The DMA request of a compare event.
+            # The DMA request of a compare event of another channel than the first.
             model.write(timer.DIER, 1 << 11)
 
     def test_pwm_duty(self):
@@ -486,6 +486,152 @@ class DmaTraces(unittest.TestCase):
         model.write(dma.LIFCR, 0x3D << 16)
         model.write(base + dma.NDTR, 1)
         model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+
+
+class ChainTraces(unittest.TestCase):
+    """TIM2's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
+
+    MOMENTS, RING, OFF = 0x2000_0100, 0x2000_0200, 0x2000_0300
+    BSRR, CCR1 = 0x4002_0018, 0x4000_0034
+    WORDS = 2 << 11 | 2 << 13 | 1 << 8 | 3 << 16
+    ON = 6 << 25 | 1 << 9 | WORDS
+    LOW = 6 << 25 | WORDS
+    CHAIN = 3 << 25 | 1 << 6 | 1 << 10 | WORDS
+
+    def setUp(self):
+        bench = self.bench = Bench()
+        self.tim1 = pulse.PulseTimer("TIM1", bench)
+        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
+        self.tim2.slaves.append(self.tim1)
+        self.dma1, self.dma2 = bench.dma = [dma.Dma("DMA1", bench, 21), dma.Dma("DMA2", bench, 22)]
+        self.port = gpio.Gpio("GPIOA", bench)
+        self.port.write(gpio.MODER, 0xA800_0000 | 1 << 2)
+        bench.edges.clear()
+        bench.store_by_dma = lambda address, value, at: (self.port if address == self.BSRR else self.tim2).store_by_dma(
+            address & 0x3FC, value, at
+        )
+        self.tim2.write(timer.CR2, 3 << 4)
+        self.tim2.write(timer.CR1, 1)
+
+    def words(self, address, values):
+        for k, value in enumerate(values):
+            self.bench.write_memory(address + 4 * k, value.to_bytes(4, "little"))
+
+    def until(self, cycle):
+        """All models, in the order of time."""
+        models = (self.tim2, self.dma1, self.dma2)
+        while (due := min(model.due for model in models)) <= cycle:
+            self.bench.now = max(self.bench.now, due)
+            next(model for model in models if model.due == due).advance(self.bench.now)
+        self.bench.now = cycle
+
+    def stream(self, controller, number, peripheral, memory, count, how):
+        base = 0x10 + 0x18 * number
+        for offset, value in ((dma.PAR, peripheral), (dma.M0AR, memory), (dma.NDTR, count), (dma.CR, how | 1)):
+            controller.write(base + offset, value)
+        self.until(self.bench.now + 20)
+        return base
+
+    def begin(self, moments, words, pulse_ticks=96):
+        self.words(self.MOMENTS, moments)
+        self.words(self.RING, words)
+        self.words(self.OFF, [2 << 16])
+        for offset, value in ((0x34, 1), (0x40, 1 + pulse_ticks), (pulse.ARR, 2 + pulse_ticks), (pulse.CR1, pulse.OPM)):
+            self.tim1.write(offset, value)
+        self.stream(self.dma2, 1, self.RING, self.BSRR, len(words), self.ON)
+        self.stream(self.dma2, 4, self.OFF, self.BSRR, len(words), self.LOW)
+        self.stream(self.dma1, 5, self.CCR1, self.MOMENTS, len(moments), self.CHAIN)
+        self.tim2.write(timer.CCR1, 0xFFFF_FFFF)
+        self.tim2.write(timer.DIER, 1 << 9)
+        self.tim2.write(timer.EGR, 2)
+        self.until(self.bench.now + 50)
+        self.tim1.write(pulse.DIER, 1 << 9 | 1 << 12)
+        self.tim1.write(pulse.SMCR, 0x16)
+
+    def test_events_at_their_moments(self):
+        self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
+        self.assertEqual(self.tim2.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
+        self.until(5000)
+        # From the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word sets nothing.
+        self.assertEqual(self.bench.edges, [(1017, "A", 1, 1), (1113, "A", 1, 0), (1517, "A", 1, 1), (1613, "A", 1, 0)])
+        # Three events of six are out, and four moments written: the last one is past, and the chain stands.
+        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 5 + dma.NDTR)), (3, 2))
+        self.assertEqual(self.tim2.read(timer.CCR1), 999)
+
+    def test_the_ring_goes_round(self):
+        self.begin([1000, 1200, 1400], [2, 2, 2])
+        self.until(1300)
+        # The first moment of the next round is fetched with the event at 1200: it has been written in time.
+        self.words(self.MOMENTS, [1600])
+        self.until(1450)
+        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma2.read(dma.LISR) & 1 << 11), (3, 1 << 11))
+        self.until(1300 + 600)
+        self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1217, 1417])
+
+    def test_a_moment_that_comes_too_late(self):
+        self.begin([1000, 1200, 1400, 1399], [2, 2, 2, 2])
+        self.until(1300)
+        # The fourth place was fetched with the event at 1200; what is written there now is not seen.
+        self.words(self.MOMENTS + 12, [1600])
+        self.until(3000)
+        self.assertEqual(self.tim2.read(timer.CCR1), 1399)
+        self.until(3010)
+        # The stream now holds the first place. Changed, it says so when it is switched off.
+        self.words(self.MOMENTS, [2000])
+        with self.assertRaises(Misuse):
+            self.dma1.write(0x10 + 0x18 * 5 + dma.CR, 0)
+
+    def test_no_trigger_while_a_pulse_is_out(self):
+        self.begin([1000, 1090, 1500, 1499], [2, 2, 2, 2])
+        with self.assertRaises(Misuse):
+            self.until(2000)
+
+    def test_a_stop(self):
+        self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
+        self.until(1203)
+        # The second pulse has its trigger: it comes whole, and the third does not.
+        self.tim1.write(pulse.SMCR, 0x10)
+        self.until(3000)
+        self.assertEqual([at for at, _, _, _ in self.bench.edges], [1017, 1113, 1217, 1313])
+        self.assertEqual(self.dma2.read(0x10 + 0x18 + dma.NDTR), 2)
+
+    def test_a_pulse_that_is_cut(self):
+        self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
+        self.until(1210)
+        self.tim1.write(pulse.SMCR, 0)
+        self.tim1.write(pulse.CR1, 0)
+        self.until(3000)
+        self.assertEqual(self.bench.edges[-1], (1217, "A", 1, 1), "the end of the pulse does not come any more")
+
+    def test_what_parts_punish(self):
+        base = 0x10 + 0x18
+        self.words(self.RING, [2, 2])
+        with self.assertRaises(Misuse):
+            # GPIO as a peripheral.
+            self.stream(self.dma2, 1, self.BSRR, self.RING, 2, 6 << 25 | 1 << 6 | 1 << 10 | self.WORDS)
+        with self.assertRaises(Misuse):
+            # DMA1 does not reach it at all.
+            self.stream(self.dma1, 5, self.BSRR, self.RING, 2, self.CHAIN)
+        self.stream(self.dma2, 1, self.RING, self.BSRR, 2, self.ON)
+        with self.assertRaises(Misuse):
+            # The same request on two streams.
+            self.stream(self.dma2, 3, self.RING, self.BSRR, 2, self.ON)
+        self.dma2.write(base + dma.CR, 0)
+        self.dma2.write(base + dma.CR, self.ON | 1)
+        with self.assertRaises(Misuse):
+            self.dma2.read(base + dma.CR)
+        with self.assertRaises(Misuse):
+            # Right after another one.
+            self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
+        self.until(self.bench.now + 20)
+        self.assertEqual(self.dma2.read(base + dma.CR) & 1, 1)
+        # A request that nobody serves waits for a stream, until its timer is reset.
+        self.dma2.ask("TIM1_CH4", self.bench.now + 5)
+        self.until(self.bench.now + 20)
+        with self.assertRaises(Misuse):
+            self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
+        self.tim1.reset()
+        self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
 
 
 class IwdgTraces(unittest.TestCase):

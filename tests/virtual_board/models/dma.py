@@ -1,21 +1,41 @@
-"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives and a timer captures through them.
+"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives, a timer captures and steps are put out
+through them.
 
 Modelled: streams from a peripheral to memory, bytes or half-words on both sides, memory address counting up, once; number
-of data, end of a transfer with its flag, clearing of flags, switching off. A transfer is done at the moment of the request.
-Not modelled: all other directions and sizes, circular and double-buffer mode, FIFO, priorities, bus load, interrupts.
+of data, end of a transfer with its flag, clearing of flags, switching off. Such a transfer is done at the moment of the
+request. For compare events of timers: words in direct mode, either direction, either address counting up, circular, one
+transfer after the other with a delay; from memory to a peripheral the next word is fetched right after the one before,
+and the first at the enable. A request that no stream takes stays until its timer is reset.
+Not modelled: other sizes, double-buffer mode, FIFO, priorities of streams other than by their number, bus load, interrupts.
+
+Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port (ES0287 2.2.11: data may be
+corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
+switched on back to back or for one request, a word of memory changed after it was fetched.
 """
 
-from .peripheral import Misuse, Peripheral, Unmodelled
+import functools
+import heapq
+
+from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 LISR, HISR, LIFCR, HIFCR = 0x00, 0x04, 0x08, 0x0C
 CR, NDTR, PAR, M0AR, M1AR, FCR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
 EN, MINC, PSIZE, MSIZE, CHANNEL = 1 << 0, 1 << 10, 1 << 11, 1 << 13, 7 << 25
+TO_PERIPHERAL, CIRC, PINC, WORDS, PRIORITY = 1 << 6, 1 << 8, 1 << 9, 2 << 11 | 2 << 13, 3 << 16
 TCIF = 1 << 5
 REQUESTS = {
     ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2",
-    ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3",
+    ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 5, 3): "TIM2_CH1",
+    ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
+    ("DMA2", 4, 6): "TIM1_CH4",
 }  # fmt: skip
 """Who asks, by (controller, stream, channel)."""
+TO_AHB, TO_APB, FETCH, BUSY = 12, 16, 10, 8
+"""Cycles from a request to the store on the AHB or an APB, from there to the next word fetched, and from one store to the
+next (AN4031, tables 4 and 5)."""
+SETTLE = 8
+"""Cycles between two stores that switch streams on, and after one before CR may be read."""
+GPIO = range(0x4002_0000, 0x4002_2000)
 
 
 class Dma(Peripheral):
@@ -23,7 +43,7 @@ class Dma(Peripheral):
         0x10 + 0x18 * stream + offset: (f"S{stream}{name}", 0, bits)
         for stream in range(8)
         for offset, name, bits in (
-            (CR, "CR", EN | MINC | PSIZE | MSIZE | CHANNEL),
+            (CR, "CR", EN | TO_PERIPHERAL | CIRC | PINC | MINC | 3 << 11 | 3 << 13 | PRIORITY | CHANNEL),
             (NDTR, "NDTR", 0xFFFF),
             (PAR, "PAR", 0xFFFF_FFFF),
             (M0AR, "M0AR", 0xFFFF_FFFF),
@@ -38,6 +58,24 @@ class Dma(Peripheral):
         super().reset()
         self.next = [0] * 8
         """Memory address of the next datum."""
+        self.agenda = []
+        """(cycle, order, action) of transfers under way."""
+        self.order = 0
+        self.busy_until = 0
+        self.whole = [0] * 8
+        """Number of data that a circular stream begins again with."""
+        self.fetched = [None] * 8
+        """(index, word) that a stream to a peripheral holds; the index is that of the ring."""
+        self.switched_on = [-SETTLE] * 8
+        self.unserved = set()
+        """Requests that no stream has taken."""
+
+    def read(self, offset):
+        if offset >= 0x10:
+            stream, register = divmod(offset - 0x10, 0x18)
+            if register == CR and self.board.now - self.switched_on[stream] < SETTLE:
+                raise Misuse(f"{self.name}: CR of stream {stream} is read right after it was switched on")
+        return super().read(offset)
 
     @staticmethod
     def _shift(stream):
@@ -59,12 +97,112 @@ class Dma(Peripheral):
                 flags = 0x3D << self._shift(stream)
                 if self.values[LISR if stream < 4 else HISR] & flags:
                     raise Misuse(f"{self.name}: stream {stream} is switched on with flags of an earlier use")
-                if not value & MINC:
-                    raise Unmodelled(f"{self.name}: stream {stream} without MINC")
-                if bool(value & PSIZE) != bool(value & MSIZE):
-                    raise Unmodelled(f"{self.name}: stream {stream} with two sizes")
-                self.next[stream] = self.values[base + M0AR]
+                self._begin(stream, base, value)
+            if register == CR and on and not value & EN:
+                self._check_fetched(stream, base)
         super().write(offset, value)
+
+    def _begin(self, stream, base, cr):
+        """A stream is switched on."""
+        who = REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25), "")
+        par = self.values[base + PAR]
+        if "_CH" not in who or not cr & CIRC:
+            if cr & (TO_PERIPHERAL | CIRC | PINC | 2 << 11 | 2 << 13):
+                raise Unmodelled(f"{self.name}: stream {stream} with CR {cr:#x}")
+            if not cr & MINC:
+                raise Unmodelled(f"{self.name}: stream {stream} without MINC")
+            if bool(cr & PSIZE) != bool(cr & MSIZE):
+                raise Unmodelled(f"{self.name}: stream {stream} with two sizes")
+            self.next[stream] = self.values[base + M0AR]
+            return
+        if cr & (3 << 11 | 3 << 13) != WORDS:
+            raise Unmodelled(f"{self.name}: stream {stream} with CR {cr:#x}")
+        if self.name == "DMA2" and par in GPIO:
+            raise Misuse(f"{self.name}: stream {stream} reaches GPIO through the peripheral port")
+        if self.name == "DMA1" and not 0x4000_0000 <= par < 0x4001_0000:
+            raise Misuse(f"{self.name}: the peripheral port does not reach {par:#x}")
+        for other in range(8):
+            there = self.values[0x10 + 0x18 * other + CR]
+            if there & EN and REQUESTS.get((self.name, other, (there & CHANNEL) >> 25)) == who:
+                raise Misuse(f"{self.name}: streams {other} and {stream} are both on for {who}")
+        if self.board.now - max(self.switched_on) < SETTLE:
+            raise Misuse(f"{self.name}: stream {stream} is switched on right after another")
+        if who in self.unserved:
+            raise Misuse(f"{self.name}: stream {stream} is switched on with a request from before")
+        if not self.values[base + NDTR]:
+            raise Misuse(f"{self.name}: stream {stream} is switched on with nothing to do")
+        self.switched_on[stream] = self.board.now
+        self.whole[stream] = self.values[base + NDTR]
+        self.fetched[stream] = None
+        if cr & TO_PERIPHERAL:
+            self._later(self.board.now + FETCH, lambda at: self._fetch(stream, base, 0))
+
+    def _check_fetched(self, stream, base):
+        held = self.fetched[stream]
+        if held is not None and self._word(self.values[base + M0AR] + 4 * held[0]) != held[1]:
+            raise Misuse(f"{self.name}: word {held[0]} of stream {stream} was changed after it had been fetched")
+
+    def _word(self, address):
+        return int.from_bytes(self.board.read_memory(address, 4), "little")
+
+    def _later(self, at, action):
+        self.order += 1
+        heapq.heappush(self.agenda, (at, self.order, action))
+        self.plan(self.agenda[0][0])
+
+    def advance(self, now):
+        while self.agenda and self.agenda[0][0] <= now:
+            at, _, action = heapq.heappop(self.agenda)
+            action(at)
+        self.plan(self.agenda[0][0] if self.agenda else NEVER)
+
+    def _fetch(self, stream, base, index):
+        if self.values[base + CR] & EN:
+            address = self.values[base + M0AR] + (4 * index if self.values[base + CR] & MINC else 0)
+            self.fetched[stream] = (index, self._word(address))
+
+    def forget(self, timer):
+        """A timer is reset: its requests go."""
+        self.unserved = {who for who in self.unserved if not who.startswith(timer)}
+
+    def ask(self, who, at, pulse=None):
+        """A compare event asks for a transfer, at this cycle, unless its pulse has been cut by then."""
+        streams = [stream for (name, stream, _), asks in REQUESTS.items() if name == self.name and asks == who]
+        if streams:
+            self._later(at, lambda at: self._serve(who, streams, at, pulse))
+
+    def _serve(self, who, streams, at, pulse):
+        if pulse is not None and pulse.cut_at is not None and pulse.cut_at <= at:
+            return
+        for stream in streams:
+            base = 0x10 + 0x18 * stream
+            cr = self.values[base + CR]
+            if cr & EN and REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25)) == who:
+                done = max(at + (TO_APB if cr & TO_PERIPHERAL else TO_AHB), self.busy_until + BUSY)
+                self.busy_until = done
+                self._later(done, functools.partial(self._transfer, stream, base))
+                return
+        self.unserved.add(who)
+
+    def _transfer(self, stream, base, at):
+        cr = self.values[base + CR]
+        if not cr & EN:
+            return
+        whole = self.whole[stream]
+        index = whole - self.values[base + NDTR]
+        par, memory = self.values[base + PAR], self.values[base + M0AR]
+        if cr & TO_PERIPHERAL:
+            if self.fetched[stream] is None or self.fetched[stream][0] != index:
+                raise Misuse(f"{self.name}: stream {stream} is asked before it has fetched a word")
+            self.board.store_by_dma(par, self.fetched[stream][1], at)
+            self._later(at + FETCH, lambda at: self._fetch(stream, base, (index + 1) % whole))
+        else:
+            word = self._word(par + (4 * index if cr & PINC else 0))
+            self.board.store_by_dma(memory + (4 * index if cr & MINC else 0), word, at)
+        left = self.values[base + NDTR] - 1
+        if left == 0:
+            self.values[LISR if stream < 4 else HISR] |= TCIF << self._shift(stream)
+        self.values[base + NDTR] = left or whole
 
     def request(self, asks, data_address, datum):
         """A peripheral has a datum. Whether some stream has taken it."""

@@ -42,6 +42,8 @@ class Gpio(Peripheral):
         self.values.update(RESET.get(self.name, {}))
         self.floating_reads = 0
         self.word = self.floats = 0
+        self.at = None
+        """The cycle of a store that is not the processor's."""
         self.shown = [FLOATING] * 16
         """Level that the chip drives each pin to; "AF" while a peripheral drives it."""
         self._show(0xFFFF)
@@ -72,6 +74,12 @@ class Gpio(Peripheral):
         if offset in (MODER, ODR, OTYPER):
             self._show(0xFFFF)
         self._sense()
+
+    def store_by_dma(self, offset, value, at):
+        """A DMA stream writes a register, at a cycle that may be an instruction ago."""
+        self.at = at
+        self.write(offset, value)
+        self.at = None
 
     def mode(self, pin):
         return self.values[MODER] >> 2 * pin & 3
@@ -121,7 +129,7 @@ class Gpio(Peripheral):
                     level = "AF"
                 if level != self.shown[pin]:
                     self.shown[pin] = level
-                    self.board.edge(self.port, pin, level)
+                    self.board.edge(self.port, pin, level, self.at)
             pins >>= 1
             pin += 1
 

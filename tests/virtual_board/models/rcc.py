@@ -27,11 +27,11 @@ class Rcc(Peripheral):
         AHB1RSTR: ("AHB1RSTR", 0, 0x0060_109F),
         AHB2RSTR: ("AHB2RSTR", 0, 0x80),
         APB1RSTR: ("APB1RSTR", 0, 0x1002_000F),
-        APB2RSTR: ("APB2RSTR", 0, 0x0000_4010),
+        APB2RSTR: ("APB2RSTR", 0, 0x0000_4011),
         AHB1ENR: ("AHB1ENR", 0, 0x0060_109F),
         AHB2ENR: ("AHB2ENR", 0, 0x80),
         APB1ENR: ("APB1ENR", 0, 0x1002_000F),
-        APB2ENR: ("APB2ENR", 0, 0x0000_4010),
+        APB2ENR: ("APB2ENR", 0, 0x0000_4011),
         CSR: ("CSR", 0x0E00_0000, 0x0100_0001),
         DCKCFGR: ("DCKCFGR", 0, 0x0100_0000),
     }

@@ -3,10 +3,11 @@
 Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
 1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
 writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output; capture of both edges of a channel's own pin, with
-its DMA request, and overcapture.
+its DMA request, and overcapture; the DMA request of channel 1's compare event; that event as the trigger of other timers
+(CR2, MMS = 011).
 Not modelled: capture of one edge or of another channel's pin, the delay of synchronizer and filter (the same for every
-edge) and what the filter removes, slave and one-pulse mode, preload of compare registers, DMA of compare and update
-events, counting down, edges of PWM outputs.
+edge) and what the filter removes, slave and one-pulse mode (TIM1's are in `pulse.py`), preload of compare registers, other
+triggers, DMA of other channels' compare events and of updates, counting down, edges of PWM outputs.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
@@ -19,11 +20,14 @@ OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
 INPUTS = {("B", 6): ("TIM4", 1), ("B", 7): ("TIM4", 2), ("B", 8): ("TIM4", 3)}
 """Timer and channel by pin, as alternate function 2 (data sheets, table of alternate functions)."""
 FUNCTION = 2
+COMPARE_PULSE = 0b011 << 4
+"""CR2: the event of channel 1 is the trigger output."""
 
 
 class Timer(Peripheral):
     REGISTERS = {
         CR1: ("CR1", 0, 1),
+        CR2: ("CR2", 0, 0x70),
         DIER: ("DIER", 0, 0x1E1F),
         SR: ("SR", 0, 0x1E1F),
         EGR: ("EGR", 0, 0x1F),
@@ -44,6 +48,8 @@ class Timer(Peripheral):
         self.base = base
         self.irq = irq
         self.top = 0xFFFF_FFFF if wide else 0xFFFF
+        self.slaves = []
+        """Timers that it may trigger."""
         super().__init__(name, board)
 
     def reset(self):
@@ -139,6 +145,8 @@ class Timer(Peripheral):
                 self._hold(0)
                 self._schedule()
             self.values[SR] |= value
+            if value & 2:
+                self._compare_1(self.board.now)
             self._call()
             return
         if value & ~self.top and offset in (CNT, ARR) + COMPARE:
@@ -153,14 +161,35 @@ class Timer(Peripheral):
             self._take_prescaler()
             self.since = self.board.now
         if offset == DIER:
-            if any(value >> 8 + channel & 1 and not self.captures(channel) for channel in range(1, 5)):
+            if any(value >> 8 + channel & 1 and not self.captures(channel) for channel in range(2, 5)):
                 raise Unmodelled(f"{self.name}: DMA of a compare event")
             self._call()
+        if offset == CR2 and value not in (0, COMPARE_PULSE):
+            raise Unmodelled(f"{self.name}_CR2 {value:#x}")
         if offset in (CR1, CNT, ARR, CCMR1, CCMR2):
             self._schedule()
         elif offset in COMPARE:
             self._schedule_flag(COMPARE.index(offset) + 1, self.board.now)
             self._plan()
+
+    def store_by_dma(self, offset, value, at):
+        """A DMA stream writes a compare register, at a cycle that may be an instruction ago."""
+        if offset not in COMPARE:
+            raise Unmodelled(f"{self.name}: DMA to the register at {offset:#x}")
+        self.values[offset] = value
+        self._schedule_flag(COMPARE.index(offset) + 1, at)
+        self._plan()
+
+    def _compare_1(self, at):
+        """The event of channel 1: its DMA request, and the trigger that others get."""
+        if self.captures(1):
+            return
+        if self.values[DIER] >> 9 & 1:
+            for dma in self.board.dma:
+                dma.ask(f"{self.name}_CH1", at)
+        if self.values[CR2] == COMPARE_PULSE:
+            for slave in self.slaves:
+                slave.trigger(at)
 
     def _call(self):
         self.board.nvic.level(self.irq, bool(self.values[SR] & self.values[DIER] & 0x1F))
@@ -196,13 +225,15 @@ class Timer(Peripheral):
             if at <= now:
                 self.values[SR] |= 1 << flag
                 self._schedule_flag(flag, at)
+                if flag == 1 and self.slaves:
+                    self._compare_1(at)
         self._call()
         self._plan()
 
     def until_tick(self):
-        """Core cycles until the counter comes to CCR1; None while its interrupt is off or it is long past."""
+        """Core cycles until the counter comes to CCR1; None while nothing comes of it or it is long past."""
         counts = (self.values[CCR1] - self.count()) & 0xFFFF_FFFF
-        return counts * self.cycles if self.values[DIER] & 2 and counts < 1 << 20 else None
+        return counts * self.cycles if self.values[DIER] & (2 | 1 << 9) and counts < 1 << 20 else None
 
     def frequency(self):
         """Overflows in a second."""
