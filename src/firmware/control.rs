@@ -117,7 +117,7 @@ impl Control {
         }
         let observed = self.observe();
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        let answered = self.controller.is_idle() && self.ends.replies.is_empty();
+        let answered = self.controller.is_free() && self.ends.replies.is_empty();
         shared::set_free(heard, nothing_waits && answered && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()

@@ -116,9 +116,9 @@ impl HostLink {
     }
 
     /// Fetches a byte from the port, if there are one and room for it; whether something was queued.
-    pub fn fetch(&mut self, controller_is_idle: bool) -> Option<bool> {
+    pub fn fetch(&mut self, controller_is_free: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
-        self.queues.free = self.queues.lines.is_empty() && controller_is_idle;
+        self.queues.free = self.queues.lines.is_empty() && controller_is_free;
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 

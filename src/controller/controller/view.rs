@@ -19,6 +19,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.records.are_stored()
     }
 
+    /// Whether another host may take over: in addition no subroutine, loop or condition is open, whose next line would be
+    /// carried out as if it were in none.
+    pub fn is_free(&self) -> bool {
+        self.is_idle() && !self.interpreter.is_within_block()
+    }
+
     fn has_nothing_to_do(&self) -> bool {
         self.task.is_none() && !matches!(self.mode, Mode::Home(_))
     }

@@ -60,6 +60,11 @@ impl<const N: usize> Interpreter<N> {
     /// There is no held text.
     pub fn abandon_held(&mut self) {}
 
+    /// There are no blocks.
+    pub fn is_within_block(&self) -> bool {
+        false
+    }
+
     /// There are no conditions.
     pub fn abandon_program(&mut self) {}
 

@@ -35,6 +35,11 @@ impl<const N: usize> Interpreter<N> {
         flow.open_since().or(flow.cut)
     }
 
+    /// Whether lines belong to a subroutine, loop or condition that has begun and not come to its end.
+    pub fn is_within_block(&self) -> bool {
+        self.computed.flow.open_since().is_some()
+    }
+
     /// A tape mark, between programs: what one of them has left open is an error, and forgotten.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         if self.computed.flow.open_since().is_none() {
