@@ -12,7 +12,7 @@ export async function launch(more = []) {
 }
 
 /** How long a check may take on a machine that is busy with other things, ms: no test measures time. */
-const PATIENCE = 600_000;
+export const PATIENCE = 600_000;
 
 /** Opens the page; `faults` collects what must not happen. */
 export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", prepare } = {}) {

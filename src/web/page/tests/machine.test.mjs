@@ -1,19 +1,19 @@
 // The machine: in the page, and behind a serial port, where the firmware of this host answers.
 import assert from "node:assert/strict";
 import net from "node:net";
-import { open, openJob } from "./browser.mjs";
+import { open, openJob, PATIENCE } from "./browser.mjs";
 import { example, page as file, run, serve } from "./program.mjs";
 
 const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
 
-const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: 300_000 });
+const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
 /** Waits until the job has been answered and the machine is idle. */
 const jobDone = page => page.waitForFunction(() => {
   const { sender, status } = oxmill.app.machine;
   return sender.lines.length > 0 && !sender.busy && status.state === "Idle";
-}, null, { timeout: 600_000 });
+}, null, { timeout: PATIENCE });
 
 async function powered(browser) {
   const opened = await open(browser, file);
@@ -41,7 +41,7 @@ export async function a_machine_in_the_page_does_the_job(browser) {
 
 export async function hold_resume_overrides_and_reset_act(browser) {
   const { page, faults } = await powered(browser);
-  await openJob(page, "long.nc", "G21 G91\nG1 X50 F300\nG1 X-50\n");
+  await openJob(page, "long.nc", "G21 G91\nG1 X200 F300\nG1 X-200\n");
   await page.click("#start");
   await state(page, "^Run");
   await page.click("[data-realtime=feedMinus]");
@@ -68,12 +68,10 @@ export async function jogs_last_as_long_as_the_button_is_held(browser) {
   await page.mouse.move(button.x + 10, button.y + 10);
   await page.mouse.down();
   await state(page, "^Jog");
-  await page.waitForTimeout(900);
+  await page.waitForFunction(from => oxmill.app.machine.status.machine[0] > from + 2, from[0]);
   await page.mouse.up();
   await state(page, "^Idle");
   const to = await place(page);
-  // 400 mm/min for a second or so, and not for ever.
-  assert(to[0] - from[0] > 1 && to[0] - from[0] < 40, `${from} to ${to}`);
   await page.waitForTimeout(500);
   near(await place(page), to);
   assert.equal(await page.locator("#console .wrong").count(), 0);
@@ -84,9 +82,9 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
   const { page, faults } = await powered(browser);
   await page.selectOption("#times", "10");
   await page.click("#probe");
-  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: 300_000 });
+  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: PATIENCE });
   await state(page, "^Idle");
-  await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: 30_000 });
+  await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: PATIENCE });
   await page.click("[data-line='$H']");
   await state(page, "^Home");
   await state(page, "^Idle");
@@ -163,7 +161,7 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     await page.click("#start");
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
-    assert(wire.most <= 255 && wire.most > 200, `${wire.most} bytes were under way`);
+    assert(wire.most <= 255, `${wire.most} bytes were under way`);
     // A refused line in mid-job is named, and the lines after it are carried out.
     await openJob(page, "bad.nc", "G21 G91\nG1 X2 F600\nG999\nG1 X2\n");
     await page.click("#start");
@@ -173,10 +171,13 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
 }
 
 export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(browser) {
-  await connected(browser, "1", async page => {
+  await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);
     await page.click("#start");
     await state(page, "^Run");
+    // The queue of blocks is full long before the job ends, and then the line buffer fills: no more than it holds is under way.
+    for (let waited = 0; wire.most <= 200 && waited < PATIENCE; waited += 10) await page.waitForTimeout(10);
+    assert(wire.most <= 255 && wire.most > 200, `${wire.most} bytes were under way`);
     await page.click("[data-realtime=hold]");
     await state(page, "^Hold");
     assert(await page.evaluate(() => oxmill.app.machine.sender.busy), "the job is not done");
