@@ -1,4 +1,4 @@
-//! What the module does, without pointers: orders as JSON in, reports as JSON out.
+//! What the module does, without pointers: orders as JSON in; reports, tables of the firmware and the path of a job out.
 
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::protocol::descriptions;

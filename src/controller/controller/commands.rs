@@ -1,4 +1,4 @@
-//! `$` commands are carried out.
+//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines.
 
 use super::Controller;
 use super::task::{Answer, Listing, Task};
@@ -22,7 +22,7 @@ const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A line that begins with `$`.
     pub(super) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
-        let resting = matches!(self.mode, Mode::Normal) && !self.feed.is_running();
+        let resting = matches!(self.mode, Mode::Normal) && !self.step_supply.is_running();
         let idle = resting && self.motion.is_idle();
         match system::allowed(line) {
             Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
