@@ -321,6 +321,21 @@ mod tests {
         assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
     }
 
+    /// A boring cycle stops the spindle at the bottom and starts it again: that is no dwell. G4 beside M3 is one.
+    #[test]
+    fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
+        let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";
+        let mut simulator = Simulator::new(crate::Options::default());
+        crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
+        crate::power_up::apply_setting(&mut simulator, "539=0.75").unwrap();
+        let mut check = Check::new(simulator, JobText::new(text.as_bytes()));
+        while !check.advance(1000) {}
+        let summary = check.summary("a.nc", 0.0);
+        assert!(summary.is_good(), "{summary}");
+        assert!((summary.dwell_s - 0.75).abs() < 1e-4, "{summary}");
+        assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
+    }
+
     /// A check marks the moves; the same job without marks has the same steps at the same times.
     #[test]
     fn marks_change_nothing_of_the_job() {

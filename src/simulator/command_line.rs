@@ -92,7 +92,9 @@ pub struct Serve {
     #[arg(long)]
     pub reset_on_connect: bool,
     /// The page of `--web`; without it `oxmill.html` beside the program, or in `target/web`.
-    #[arg(long, value_name = "FILE", requires = "web")]
+    // Not `requires`: where another link is given, `--web` cannot be, and clap asks for nothing that cannot be.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
+    #[cfg_attr(unix, arg(conflicts_with = "pty"))]
     pub page: Option<PathBuf>,
     /// Takes lines such as `limit x 1` or `door 0` that move input pins.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -222,7 +224,11 @@ mod tests {
         }
         let Command::Serve(serve) = parse("oxmill serve --web 0 --page p.html").unwrap() else { panic!() };
         assert_eq!((serve.link.web, serve.page), (Some(0), Some(PathBuf::from("p.html"))));
-        assert!(parse("oxmill serve --stdio --page p.html").is_err());
+        for link in ["--stdio", "--tcp 127.0.0.1:0"] {
+            assert!(parse(&format!("oxmill serve {link} --page p.html")).is_err());
+        }
+        #[cfg(unix)]
+        assert!(parse("oxmill serve --page p.html --pty").is_err());
         assert!(parse("oxmill serve --web 1 --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve").is_err());
         assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());

@@ -383,5 +383,16 @@ pub(crate) mod tests {
         assert_eq!(clock_time(95.0), "1 min 35.0 s");
         assert_eq!(clock_time(3725.5), "1 h 2 min 6 s");
         assert!(example().to_string().contains("line 2: error:20 (unknown): G1 Q1"));
+        assert!(example().to_string().contains("26.500 s standing (20.000 s dwell, 6.500 s spindle)"));
+    }
+
+    #[test]
+    fn several_tools_have_a_line_each() {
+        let mut summary = example();
+        assert!(summary.several_tools().is_empty());
+        summary.tools.push(ToolTime { tool: 12, rapid_s: 3.0, ..ToolTime::default() });
+        assert_eq!(summary.several_tools()[1], "T12: 3.000 s in rapids");
+        let text = summary.to_string();
+        assert!(text.contains("T1: 60 min 0.0 s at feed") || text.contains("T1: 1 h 0 min 0 s at feed"), "{text}");
     }
 }
