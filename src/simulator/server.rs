@@ -58,7 +58,7 @@ pub(crate) enum Visitor {
     /// To the port of `--tcp`.
     Program(TcpStream),
     /// To that of `--web`.
-    Page(WebSocket<TcpStream>),
+    Page(Box<WebSocket<TcpStream>>),
 }
 
 impl Visitor {
@@ -73,7 +73,7 @@ impl Visitor {
     fn turn_away(self) {
         match self {
             Visitor::Program(stream) => turn_away(&stream),
-            Visitor::Page(socket) => web_link::turn_away(socket, TURNED_AWAY),
+            Visitor::Page(socket) => web_link::turn_away(*socket, TURNED_AWAY),
         }
     }
 }
@@ -350,7 +350,7 @@ impl Device {
             Visitor::Page(socket) => {
                 let (answers, spoken) = sync_channel(ANSWERS);
                 self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
-                thread::spawn(move || web_link::pass_messages(socket, &inbox, &spoken, &sender));
+                thread::spawn(move || web_link::pass_messages(*socket, &inbox, &spoken, &sender));
             }
         }
     }

@@ -105,7 +105,7 @@ fn answer(stream: TcpStream, site: &Site, sender: &SyncSender<Happened>) -> io::
             #[allow(clippy::result_large_err, reason = "what the library wants")]
             let accept = |_: &Request, response: Response| Ok(response);
             if let Ok(socket) = tungstenite::accept_hdr(stream, accept) {
-                let _ = sender.send(Happened::Knocked(Visitor::Page(socket), sender.clone()));
+                let _ = sender.send(Happened::Knocked(Visitor::Page(Box::new(socket)), sender.clone()));
             }
             Ok(())
         }

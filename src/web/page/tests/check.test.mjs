@@ -131,7 +131,7 @@ export async function the_picture_is_where_the_machine_was(browser) {
   await page.waitForTimeout(100);
   const row = await page.evaluate(() => {
     const { lines } = oxmill.app.checked.path;
-    const rows = [...lines.keys()].filter(row => lines[row] === 29);
+    const rows = [...lines.keys()].filter(row => lines[row] % 2 ** 30 === 29);
     const { rows: all } = oxmill.app.checked.path;
     const middle = rows[Math.floor(rows.length / 2)];
     return oxmill.app.player.picture.place([0, 1, 2].map(axis => all[middle * 6 + axis]));
