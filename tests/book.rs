@@ -1,7 +1,8 @@
 //! The pages of `docs/`: those that are made from tables of the firmware are current, links lead somewhere, commands exist.
 
 use oxmill_controller::error::{Alarm, Error};
-use oxmill_simulator::advice;
+use oxmill_controller::settings::Settings;
+use oxmill_simulator::{Options, Simulator, advice};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs;
@@ -124,4 +125,57 @@ fn commands_of_the_pages_exist() {
         });
     }
     assert!(seen > 20, "{seen} commands");
+}
+
+/// What stands in fences named `conversation`: lines behind `> ` are sent to a new machine, and what it says to each stands below
+/// it. All on a page is one conversation.
+#[test]
+fn conversations_of_the_pages_are_what_is_said() {
+    const FENCE: &str = "```conversation\n";
+    let mut seen = 0;
+    for page in all_pages() {
+        let text = read(&page);
+        let mut mill = Simulator::new(Options::default());
+        mill.run_until_idle();
+        mill.take_output();
+        let mut parts = text.split(FENCE);
+        let mut now = parts.next().unwrap_or_default().to_owned();
+        for part in parts {
+            let (said, rest) = part.split_once("```").expect("the fence ends");
+            now += FENCE;
+            for line in said.lines().filter_map(|line| line.strip_prefix("> ")) {
+                mill.send(format!("{line}\n"));
+                assert!(mill.run_until_idle(), "{}: {line}", page.display());
+                now += &format!("> {line}\n{}", mill.take_output().replace('\r', ""));
+                seen += 1;
+            }
+            now += "```";
+            now += rest;
+        }
+        if std::env::var_os("OXMILL_WRITE_DOCS").is_some() && now != text {
+            fs::write(&page, &now).expect("the page is written");
+        } else {
+            assert!(now == text, "{} is not what is said: OXMILL_WRITE_DOCS=1; it would be\n{now}", page.display());
+        }
+    }
+    assert!(seen > 30, "{seen} lines");
+}
+
+#[test]
+fn settings_that_pages_for_newcomers_name_exist() {
+    let settings = Settings::<3>::default();
+    let known: BTreeSet<u16> =
+        (0..Settings::<3>::LINES).filter_map(|line| settings.row(line)).map(|row| row.1).collect();
+    // What they say that others have: grblHAL's look-ahead and tool change.
+    let of_others = [341, 398];
+    let mut seen = 0;
+    for name in ["first-cut", "coming-from", "troubleshooting", "senders"] {
+        for rest in read(&root().join(format!("docs/{name}.md"))).split('$').skip(1) {
+            let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+            let Ok(number) = digits.parse() else { continue };
+            assert!(known.contains(&number) || of_others.contains(&number), "{name}: ${number}");
+            seen += 1;
+        }
+    }
+    assert!(seen > 80, "{seen} settings");
 }

@@ -75,6 +75,24 @@ fn check_is_run_on_one_screen() {
 }
 
 #[test]
+fn plot_draws_the_job() {
+    let job = file("plot.nc", "G21 G91\nG1 X10 Y5 F600\n");
+    let [svg, png] = ["plot.svg", "plot.png"].map(|name| Path::new(env!("CARGO_TARGET_TMPDIR")).join(name));
+    let output = run(&["plot", text(&job), "-o", text(&svg), "-o", text(&png)]);
+    assert_eq!(output.status.code(), Some(0));
+    let drawn = fs::read_to_string(&svg).expect("a drawing");
+    assert!(drawn.starts_with("<svg") && drawn.contains("plot.nc"));
+    assert!(fs::read(&png).expect("a drawing").starts_with(b"\x89PNG"));
+    // As `run --plot` draws it.
+    let other = svg.with_file_name("plot_by_run.svg");
+    run(&["run", text(&job), "--plot", text(&other)]);
+    assert_eq!(fs::read_to_string(&other).expect("a drawing"), drawn);
+    let bad = file("plot_bad.nc", "G999\n");
+    assert_eq!(run(&["plot", text(&bad), "-o", text(&svg)]).status.code(), Some(1));
+    assert_eq!(run(&["plot", text(&job)]).status.code(), Some(2));
+}
+
+#[test]
 fn shells_and_man_know_the_commands() {
     for arguments in [&["completions", "bash"][..], &["completions", "zsh"], &["man"]] {
         let output = run(arguments);
@@ -97,8 +115,8 @@ fn the_page_of_the_json_has_its_fields() {
     let mut fields: Vec<String> = Vec::new();
     for (name, value) in summary.as_object().expect("an object") {
         fields.push(name.clone());
-        if name == "errors" {
-            fields.extend(value[0].as_object().expect("an error").keys().map(|key| format!("errors[].{key}")));
+        if name == "errors" || name == "tools" {
+            fields.extend(value[0].as_object().expect("a row").keys().map(|key| format!("{name}[].{key}")));
         }
     }
     for field in &fields {

@@ -11,6 +11,58 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
+/// The page of `--web`, by hand: what a browser asks, and what other sites would.
+#[test]
+fn a_page_is_served_to_this_computer_only() {
+    let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
+    let html = "<meta charset=\"utf-8\"><meta content=\"connect-src 'none'\">";
+    std::fs::write(&page, html).expect("a file can be written");
+    let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--web", "0", "--page", page.to_str().expect("a path")])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut line = String::new();
+    BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it listens");
+    let address = line.trim().strip_prefix("web http://").and_then(|rest| rest.strip_suffix('/')).expect("an address");
+    let port = address.strip_prefix("127.0.0.1:").expect("the loopback");
+    let ask = |target: &str, host: &str, more: &str| {
+        let mut stream = TcpStream::connect(address).expect("it listens");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        write!(stream, "GET {target} HTTP/1.1\r\nHost: {host}\r\n{more}\r\n").expect("it reads");
+        let mut answer = vec![0; 4096];
+        let mut length = 0;
+        while !answer[..length].windows(4).any(|end| end == b"\r\n\r\n") || more.is_empty() {
+            match stream.read(&mut answer[length..]).expect("an answer") {
+                0 => break,
+                read => length += read,
+            }
+        }
+        String::from_utf8_lossy(&answer[..length]).into_owned()
+    };
+    let served = ask("/", address, "");
+    assert!(served.starts_with("HTTP/1.1 200 "), "{served}");
+    assert!(served.contains(&format!("connect-src ws://{address} ws://localhost:{port}")), "{served}");
+    assert!(served.contains("name=\"oxmill-machine\" content=\"/machine\""), "{served}");
+    assert!(ask("/x", address, "").starts_with("HTTP/1.1 404 "));
+    assert!(ask("/", "evil.example", "").starts_with("HTTP/1.1 403 "));
+    let socket = |origin: &str| {
+        let more = format!(
+            "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+             Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n{origin}"
+        );
+        ask("/machine", address, &more)
+    };
+    assert!(socket(&format!("Origin: http://{address}\r\n")).starts_with("HTTP/1.1 101 "));
+    for origin in ["", "Origin: null\r\n", "Origin: http://evil.example\r\n", &format!("Origin: https://{address}\r\n")]
+    {
+        assert!(socket(origin).starts_with("HTTP/1.1 403 "), "{origin}");
+    }
+    program.kill().expect("it runs");
+    program.wait().expect("it ends");
+}
+
 /// A device, killed in the end.
 struct Server {
     program: Child,

@@ -6,6 +6,7 @@ use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary};
 use crate::text::{JobText, Said};
+use crate::times::ToolTime;
 use oxmill_controller::error::Error;
 use oxmill_controller::messages::Realtime;
 
@@ -90,6 +91,7 @@ impl Check {
     /// Begins a job on a simulator that is idle. What the simulator is to record has to be told to it before.
     pub fn new(mut simulator: Simulator, job: JobText) -> Self {
         let origin = simulator.clock().now();
+        simulator.mark_moves();
         simulator.begin_job();
         simulator.take_output();
         simulator.load_job(job);
@@ -199,6 +201,7 @@ impl Check {
         let outcome = &self.outcome;
         let forecast = clock.seconds(clock.now() - self.origin);
         let measured = simulator.meter().measured();
+        let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
         // The step counter began at 0 at power-up; homing may have given the place another name since.
         let here = simulator.machine_position();
@@ -224,9 +227,12 @@ impl Check {
             more_messages: outcome.more_messages,
             forecast_s: forecast,
             duration_s: clock.seconds(trace.duration()),
-            feed_s: round(measured.feed_time),
-            rapid_s: round(measured.rapid_time),
-            standing_s: round((forecast - measured.feed_time - measured.rapid_time).max(0.0)),
+            feed_s: round(times.feed_s),
+            rapid_s: round(times.rapid_s),
+            standing_s: round((forecast - times.feed_s - times.rapid_s).max(0.0)),
+            dwell_s: round(times.dwell_s),
+            spin_up_s: round(times.spin_up_s),
+            tools: simulator.meter().times().rows().into_iter().map(rounded).collect(),
             moving_s: clock.seconds(simulator.busy_ticks()),
             position_mm: here,
             work_position_mm: simulator.work_position(),
@@ -245,6 +251,13 @@ impl Check {
             host_s,
         }
     }
+}
+
+/// The same for each part of the time of a tool.
+fn rounded(row: ToolTime) -> ToolTime {
+    let ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s } = row;
+    let [feed_s, rapid_s, dwell_s, spin_up_s] = [feed_s, rapid_s, dwell_s, spin_up_s].map(round);
+    ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s }
 }
 
 /// To a nanometre: what lies beyond is the arithmetic's, not the machine's.
@@ -272,6 +285,72 @@ mod tests {
             outcome.note("paused".into());
         }
         assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
+    }
+
+    /// No M6 here waits for the moves before it, so the tool of a move is not the one that the controller reads of meanwhile.
+    #[test]
+    fn the_time_is_told_by_tool_and_by_kind() {
+        let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
+        let mut simulator = Simulator::new(crate::Options::default());
+        crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
+        crate::power_up::apply_setting(&mut simulator, "539=0.75").unwrap();
+        let mut check = Check::new(simulator, JobText::new(text.as_bytes()));
+        while !check.advance(1000) {}
+        let summary = check.summary("a.nc", 0.0);
+        assert!(summary.is_good(), "{summary}");
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-4, "{a} {b}: {:?}", summary.tools);
+        let [none, one, two] = summary.tools[..] else { panic!("{:?}", summary.tools) };
+        assert_eq!([none.tool, one.tool, two.tool], [0, 1, 2]);
+        assert_eq!([none.feed_s, none.rapid_s, one.dwell_s, one.spin_up_s], [0.0; 4]);
+        close(none.spin_up_s, 1.5);
+        close(none.dwell_s, 0.5);
+        // From rest to rest over d at 10 mm/s2: 2 * sqrt(d / 10) s. The cycle goes up 0.5 mm, down 1 mm and up 1 mm.
+        let ramps = |way: f64| 2.0 * (way / 10.0).sqrt();
+        close(one.feed_s, ramps(3.0));
+        close(one.rapid_s, ramps(1.0));
+        close(two.feed_s, ramps(1.0));
+        close(two.rapid_s, ramps(3.0) + ramps(0.5) + ramps(1.0));
+        close(two.dwell_s, 2.0 + 0.25 + 1.0);
+        close(two.spin_up_s, 0.75);
+        let sum = |part: fn(&ToolTime) -> f64| summary.tools.iter().map(part).sum::<f64>();
+        close(sum(|row| row.feed_s), summary.feed_s);
+        close(sum(|row| row.rapid_s), summary.rapid_s);
+        close(sum(|row| row.dwell_s), summary.dwell_s);
+        close(sum(|row| row.spin_up_s), summary.spin_up_s);
+        // Nothing else was waited for, but for what the look-ahead and the rounding to microseconds take.
+        assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
+    }
+
+    /// A boring cycle stops the spindle at the bottom and starts it again: that is no dwell. G4 beside M3 is one.
+    #[test]
+    fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
+        let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";
+        let mut simulator = Simulator::new(crate::Options::default());
+        crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
+        crate::power_up::apply_setting(&mut simulator, "539=0.75").unwrap();
+        let mut check = Check::new(simulator, JobText::new(text.as_bytes()));
+        while !check.advance(1000) {}
+        let summary = check.summary("a.nc", 0.0);
+        assert!(summary.is_good(), "{summary}");
+        assert!((summary.dwell_s - 0.75).abs() < 1e-4, "{summary}");
+        assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
+    }
+
+    /// A check marks the moves; the same job without marks has the same steps at the same times.
+    #[test]
+    fn marks_change_nothing_of_the_job() {
+        let short: String = (1..400).map(|i| format!("N{i} G1 X{}\n", f64::from(i) * 0.003)).collect();
+        let text = format!("G21 F300 T1 M6\n{short}T2 M6\nG2 X3 I2\nG0 X0\n");
+        let mut check =
+            Check::new(Simulator::new(crate::Options::default()), JobText::new(io::Cursor::new(text.clone())));
+        while !check.advance(1000) {}
+        let mut plain = Simulator::new(crate::Options::default());
+        plain.begin_job();
+        plain.load_job(JobText::new(io::Cursor::new(text)));
+        assert!(plain.run_until_idle());
+        let digest = |simulator: &Simulator| simulator.trace().digest().time_hash();
+        assert_eq!(digest(check.simulator()), digest(&plain));
+        assert!(check.simulator().trace().events() > 500);
     }
 
     #[test]

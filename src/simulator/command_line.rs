@@ -21,6 +21,8 @@ pub enum Command {
     Run(Run),
     /// Runs a G-code file and says on one screen whether the machine can do it, how long it takes and how far it goes.
     Check(CheckJob),
+    /// Runs a G-code file and draws its tool path, and path speed over time.
+    Plot(PlotJob),
     /// A Grbl device that any sender may connect to.
     Serve(Serve),
     /// Writes the completions of a shell to standard output.
@@ -64,6 +66,19 @@ pub struct CheckJob {
     pub machine: MachineOptions,
 }
 
+/// `plot`.
+#[derive(Debug, Args)]
+pub struct PlotJob {
+    /// The job: any text file, or `-` for standard input.
+    pub job: PathBuf,
+    /// Where the drawing goes. May be given more than once.
+    #[arg(short, long, required = true, value_name = "FILE.svg|FILE.png")]
+    pub output: Vec<PathBuf>,
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineOptions,
+}
+
 /// `serve`.
 #[derive(Debug, Args)]
 pub struct Serve {
@@ -76,6 +91,11 @@ pub struct Serve {
     /// A new connection resets the controller, as DTR does on an Arduino.
     #[arg(long)]
     pub reset_on_connect: bool,
+    /// The page of `--web`; without it `oxmill.html` beside the program, or in `target/web`.
+    // Not `requires`: where another link is given, `--web` cannot be, and clap asks for nothing that cannot be.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
+    #[cfg_attr(unix, arg(conflicts_with = "pty"))]
+    pub page: Option<PathBuf>,
     /// Takes lines such as `limit x 1` or `door 0` that move input pins.
     #[arg(long, value_name = "ADDR:PORT")]
     pub pins: Option<String>,
@@ -98,6 +118,9 @@ pub struct Link {
     /// Standard input and output.
     #[arg(long)]
     pub stdio: bool,
+    /// A page on this port of the loopback, connected to the machine; 0 for any port that is free.
+    #[arg(long, value_name = "PORT")]
+    pub web: Option<u16>,
 }
 
 /// What all commands know of the machine.
@@ -199,6 +222,14 @@ mod tests {
             let Command::Serve(serve) = parse("oxmill serve --pty /tmp/mill").unwrap() else { panic!() };
             assert_eq!(serve.link.pty, Some(Some(PathBuf::from("/tmp/mill"))));
         }
+        let Command::Serve(serve) = parse("oxmill serve --web 0 --page p.html").unwrap() else { panic!() };
+        assert_eq!((serve.link.web, serve.page), (Some(0), Some(PathBuf::from("p.html"))));
+        for link in ["--stdio", "--tcp 127.0.0.1:0"] {
+            assert!(parse(&format!("oxmill serve {link} --page p.html")).is_err());
+        }
+        #[cfg(unix)]
+        assert!(parse("oxmill serve --page p.html --pty").is_err());
+        assert!(parse("oxmill serve --web 1 --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve").is_err());
         assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve --stdio --speed 0").is_err());
@@ -211,6 +242,15 @@ mod tests {
             panic!()
         };
         assert!(check.json && check.machine.set == ["110=1"] && check.job == *"a.nc");
+    }
+
+    #[test]
+    fn plot_wants_a_file() {
+        let Command::Plot(plot) = parse("oxmill plot a.nc -o a.svg --output a.png --set 110=1").unwrap() else {
+            panic!()
+        };
+        assert_eq!(plot.output, ["a.svg", "a.png"].map(PathBuf::from));
+        assert!(parse("oxmill plot a.nc").is_err());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::check::Check;
-use crate::command_line::{CheckJob, MachineOptions, Run};
+use crate::command_line::{CheckJob, MachineOptions, PlotJob, Run};
 use crate::files::{self, Output, Role};
 use crate::fittings::Fittings;
 use crate::path::Drawing;
@@ -97,6 +97,15 @@ pub fn check(options: CheckJob) -> Result<bool> {
     let CheckJob { job, json, machine } = options;
     let form = if json { Form::Json } else { Form::Short };
     carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, machine }, form)
+}
+
+/// Carries out `plot`. The result is whether the job went without a fault.
+///
+/// # Errors
+/// If a file cannot be read or written, or a setting is refused.
+pub fn plot(options: PlotJob) -> Result<bool> {
+    let PlotJob { job, output, machine } = options;
+    carry_out_job(&Run { job, json: false, plot: output, trace: None, machine }, Form::Short)
 }
 
 /// Carries out `run`. The result is whether the job went without a fault.

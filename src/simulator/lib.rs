@@ -30,6 +30,7 @@ pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
 pub mod machine;
+pub mod marks;
 pub mod meter;
 pub mod path;
 pub mod pins;
@@ -47,7 +48,10 @@ pub mod store;
 pub mod streaming;
 pub mod summary;
 pub mod text;
+pub mod times;
 pub mod trace;
+#[cfg(feature = "program")]
+mod web_link;
 
 pub use fittings::Fittings;
 pub use oxmill_boards::profiles as boards;
@@ -69,6 +73,7 @@ pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Run(options) => job::run(&options),
         Command::Check(options) => job::check(options),
+        Command::Plot(options) => job::plot(options),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
             Ok(true)

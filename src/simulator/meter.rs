@@ -9,7 +9,9 @@
 //! reached for certain.
 
 use crate::boards::AXES;
+use crate::marks::Mark;
 use crate::path::{Drawing, Sample};
+use crate::times::Times;
 use oxmill_controller::axes::Arrangement;
 use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
@@ -49,10 +51,6 @@ pub struct Measured {
     pub distance: f64,
     /// Length of its rapids.
     pub rapid_distance: f64,
-    /// Time spent in moves that are no rapids, s.
-    pub feed_time: f64,
-    /// Time spent in rapids, s.
-    pub rapid_time: f64,
     /// Greatest path speed.
     pub speed: f64,
     /// Greatest change of path speed per time: that of ramps. What curves and corners take across the path is no part of
@@ -72,8 +70,8 @@ struct Coming {
     directions: u8,
     /// Units of it that had been done before it was left for a detour.
     entered: u32,
-    /// The line that it belongs to, if the controller numbers by lines.
-    line: u32,
+    /// What it belongs to, if moves are marked.
+    mark: Mark,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -90,7 +88,7 @@ struct Block {
     /// Below [`SHORT`].
     short: bool,
     number: u64,
-    line: u32,
+    mark: Mark,
 }
 
 impl Block {
@@ -190,6 +188,7 @@ pub struct Meter {
     /// Short blocks whose length is not yet counted.
     pending: Pending,
     measured: Measured,
+    times: Times,
     drawing: Option<Drawing>,
 }
 
@@ -212,6 +211,7 @@ impl Meter {
             rapid: false,
             pending: Pending::default(),
             measured: Measured::default(),
+            times: Times::default(),
             drawing: None,
         }
     }
@@ -264,16 +264,27 @@ impl Meter {
         self.measured
     }
 
+    /// Times since power-up or the last [`Meter::restart`].
+    pub fn times(&self) -> &Times {
+        &self.times
+    }
+
+    /// The same, to have waits added.
+    pub fn times_mut(&mut self) -> &mut Times {
+        &mut self.times
+    }
+
     /// Restarts the measurement.
     pub fn restart(&mut self) {
         self.measured = Measured::default();
+        self.times = Times::default();
     }
 
-    /// A message was loaded into the step task. `line` is the one that its move belongs to, if the controller numbers by lines.
-    pub fn loaded(&mut self, message: &ToStep, line: u32) {
+    /// A message was loaded into the step task. `mark` is what its move belongs to, if moves are marked.
+    pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
             ToStep::Block { legs, directions } => {
-                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0, line });
+                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0, mark });
             }
             ToStep::Reenter { units } => {
                 if let Some(block) = &mut self.next_block {
@@ -330,7 +341,8 @@ impl Meter {
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
-        *if rapid { &mut self.measured.rapid_time } else { &mut self.measured.feed_time } += time;
+        let times = self.times.of(self.block.mark.tool);
+        *if rapid { &mut times.rapid_s } else { &mut times.feed_s } += time;
         if self.nodes.is_empty() {
             self.nodes.push_back(self.node(0.0, 0.0, 0.0, self.units_done / self.block.units));
         }
@@ -429,7 +441,7 @@ impl Meter {
             from: self.block.start,
             to: self.block.place(done),
             new_block: std::mem::take(&mut self.fresh),
-            line: self.block.line,
+            mark: self.block.mark,
         };
         if let Some(drawing) = &mut self.drawing {
             drawing.add(sample);
@@ -526,7 +538,7 @@ impl Meter {
     }
 
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
-        let Coming { legs, directions, entered, line } = block;
+        let Coming { legs, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
         // The ends are told in the direction of motion, and to positive where there is no motion.
         let way = |motor: usize| if legs[motor].steps() == 0 { 1.0 } else { sign(motor) };
@@ -560,7 +572,7 @@ impl Meter {
             }
         };
         let number = self.block.number + 1;
-        self.block = Block { start, delta, units, length, excess, doubt, error, short, number, line };
+        self.block = Block { start, delta, units, length, excess, doubt, error, short, number, mark };
         self.units_done = f64::from(entered);
     }
 }
@@ -601,7 +613,7 @@ mod tests {
             segment(2000, 100, Segment::FLAG_NEW_BLOCK),
             segment(1000, 300, Segment::FLAG_LAST),
         ] {
-            meter.loaded(&message, 0);
+            meter.loaded(&message, Mark::default());
         }
         meter.begin(0.0, [0, 0, 0]);
         meter.begin(0.2, [75, -100, 0]);
@@ -615,9 +627,9 @@ mod tests {
     #[test]
     fn waiting_slows_the_next_segment() {
         let mut meter = Meter::new(1_000_000);
-        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 }, 0);
-        meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT), 0);
-        meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST), 0);
+        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 }, Mark::default());
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT), Mark::default());
+        meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST), Mark::default());
         meter.begin(0.0, [0; AXES]);
         meter.begin(500.0, [0; AXES]);
         meter.at_rest(1000.0);

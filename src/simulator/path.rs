@@ -1,6 +1,7 @@
 //! What a drawing needs of a job: places and speeds, of bounded number however long the job is.
 
 use crate::boards::AXES;
+use crate::marks::Mark;
 
 /// Points of the path, at most.
 const POINTS: usize = 300_000;
@@ -35,8 +36,8 @@ pub struct Sample {
     pub to: [f64; AXES],
     /// Whether it is the first piece of its move.
     pub new_block: bool,
-    /// The line that its move belongs to, if the controller numbers by lines.
-    pub line: u32,
+    /// What its move belongs to, if moves are marked.
+    pub mark: Mark,
 }
 
 /// A point of the path and how the tool came to it.
@@ -50,8 +51,15 @@ pub struct Point {
     pub rapid: bool,
     /// When the way here began and ended, in seconds from the start of the drawing.
     pub seconds: [f64; 2],
-    /// The line that the way here belongs to, or its end; if the controller numbers by lines.
-    pub line: u32,
+    /// What the way here belongs to, or its end; if moves are marked.
+    pub mark: Mark,
+}
+
+impl Point {
+    /// What may not be mixed when points are left out.
+    fn kind(&self) -> (bool, bool, u32) {
+        (self.rapid, self.mark.arc, self.mark.tool)
+    }
 }
 
 /// Speeds in a span of time.
@@ -105,7 +113,13 @@ impl Drawing {
             origin: seconds,
             end: seconds,
             limit,
-            points: vec![Point { at: start.map(|v| v as f32), speed: 0.0, rapid: true, seconds: [0.0; 2], line: 0 }],
+            points: vec![Point {
+                at: start.map(|v| v as f32),
+                speed: 0.0,
+                rapid: true,
+                seconds: [0.0; 2],
+                mark: Mark::default(),
+            }],
             tolerance: FIRST_TOLERANCE,
             width: FIRST_WIDTH,
             columns: Vec::new(),
@@ -122,7 +136,7 @@ impl Drawing {
             speed: sample.speed as f32,
             rapid: sample.rapid,
             seconds: [began, began + sample.time],
-            line: sample.line,
+            mark: sample.mark,
         };
         self.top_speed = self.top_speed.max(point.speed);
         let near = self.top_speed * SAME_SPEED;
@@ -212,14 +226,16 @@ impl Drawing {
 /// The path without the points whose absence moves it by less than a tolerance in mm, or changes a speed by less than
 /// one in mm/s: Douglas and Peucker's method, on a bounded number of points at a time.
 fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
-    // Coarser than any machine: then rapids and feeds may become one, or a job of nothing but both would never shrink.
+    // Coarser than any machine: then rapids, feeds and arcs may become one, or a job of nothing but them would never shrink.
     let mixed = tolerance > 1e4;
     let mut kept = vec![false; points.len()];
     let mut start = 0;
     let mut open = Vec::new();
     while start + 1 < points.len() {
         let mut end = start + 1;
-        while end + 1 < points.len() && end - start < AT_A_TIME && (mixed || points[end + 1].rapid == points[end].rapid)
+        while end + 1 < points.len()
+            && end - start < AT_A_TIME
+            && (mixed || points[end + 1].kind() == points[end].kind())
         {
             end += 1;
         }
@@ -281,7 +297,7 @@ mod tests {
             from: [0.0; 3],
             to,
             new_block,
-            line: index as u32,
+            mark: Mark { line: index as u32, ..Mark::default() },
         }
     }
 
@@ -311,7 +327,7 @@ mod tests {
             let middle = [(pair[0].at[0] + pair[1].at[0]) / 2.0, (pair[0].at[1] + pair[1].at[1]) / 2.0];
             assert!(middle[0].hypot(middle[1]) > 45.0, "{pair:?} cuts the corner");
             let gap = pair[1].seconds[0] - pair[0].seconds[1];
-            assert!(gap.abs() < 1e-9 && pair[1].line > pair[0].line, "{pair:?} leaves out a time");
+            assert!(gap.abs() < 1e-9 && pair[1].mark.line > pair[0].mark.line, "{pair:?} leaves out a time");
         }
     }
 

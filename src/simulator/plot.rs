@@ -673,6 +673,7 @@ fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Drawn {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::marks::Mark;
     use crate::path::Sample;
     use crate::summary::tests::example;
 
@@ -692,7 +693,17 @@ mod tests {
             let speed = if i % 10 == 0 { 50.0 } else { 2.0 + f64::from(i) / 4.0 };
             let rapid = i % 10 == 0;
             let known_at = seconds + 0.25;
-            drawing.add(Sample { seconds, time: 0.5, speed, known_at, rapid, from: at, to, new_block: true, line: 0 });
+            drawing.add(Sample {
+                seconds,
+                time: 0.5,
+                speed,
+                known_at,
+                rapid,
+                from: at,
+                to,
+                new_block: true,
+                mark: Mark::default(),
+            });
             seconds += 0.5;
             at = to;
         }
@@ -766,7 +777,8 @@ mod tests {
 
     #[test]
     fn a_plunge_has_all_its_heights() {
-        let down = |z: f32| Point { at: [0.0, 0.0, z], speed: 1.0, rapid: false, seconds: [0.0; 2], line: 0 };
+        let down =
+            |z: f32| Point { at: [0.0, 0.0, z], speed: 1.0, rapid: false, seconds: [0.0; 2], mark: Mark::default() };
         let points = [down(0.0), down(-5.0)];
         let scale = Scale::of_height(&points, &Bounds::of(&points));
         assert_eq!(by_height(&points, &scale).len(), 24);

@@ -2,6 +2,7 @@
 //! [`oxmill_controller::pump`].
 
 use crate::boards::{AXES, BLOCKS};
+use crate::marks::Mark;
 use crate::simulator::{OUTGOING, Simulator};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
@@ -59,14 +60,17 @@ impl Pump<AXES, BLOCKS> for Simulator {
     }
 
     fn room(&mut self) -> Room {
+        // Asked before each output: the line in work is known, and none of its moves is queued yet.
+        self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }
 
     fn carry(&mut self, output: Output) {
         match output {
             Output::Step(message) => {
-                let line = self.controller.handed_line_number();
-                self.step.queue(message, line, &self.clock, &mut self.world);
+                let number = self.controller.handed_line_number();
+                let mark = self.marks.as_mut().map_or_else(Mark::default, |marks| marks.of(number));
+                self.step.queue(message, mark, &self.clock, &mut self.world);
             }
             Output::Stop => self.stop(),
             Output::Reply(chunk) => {

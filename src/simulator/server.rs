@@ -10,6 +10,7 @@
 use crate::command_line::{Serve, Speed};
 use crate::job::{check_power, power_up};
 use crate::simulator::Simulator;
+use crate::web_link::{self, Site};
 use anyhow::{Context, Result, anyhow};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -18,6 +19,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendErr
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
+use tungstenite::WebSocket;
 
 /// Bytes of a client that wait in front of the board's link, as in a host's port.
 const PORT: usize = 1 << 14;
@@ -40,15 +42,40 @@ const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
 const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What the threads tell the loop.
-enum Happened {
+pub(crate) enum Happened {
     /// A client is there.
     Connected(Client),
     /// Somebody has connected; the thread that reads from it needs the sender.
-    Knocked(TcpStream, SyncSender<Happened>),
+    Knocked(Visitor, SyncSender<Happened>),
     /// Bytes of the client have come, or it has gone: see its [`Inbox`].
     Heard,
     /// A line of the pin protocol; the answer goes to the sender.
     Pins(String, Sender<String>),
+}
+
+/// Somebody who has connected.
+pub(crate) enum Visitor {
+    /// To the port of `--tcp`.
+    Program(TcpStream),
+    /// To that of `--web`.
+    Page(Box<WebSocket<TcpStream>>),
+}
+
+impl Visitor {
+    fn stream(&self) -> &TcpStream {
+        match self {
+            Visitor::Program(stream) => stream,
+            Visitor::Page(socket) => socket.get_ref(),
+        }
+    }
+
+    /// Is told why it is not served.
+    fn turn_away(self) {
+        match self {
+            Visitor::Program(stream) => turn_away(&stream),
+            Visitor::Page(socket) => web_link::turn_away(*socket, TURNED_AWAY),
+        }
+    }
 }
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
@@ -68,6 +95,11 @@ pub fn serve(options: &Serve) -> Result<()> {
         println!("tcp {}", listener.local_addr()?);
         io::stdout().flush()?;
         thread::spawn(move || serve_tcp(&listener, &sender));
+    } else if let Some(port) = options.link.web {
+        let (listener, site) = Site::open(port, options.page.as_deref())?;
+        println!("web {}", site.address());
+        io::stdout().flush()?;
+        thread::spawn(move || web_link::serve_web(&listener, &Arc::new(site), &sender));
     } else if options.link.stdio {
         let inbox = Arc::new(Inbox::default());
         let (answers, written) = writer(io::stdout(), inbox.clone());
@@ -88,7 +120,7 @@ fn listen(address: &str) -> Result<TcpListener> {
 
 /// Bytes of a client on their way from the thread that reads them to the loop.
 #[derive(Default)]
-struct Inbox {
+pub(crate) struct Inbox {
     state: Mutex<InboxState>,
     changed: Condvar,
 }
@@ -107,7 +139,7 @@ impl Inbox {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn push(&self, bytes: &[u8]) {
+    pub(crate) fn push(&self, bytes: &[u8]) {
         self.state().bytes.extend(bytes);
     }
 
@@ -123,7 +155,7 @@ impl Inbox {
         self.state().bytes.is_empty()
     }
 
-    fn end(&self) {
+    pub(crate) fn end(&self) {
         self.state().ended = true;
     }
 
@@ -141,7 +173,7 @@ impl Inbox {
     }
 
     /// Waits until there is room for more. `false` if the client has gone meanwhile.
-    fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
+    pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
             let (next, waited) = self.changed.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner);
@@ -155,7 +187,7 @@ impl Inbox {
 }
 
 /// A client as the loop knows it.
-struct Client {
+pub(crate) struct Client {
     inbox: Arc<Inbox>,
     answers: SyncSender<Vec<u8>>,
     /// To see whether it is still there.
@@ -180,7 +212,7 @@ impl Client {
 
 /// Whether the other side has closed its end, also while bytes of it are unread.
 #[cfg(unix)]
-fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
+pub(crate) fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
     #[cfg(target_os = "linux")]
     let closed = PollFlags::from_bits_retain(nix::libc::POLLRDHUP);
@@ -193,7 +225,7 @@ fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
 
 /// Only reading to the end tells.
 #[cfg(not(unix))]
-fn hung_up<T>(_link: &T) -> bool {
+pub(crate) fn hung_up<T>(_link: &T) -> bool {
     false
 }
 
@@ -206,7 +238,7 @@ struct Device {
     anchor: (Instant, u64),
     client: Option<Client>,
     /// Clients on TCP that have come when the one before was about to go.
-    waiting: VecDeque<(TcpStream, SyncSender<Happened>)>,
+    waiting: VecDeque<(Visitor, SyncSender<Happened>)>,
     /// An answer that the client had no room for.
     kept: Option<Vec<u8>>,
 }
@@ -255,7 +287,7 @@ impl Device {
     fn take(&mut self, happened: Happened) {
         match happened {
             Happened::Connected(client) => self.connected(client),
-            Happened::Knocked(stream, sender) => self.knocked(stream, sender),
+            Happened::Knocked(visitor, sender) => self.knocked(visitor, sender),
             Happened::Heard => {}
             Happened::Pins(line, reply) => {
                 let answer = self.simulator.pin_line(&line);
@@ -291,26 +323,36 @@ impl Device {
         })
     }
 
-    /// Serves a TCP client, or turns it away.
-    fn knocked(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
+    /// Serves somebody who has connected, or turns them away.
+    fn knocked(&mut self, visitor: Visitor, sender: SyncSender<Happened>) {
         match &self.client {
-            None => self.admit(stream, sender),
+            None => self.admit(visitor, sender),
             // Its reader is about to tell so.
-            Some(client) if client.has_gone() => self.waiting.push_back((stream, sender)),
+            Some(client) if client.has_gone() => self.waiting.push_back((visitor, sender)),
             Some(_) => {
-                thread::spawn(move || turn_away(&stream));
+                thread::spawn(move || visitor.turn_away());
             }
         }
     }
 
-    fn admit(&mut self, stream: TcpStream, sender: SyncSender<Happened>) {
+    fn admit(&mut self, visitor: Visitor, sender: SyncSender<Happened>) {
+        let stream = visitor.stream();
         // Answers are short and each is waited for. A client that does not read holds its writer for so long at a time.
         let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
         let inbox = Arc::new(Inbox::default());
-        let (answers, _) = writer(back, inbox.clone());
-        self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
-        thread::spawn(move || pass_bytes(&mut &stream, &inbox, &sender, || hung_up(&stream)));
+        match visitor {
+            Visitor::Program(stream) => {
+                let (answers, _) = writer(back, inbox.clone());
+                self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
+                thread::spawn(move || pass_bytes(&mut &stream, &inbox, &sender, || hung_up(&stream)));
+            }
+            Visitor::Page(socket) => {
+                let (answers, spoken) = sync_channel(ANSWERS);
+                self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
+                thread::spawn(move || web_link::pass_messages(*socket, &inbox, &spoken, &sender));
+            }
+        }
     }
 
     fn connected(&mut self, client: Client) {
@@ -332,8 +374,8 @@ impl Device {
             self.kept = None;
             self.simulator.disconnect();
         }
-        for (stream, sender) in std::mem::take(&mut self.waiting) {
-            self.knocked(stream, sender);
+        for (visitor, sender) in std::mem::take(&mut self.waiting) {
+            self.knocked(visitor, sender);
         }
     }
 
@@ -451,7 +493,7 @@ fn turn_away(mut stream: &TcpStream) {
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     for stream in listener.incoming() {
         let Ok(stream) = stream else { continue };
-        if sender.send(Happened::Knocked(stream, sender.clone())).is_err() {
+        if sender.send(Happened::Knocked(Visitor::Program(stream), sender.clone())).is_err() {
             return;
         }
     }

@@ -44,8 +44,10 @@ impl fmt::Display for ShortReport<'_> {
         }
         let skipped = if summary.errors.is_empty() { "" } else { ", with the refused lines left out" };
         writeln!(f, "  time     {}{skipped}", clock_time(summary.forecast_s))?;
-        let parts = [("at feed", summary.feed_s), ("in rapids", summary.rapid_s), ("standing", summary.standing_s)];
-        writeln!(f, "           {}", parts.map(|(name, s)| format!("{} {name}", clock_time(s))).join(", "))?;
+        writeln!(f, "           {}", summary.parts())?;
+        for tool in summary.several_tools().iter().take(SHOWN_ERRORS) {
+            writeln!(f, "           {tool}")?;
+        }
         for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
             let title = if axis == 0 { "extents" } else { "" };
             let (low, high) = (summary.extents_mm.min[axis], summary.extents_mm.max[axis]);

@@ -15,6 +15,7 @@ use crate::fittings::Fittings;
 use crate::host_link::HostLink;
 use crate::input_task::InputTask;
 use crate::machine::Machine;
+use crate::marks::{Mark, Marks};
 use crate::meter::Meter;
 use crate::step_task::{StepTask, World};
 use crate::store::Store;
@@ -71,6 +72,8 @@ pub struct Simulator {
     pub(crate) job: Sole<JobText>,
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
+    /// What moves belong to, if somebody wants to know.
+    pub(crate) marks: Option<Marks>,
 }
 
 impl Simulator {
@@ -108,6 +111,7 @@ impl Simulator {
             job: Sole(None),
             job_ready: 0,
             wiring: None,
+            marks: None,
         };
         let World { fittings, machine, .. } = &mut simulator.world;
         if !fittings.is_empty() && fittings.moved(machine, 0) {
@@ -245,6 +249,7 @@ impl Simulator {
             return false;
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
+        let began = self.clock.now();
         loop {
             match self.step.due() {
                 Some(due) if due <= until => {
@@ -260,6 +265,7 @@ impl Simulator {
                 }
             }
         }
+        self.count_wait(began);
         if self.inputs.sample_due().is_some_and(|due| due <= self.clock.now()) {
             self.sample_contacts();
         }
@@ -385,9 +391,10 @@ impl Simulator {
         self.learn_resolution();
     }
 
-    /// Drawings have the lines that moves belong to, instead of their N words; so have status reports.
-    pub fn number_by_lines(&mut self) {
-        self.controller.number_by_lines();
+    /// From here on it is known of moves what line and tool they belong to: for drawings and times. Status reports have numbers
+    /// of their own instead of N words then.
+    pub fn mark_moves(&mut self) {
+        self.marks = Some(Marks::default());
     }
 
     /// Gives the controller a job, whose lines it takes whenever it wants one.
@@ -452,6 +459,28 @@ impl Simulator {
             if !pump::round(self) {
                 self.erase_ahead();
                 return;
+            }
+        }
+    }
+
+    /// Counts the time since a tick as dwell or as spin-up, if the line in work waits for one of them.
+    fn count_wait(&mut self, began: u64) {
+        let Some(spindle_until) = self.controller.waits_for_spindle_until() else { return };
+        let now = self.clock.now();
+        let turns = spindle_until >= self.clock.instant();
+        let turning = if turns { now } else { self.clock.ticks_at(spindle_until).clamp(began, now) };
+        let times = self.world.meter.times_mut().of(self.controller.tool_in_work());
+        times.spin_up_s += self.clock.seconds(turning - began);
+        times.dwell_s += self.clock.seconds(now - turning);
+    }
+
+    /// Gives the moves of the line in work their number.
+    pub(crate) fn mark_line(&mut self) {
+        if let Some(marks) = &mut self.marks {
+            let controller = &mut self.controller;
+            let (line, tool, arc) = (controller.lines_read(), controller.tool_in_work(), controller.is_arc_in_work());
+            if let Some(number) = marks.begin(Mark { line, tool, arc }) {
+                controller.number_moves(number);
             }
         }
     }

@@ -5,6 +5,7 @@ use crate::clock::Clock;
 use crate::fittings::Fittings;
 use crate::input_task::InputTask;
 use crate::machine::Machine;
+use crate::marks::Mark;
 use crate::meter::Meter;
 use crate::trace::{StepRecord, Trace};
 use oxmill_controller::Stepper;
@@ -37,8 +38,8 @@ impl World {
 #[derive(Clone)]
 pub struct StepTask {
     stepper: Box<Stepper<AXES>>,
-    /// Messages that wait, each with the line that its move belongs to.
-    segments: VecDeque<(ToStep, u32)>,
+    /// Messages that wait, each with what its move belongs to.
+    segments: VecDeque<(ToStep, Mark)>,
     events: VecDeque<StepEvent<AXES>>,
     /// When the step timer expires next; `None` while it is stopped.
     due: Option<u64>,
@@ -138,21 +139,21 @@ impl StepTask {
         world.trace.outputs(&outputs, self.power);
     }
 
-    /// A message comes into the queue. `line` is the one that its move belongs to, if the controller numbers by lines.
-    pub fn queue(&mut self, message: ToStep, line: u32, clock: &Clock, world: &mut World) {
-        self.segments.push_back((message, line));
+    /// A message comes into the queue. `mark` is what its move belongs to, if moves are marked.
+    pub fn queue(&mut self, message: ToStep, mark: Mark, clock: &Clock, world: &mut World) {
+        self.segments.push_back((message, mark));
         self.load(clock, world);
     }
 
     /// Fills the stepper from the queue and starts the timer when it has work.
     fn load(&mut self, clock: &Clock, world: &mut World) {
         while self.stepper.wants()
-            && let Some((message, line)) = self.segments.pop_front()
+            && let Some((message, mark)) = self.segments.pop_front()
         {
             match message {
                 ToStep::Resume { stops } if self.shut == Some(stops) => self.shut = None,
                 _ if self.shut.is_some() => {}
-                _ => world.meter.loaded(&message, line),
+                _ => world.meter.loaded(&message, mark),
             }
             self.stepper.load(message);
         }

@@ -67,7 +67,7 @@ impl Streaming {
     pub fn new(mut simulator: Simulator, text: &[u8], baud: u32) -> Self {
         let origin = simulator.clock().now();
         simulator.begin_job();
-        simulator.number_by_lines();
+        simulator.mark_moves();
         simulator.take_output();
         let start = simulator.meter().millimetres(simulator.machine().position());
         let seconds = simulator.clock().seconds(origin);
@@ -148,7 +148,7 @@ impl Streaming {
     /// When each line of the text ended, in seconds from the first byte.
     fn ends(&self) -> BTreeMap<u32, f64> {
         let points = self.simulator.meter().drawing().map_or(&[][..], Drawing::points);
-        points.iter().map(|point| (point.line.wrapping_sub(self.lines_before), point.seconds[1])).collect()
+        points.iter().map(|point| (point.mark.line.wrapping_sub(self.lines_before), point.seconds[1])).collect()
     }
 
     /// What became of it, compared with the same job over a link without limit.

@@ -1,6 +1,7 @@
 //! What a job did, for people and as JSON.
 
 use crate::boards::AXES;
+use crate::times::ToolTime;
 use serde::Serialize;
 use std::fmt;
 
@@ -80,6 +81,12 @@ pub struct Summary {
     pub rapid_s: f64,
     /// The rest: dwells, spindle delays, tool changes.
     pub standing_s: f64,
+    /// Part of it for G4 and the dwells of canned cycles.
+    pub dwell_s: f64,
+    /// Part of it for the spindle to turn, or to come to rest.
+    pub spin_up_s: f64,
+    /// The same by tool, in the order in which they came.
+    pub tools: Vec<ToolTime>,
     /// Machine position at the end.
     pub position_mm: [f64; AXES],
     /// Work position at the end.
@@ -116,10 +123,38 @@ impl Summary {
         self.errors.len() as u64 + self.more_errors
     }
 
+    /// The parts of the forecast in one line.
+    pub fn parts(&self) -> String {
+        let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
+        let standing = [("dwell", self.dwell_s), ("spindle", self.spin_up_s)];
+        let standing: Vec<_> = standing.iter().filter(|(_, seconds)| *seconds > 0.0).map(named_time).collect();
+        let parts = parts.iter().map(named_time).collect::<Vec<_>>().join(", ");
+        if standing.is_empty() { parts } else { format!("{parts} ({})", standing.join(", ")) }
+    }
+
+    /// A line for each tool, if there are several.
+    pub fn several_tools(&self) -> Vec<String> {
+        let line = |row: &ToolTime| {
+            let parts = [
+                ("at feed", row.feed_s),
+                ("in rapids", row.rapid_s),
+                ("dwell", row.dwell_s),
+                ("spindle", row.spin_up_s),
+            ];
+            let parts: Vec<_> = parts.iter().filter(|(_, seconds)| *seconds > 0.0).map(named_time).collect();
+            format!("T{}: {}", row.tool, parts.join(", "))
+        };
+        if self.tools.len() > 1 { self.tools.iter().map(line).collect() } else { Vec::new() }
+    }
+
     /// Whether every line was accepted and nothing went wrong.
     pub fn is_good(&self) -> bool {
         self.errors.is_empty() && self.alarm.is_none() && self.complete
     }
+}
+
+fn named_time((name, seconds): &(&str, f64)) -> String {
+    format!("{} {name}", clock_time(*seconds))
 }
 
 /// How many errors people are shown.
@@ -161,8 +196,10 @@ impl fmt::Display for Summary {
         row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
         let duration = format!("{}, moving for {}", clock_time(self.duration_s), clock_time(self.moving_s));
         row(f, "duration", format!("{duration} (first to last step)"))?;
-        let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
-        row(f, "", parts.map(|(name, seconds)| format!("{} {name}", clock_time(seconds))).join(", "))?;
+        row(f, "", self.parts())?;
+        for tool in self.several_tools() {
+            row(f, "", tool)?;
+        }
         let cutting = self.distance_mm - self.rapid_distance_mm;
         row(f, "distance", format!("{:.3} mm, {:.3} mm of it at feed", self.distance_mm, cutting))?;
         for (axis, name) in ['X', 'Y', 'Z'].into_iter().enumerate() {
@@ -269,6 +306,9 @@ pub(crate) mod tests {
             feed_s: 3600.0,
             rapid_s: 99.0,
             standing_s: 26.5,
+            dwell_s: 20.0,
+            spin_up_s: 6.5,
+            tools: vec![ToolTime { tool: 1, feed_s: 3600.0, rapid_s: 99.0, dwell_s: 20.0, spin_up_s: 6.5 }],
             position_mm: [1.0, -2.0, 0.0],
             work_position_mm: [0.0; 3],
             steps: [250, -500, 0],
@@ -343,5 +383,16 @@ pub(crate) mod tests {
         assert_eq!(clock_time(95.0), "1 min 35.0 s");
         assert_eq!(clock_time(3725.5), "1 h 2 min 6 s");
         assert!(example().to_string().contains("line 2: error:20 (unknown): G1 Q1"));
+        assert!(example().to_string().contains("26.500 s standing (20.000 s dwell, 6.500 s spindle)"));
+    }
+
+    #[test]
+    fn several_tools_have_a_line_each() {
+        let mut summary = example();
+        assert!(summary.several_tools().is_empty());
+        summary.tools.push(ToolTime { tool: 12, rapid_s: 3.0, ..ToolTime::default() });
+        assert_eq!(summary.several_tools()[1], "T12: 3.000 s in rapids");
+        let text = summary.to_string();
+        assert!(text.contains("T1: 60 min 0.0 s at feed") || text.contains("T1: 1 h 0 min 0 s at feed"), "{text}");
     }
 }

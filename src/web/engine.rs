@@ -76,7 +76,6 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     let mut simulator = power_up(order)?;
     if order.path {
-        simulator.number_by_lines();
         let start = simulator.meter().millimetres(simulator.machine().position());
         let seconds = simulator.clock().seconds(simulator.clock().now());
         simulator.meter_mut().draw(Drawing::new(start, seconds));
@@ -117,10 +116,12 @@ pub fn turn(machine: &mut Simulator, bytes: &[u8], microseconds: u32) -> String 
 pub const ROW: usize = 6;
 /// The bit of a row's line number that tells a rapid.
 pub const RAPID: u32 = 1 << 31;
+/// The bit that tells an arc.
+pub const ARC: u32 = 1 << 30;
 
-/// The path of a job as rows of [`ROW`] numbers, and for each row the line of the file that it belongs to, with [`RAPID`].
-/// The first row is the start.
-pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>) {
+/// The path of a job as rows of [`ROW`] numbers, and for each row the line of the file that it belongs to, with [`RAPID`]
+/// and [`ARC`], and its tool. The first row is the start.
+pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
     // The step counter began at 0 at power-up; the machine's own name of the place may be another.
@@ -131,10 +132,18 @@ pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>) {
         [x, y, z, point.speed, point.seconds[0] as f32, point.seconds[1] as f32]
     };
     let line = |point: &Point| {
-        let line = simulator.job().map_or(0, |job| job.file_line(point.line));
-        u32::try_from(line).unwrap_or(0) & !RAPID | if point.rapid { RAPID } else { 0 }
+        let line = simulator.job().map_or(0, |job| job.file_line(point.mark.line));
+        let kind = if point.rapid {
+            RAPID
+        } else if point.mark.arc {
+            ARC
+        } else {
+            0
+        };
+        u32::try_from(line).unwrap_or(0) & (ARC - 1) | kind
     };
-    (points.iter().flat_map(row).collect(), points.iter().map(line).collect())
+    let tools = points.iter().map(|point| point.mark.tool).collect();
+    (points.iter().flat_map(row).collect(), points.iter().map(line).collect(), tools)
 }
 
 /// All that a user interface needs to know of the firmware: boards, settings, errors and alarms.
@@ -209,14 +218,14 @@ mod tests {
         let (order, job) = parse(b"{\"path\":true}\0%\nG21 G91 F600\n\nG0 X1\nG4 P1\nG2 X2 I1\n").unwrap();
         let mut check = check(&order, job).unwrap();
         while !check.advance(1000) {}
-        let (rows, lines) = rows(&check);
+        let (rows, lines, tools) = rows(&check);
         let rows = rows.as_chunks::<ROW>().0;
         assert_eq!(rows.len(), lines.len());
         assert_eq!(rows[0][..3], [0.0; 3]);
-        assert!(lines[1..].iter().all(|line| [4 | RAPID, 6].contains(line)), "{lines:?}");
-        assert!(lines.contains(&(4 | RAPID)) && lines.contains(&6));
+        assert!(lines[1..].iter().all(|line| [4 | RAPID, 6 | ARC].contains(line)), "{lines:?}");
+        assert!(lines.contains(&(4 | RAPID)) && lines.contains(&(6 | ARC)) && tools.iter().all(|tool| *tool == 0));
         assert!(rows.windows(2).all(|pair| pair[1][4] >= pair[0][5] - 1e-5 && pair[1][5] > pair[1][4]));
-        let arc = lines.iter().position(|line| *line == 6).unwrap();
+        let arc = lines.iter().position(|line| *line == 6 | ARC).unwrap();
         assert!(rows[arc][4] > rows[arc - 1][5] + 0.9, "the dwell lies between");
         let last = rows[rows.len() - 1];
         assert!((last[0] - 3.0).abs() < 1e-3 && last[1].abs() < 1e-3, "{last:?}");

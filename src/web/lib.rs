@@ -19,7 +19,8 @@
 //! | `oxmill_check_summary()` | | status | JSON: what `oxmill run --json` prints; `host_s` is 0 |
 //! | `oxmill_path()` | | rows of the path, for an order with `"path": true` | |
 //! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in s | |
-//! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid | |
+//! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid, bit 30 for an arc |
+//! | `oxmill_path_tools()` | | address of a `u32` for each row: tool, 0 for none that M6 named | |
 //! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
 //! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
@@ -44,7 +45,7 @@ use oxmill_simulator::streaming::Streaming;
 use std::cell::RefCell;
 
 /// Number of this interface. It changes when a caller would have to.
-pub const ABI: u32 = 1;
+pub const ABI: u32 = 2;
 /// What `oxmill_check_advance` gives at the end of the job.
 pub const DONE: u32 = 1001;
 /// Parts that progress is told in.
@@ -59,6 +60,7 @@ struct Instance {
     job_length: u64,
     rows: Vec<f32>,
     lines: Vec<u32>,
+    tools: Vec<u32>,
     streams: Option<[Streaming; 2]>,
     machine: Option<Simulator>,
 }
@@ -177,7 +179,7 @@ pub extern "C" fn oxmill_check_summary() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path() -> usize {
     with(|instance| {
-        (instance.rows, instance.lines) = instance.check.as_ref().map(engine::rows).unwrap_or_default();
+        (instance.rows, instance.lines, instance.tools) = instance.check.as_ref().map(engine::rows).unwrap_or_default();
         instance.lines.len()
     })
 }
@@ -192,6 +194,12 @@ pub extern "C" fn oxmill_path_rows() -> *const f32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_lines() -> *const u32 {
     with(|instance| instance.lines.as_ptr())
+}
+
+/// Address of the tools of the rows.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_path_tools() -> *const u32 {
+    with(|instance| instance.tools.as_ptr())
 }
 
 /// Begins to send a job over a link.

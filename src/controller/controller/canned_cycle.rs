@@ -14,7 +14,7 @@ use crate::units::{Coordinate, Duration};
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Does the next step of the line's cycle. What follows; `None` if something has to be waited for.
     #[inline(never)]
-    pub(super) fn go_on_cycle(&mut self, job: &Job) -> Option<Stage> {
+    pub(super) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {
         if !EXTENDED {
             return Some(Stage::Flow);
         }
@@ -34,9 +34,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Some(CycleStep::Feed(target, feed)) => {
                 self.queue(&target, Speed::Feed(feed), job);
             }
-            Some(CycleStep::Dwell(time)) => return Some(self.cycle_waits(time)),
-            Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off)),
-            Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction)),
+            Some(CycleStep::Dwell(time)) => {
+                job.spindle_delay = Duration::from_ticks(0);
+                return Some(self.cycle_waits(time));
+            }
+            Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off, job)),
+            Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
             Some(CycleStep::Pause) => {
                 self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
                 self.mode = Mode::Hold;
@@ -51,8 +54,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// With the delays of M3 to M5.
-    fn cycle_switches_spindle(&mut self, direction: SpindleDirection) -> Stage {
+    fn cycle_switches_spindle(&mut self, direction: SpindleDirection, job: &mut Job) -> Stage {
         let delay = self.accessories.set_spindle(direction, &self.settings);
+        job.spindle_delay = delay;
         self.interpreter.set_accessories(direction, self.accessories.coolant());
         self.replies.overrides_changed();
         if self.accessories.must_tell_speed(&self.settings) {

@@ -189,7 +189,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The motion of the line. What follows; `None` if something has to be waited for.
-    fn begin_motion(&mut self, job: &Job) -> Option<Stage> {
+    fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         match self.line.checked.motion {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
             gcode::Motion::Arc(ref arc) => {

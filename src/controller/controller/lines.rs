@@ -91,7 +91,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
-        self.motion.begin_line(self.lines.lines_read());
         let result = match line.first() {
             None if remark.is_empty() || self.mode.is_alarm() => {
                 self.say(report::ok);

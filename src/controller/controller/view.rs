@@ -1,12 +1,16 @@
 //! What can be asked of the controller; nothing changes.
 
 use super::Controller;
+use super::task::{Stage, Task};
 use crate::axes::PerAxis;
 use crate::error::Alarm;
-use crate::gcode::Dialect;
+use crate::gcode::{Dialect, Motion};
 use crate::machine::state::Mode;
 use crate::settings::{Key, Settings};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, Instant};
+
+/// A moment that does not come: instants of more than half of the range would count as past.
+const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether nothing is queued, moving, waited for or unanswered.
@@ -64,10 +68,34 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.running_line_number()
     }
 
-    /// Numbers moves by the lines that they come from, counted as [`Controller::lines_read`], instead of by their N words:
-    /// for a simulator that shows which line a move belongs to. Motion does not depend on it.
-    pub fn number_by_lines(&mut self) {
-        self.motion.number_by_lines();
+    /// Moves that are queued from here on have this number instead of their N words: for a simulator that shows which line a
+    /// move belongs to. Motion does not depend on it.
+    pub fn number_moves(&mut self, number: u32) {
+        self.motion.number_moves(number);
+    }
+
+    /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
+    pub fn tool_in_work(&self) -> u32 {
+        match self.task {
+            Task::Job(_) => self.line.checked.spindle_tool(),
+            _ => self.interpreter.spindle_tool(),
+        }
+    }
+
+    /// Whether the line that is carried out is an arc.
+    pub fn is_arc_in_work(&self) -> bool {
+        matches!(self.task, Task::Job(_)) && matches!(self.line.checked.motion, Motion::Arc(_))
+    }
+
+    /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
+    pub fn waits_for_spindle_until(&self) -> Option<Instant> {
+        let Task::Job(job) = &self.task else { return None };
+        match (job.stage, self.line.checked.dwell) {
+            (Stage::Dwell(_), _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
+            (Stage::Dwell(until) | Stage::SpinningUp(until), Some(dwell)) => Some(until - dwell),
+            (Stage::Dwell(_) | Stage::SpinningUp(_), None) => Some(NEVER),
+            _ => None,
+        }
     }
 
     /// Lines that have been read since power-up (wrapping), whatever became of them.

@@ -96,6 +96,11 @@ impl<const N: usize> Interpreter<N> {
         self.tools = ToolTable::EMPTY;
     }
 
+    /// The tool that the spindle holds; 0 for none that M6 named.
+    pub fn spindle_tool(&self) -> u32 {
+        self.spindle_tool
+    }
+
     /// The table of tools.
     pub fn tools(&self) -> &ToolTable<N> {
         &self.tools

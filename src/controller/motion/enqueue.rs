@@ -200,7 +200,7 @@ impl<const N: usize> AnyQueue<N> {
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let line_number = match self.numbering {
             Numbering::Words => m.line_number,
-            Numbering::Lines(line) => line,
+            Numbering::Given(number) => number,
         };
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.

@@ -477,16 +477,9 @@ impl<const N: usize> AnyMotion<N> {
         self.source.running.line_number
     }
 
-    /// Moves are numbered by lines from here on: see [`MotionWith::begin_line`].
-    pub fn number_by_lines(&mut self) {
-        self.queue.numbering = Numbering::Lines(0);
-    }
-
-    /// What follows belongs to this line, for moves that are numbered by lines.
-    pub fn begin_line(&mut self, number: u32) {
-        if let Numbering::Lines(line) = &mut self.queue.numbering {
-            *line = number;
-        }
+    /// Moves have this number from here on, instead of their N words.
+    pub fn number_moves(&mut self, number: u32) {
+        self.queue.numbering = Numbering::Given(number);
     }
 
     /// The motors at the end of what has been handed over.

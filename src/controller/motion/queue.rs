@@ -33,8 +33,8 @@ pub(super) struct LongMove<const N: usize> {
 pub(super) enum Numbering {
     /// The N word of its line.
     Words,
-    /// The count of lines read, with its line.
-    Lines(u32),
+    /// A number that who carries the controller gives.
+    Given(u32),
 }
 
 /// What a move becomes a block with, and the blocks.

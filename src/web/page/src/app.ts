@@ -3,6 +3,7 @@ import { $, el } from "./dom";
 import type { Description, Order, Path, Summary } from "./engine";
 import * as firmware from "./firmware";
 import { MachinePanel } from "./machine";
+import { MaterialPanel } from "./stock";
 import { Player } from "./player";
 import { placeAt } from "./track";
 import { SettingsPanel } from "./settings";
@@ -22,6 +23,7 @@ export class App {
   readonly player: Player;
   readonly forecasts: ForecastPanels;
   readonly machine: MachinePanel;
+  readonly material: MaterialPanel;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
 
@@ -33,6 +35,7 @@ export class App {
     this.player = new Player(this);
     this.forecasts = new ForecastPanels(this);
     this.machine = new MachinePanel(this);
+    this.material = new MaterialPanel(this);
     tabs();
     theme();
     this.listen();
@@ -63,6 +66,7 @@ export class App {
     const running = (this.running = new AbortController());
     this.checked = undefined;
     this.forecasts.clear();
+    this.material.clear();
     const progress = $<HTMLProgressElement>("progress");
     progress.hidden = false;
     progress.value = 0;
@@ -83,6 +87,7 @@ export class App {
   private show(summary: Summary, path: Path): void {
     showReport(summary, line => this.player.goToLine(line));
     this.player.show(path, summary);
+    this.material.show(path, summary);
   }
 
   private listen(): void {

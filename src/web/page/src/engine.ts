@@ -13,11 +13,13 @@ export interface Order {
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
 export interface AlarmReport { code: number; text: string; line: number | null; advice: string }
 
+export interface ToolTime { tool: number; feed_s: number; rapid_s: number; dwell_s: number; spin_up_s: number }
+
 /** What `oxmill run --json` prints: docs/json.md. */
 export interface Summary {
   job: string; board: string; dialect: string; lines: number; errors: LineError[]; more_errors: number;
   alarm: AlarmReport | null; complete: boolean; notes: string[]; messages: string[];
-  forecast_s: number; feed_s: number; rapid_s: number; standing_s: number;
+  forecast_s: number; feed_s: number; rapid_s: number; standing_s: number; dwell_s: number; spin_up_s: number; tools: ToolTime[];
   position_mm: number[]; work_position_mm: number[]; pulses: number[];
   distance_mm: number; rapid_distance_mm: number; extents_mm: { min: number[]; max: number[] };
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
@@ -26,7 +28,9 @@ export interface Summary {
 /** A row has x, y, z in mm, speed in mm/s, begin and end in s. */
 export const ROW = 6;
 export const RAPID = 0x80000000;
-export interface Path { rows: Float32Array; lines: Uint32Array }
+export const ARC = 0x40000000;
+/** For each row also its line, with RAPID or ARC, and its tool. */
+export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
 
@@ -53,6 +57,7 @@ interface Exports {
   oxmill_path(): number;
   oxmill_path_rows(): number;
   oxmill_path_lines(): number;
+  oxmill_path_tools(): number;
   oxmill_stream_begin(): number;
   oxmill_stream_advance(ms: number): number;
   oxmill_stream_summary(): number;
@@ -63,7 +68,7 @@ interface Exports {
   oxmill_panic(): number;
 }
 
-const ABI = 1;
+const ABI = 2;
 const DONE = 1001;
 const encode = (text: string) => new TextEncoder().encode(text);
 
@@ -96,6 +101,7 @@ export class Engine {
     return {
       rows: new Float32Array(buffer, this.wasm.oxmill_path_rows(), count * ROW).slice(),
       lines: new Uint32Array(buffer, this.wasm.oxmill_path_lines(), count).slice(),
+      tools: new Uint32Array(buffer, this.wasm.oxmill_path_tools(), count).slice(),
     };
   }
 

@@ -1,5 +1,6 @@
 // The firmware as the page calls it: each job in a worker of its own.
 import type { Description, Order, Path, Streamed, Summary } from "./engine";
+import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
 
 declare const OXMILL: { wasm: string; worker: string; examples: Record<string, string> };
@@ -61,6 +62,11 @@ export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progr
 
 export async function stream(order: Order, job: Uint8Array, signal?: AbortSignal): Promise<Streamed> {
   return (await run<Answer & { streamed: Streamed }>({ task: "stream", order, job }, "streamed", signal)).streamed;
+}
+
+/** What the cutters leave of a block. No firmware in it, but a worker all the same: it takes seconds. */
+export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
+  return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block }, "material", signal, progress)).material;
 }
 
 /** Does tasks with as many workers at a time as there are cores, but not more than four. */

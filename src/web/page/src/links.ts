@@ -103,3 +103,40 @@ export class SerialLink implements Link {
     }
   }
 }
+
+/** Where the machine of `oxmill serve --web` is, in a page that it has served. */
+export function servedMachine(): string | undefined {
+  const path = document.querySelector<HTMLMetaElement>("meta[name=oxmill-machine]")?.content;
+  return path && `ws://${location.host}${path}`;
+}
+
+/** A machine at a WebSocket. */
+export class SocketLink implements Link {
+  onsaid: (text: string) => void = () => {};
+  onlost: (why: string) => void = () => {};
+
+  private constructor(private readonly socket: WebSocket) {
+    const decoder = new TextDecoder();
+    socket.onmessage = ({ data }) => this.onsaid(decoder.decode(data as ArrayBuffer, { stream: true }));
+    socket.onclose = () => this.onlost("the connection is closed");
+  }
+
+  static open(url: string): Promise<SocketLink> {
+    return new Promise((resolve, reject) => {
+      const socket = new WebSocket(url);
+      socket.binaryType = "arraybuffer";
+      const link = new SocketLink(socket);
+      socket.onopen = () => resolve(link);
+      socket.onerror = () => reject(new Error("the machine does not answer"));
+    });
+  }
+
+  write(bytes: Uint8Array<ArrayBuffer>): void {
+    this.socket.send(bytes);
+  }
+
+  close(): void {
+    this.socket.onclose = null;
+    this.socket.close();
+  }
+}

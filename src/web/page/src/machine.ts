@@ -1,7 +1,7 @@
 // The machine: in the page, or a real board at a serial port, with the same code.
 import type { App } from "./app";
 import { $, el } from "./dom";
-import { PageLink, SerialLink, serial } from "./links";
+import { PageLink, SerialLink, serial, servedMachine, SocketLink } from "./links";
 import { type Link, REALTIME, Sender, type Status } from "./sender";
 import { parseSettings } from "./settings";
 
@@ -25,6 +25,7 @@ const html = `
 <div class="row">
   <button id="power" type="button">Machine in the page</button>
   <button id="connect" type="button">Connect a board</button>
+  <button id="served" type="button" class="go" hidden>Simulated machine</button>
   <button id="leave" type="button" hidden>Disconnect</button>
 </div>
 <p id="noserial" hidden>This browser has no Web Serial: Chromium, Chrome, Edge and Firefox of today have it.</p>
@@ -102,7 +103,7 @@ export class MachinePanel {
       $("sent").textContent = sender.lines.length ? `${sender.done} of ${sender.lines.length} lines` : "";
     };
     $("live").hidden = $("leave").hidden = false;
-    $("power").hidden = $("connect").hidden = true;
+    $("power").hidden = $("connect").hidden = $("served").hidden = true;
     $<HTMLSelectElement>("times").disabled = !(link instanceof PageLink);
     $("machine-note").textContent = "";
     this.poll = setInterval(() => sender.realtime(REALTIME.status), POLL);
@@ -116,6 +117,7 @@ export class MachinePanel {
     $("live").hidden = $("leave").hidden = true;
     this.app.player.showMachine();
     $("power").hidden = $("connect").hidden = false;
+    $("served").hidden = servedMachine() === undefined;
     $("machine-note").textContent = why;
   }
 
@@ -225,6 +227,15 @@ export class MachinePanel {
     $("connect").addEventListener("click", async () => {
       try {
         this.attach(await SerialLink.open(BAUD));
+      } catch (error) {
+        $("machine-note").textContent = (error as Error).message;
+      }
+    });
+    const served = servedMachine();
+    $("served").hidden = served === undefined;
+    $("served").addEventListener("click", async () => {
+      try {
+        this.attach(await SocketLink.open(served as string));
       } catch (error) {
         $("machine-note").textContent = (error as Error).message;
       }

@@ -2,7 +2,8 @@
 import { Camera, type Vector } from "./camera";
 import { rgb } from "./dom";
 import { type Path, ROW } from "./engine";
-import { FRAGMENT, VERTEX } from "./shaders";
+import type { Material } from "./material";
+import { BLOCK_FRAGMENT, BLOCK_VERTEX, FRAGMENT, VERTEX } from "./shaders";
 
 /** Floats of a row on the graphics processor: place, begin and end, shade. */
 const STRIDE = 6;
@@ -11,6 +12,9 @@ const QUICK = 20_000;
 /** A picture with thick lines that took longer than this is not asked for again, ms. */
 const SLOW = 250;
 const REST = 200;
+/** Quads of a block that are drawn at rest, and while the view moves. */
+const QUADS = 250_000;
+const QUADS_MOVING = 40_000;
 
 interface Lines { thick: WebGLVertexArrayObject; thin: WebGLVertexArrayObject; buffer: WebGLBuffer; count: number }
 
@@ -22,7 +26,14 @@ export class Picture {
   onpaint = () => {};
   /** Called when somebody points at a row. */
   onpick: (row: number) => void = () => {};
+  /** With a block: whether the whole path is drawn, or rapids through material alone. */
+  withPath = false;
   private readonly gl: WebGL2RenderingContext;
+  private readonly lineProgram: WebGLProgram;
+  private readonly blockProgram: WebGLProgram;
+  private readonly heights: WebGLTexture;
+  private readonly nothing: WebGLVertexArrayObject;
+  private material?: Material;
   private readonly uniforms: Record<string, WebGLUniformLocation | null> = {};
   private readonly path: Lines;
   private readonly grid: Lines;
@@ -39,11 +50,13 @@ export class Picture {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("this browser has no WebGL 2");
     this.gl = gl;
-    const program = this.program();
-    gl.useProgram(program);
-    for (const name of ["view", "pixel", "width", "strip", "now", "plain", "ink", "rapid", "plunge", "future", "scale"]) {
-      this.uniforms[name] = gl.getUniformLocation(program, name);
+    this.lineProgram = this.program(VERTEX, FRAGMENT);
+    this.blockProgram = this.program(BLOCK_VERTEX, BLOCK_FRAGMENT);
+    for (const name of ["view", "pixel", "width", "strip", "now", "plain", "ink", "rapid", "plunge", "crash", "future", "only", "scale"]) {
+      this.uniforms[name] = gl.getUniformLocation(this.lineProgram, name);
     }
+    this.heights = gl.createTexture();
+    this.nothing = gl.createVertexArray();
     this.path = this.lines(1);
     this.grid = this.lines(2);
     this.box = this.lines(2);
@@ -82,6 +95,26 @@ export class Picture {
       data[i * STRIDE + 5] = shades[i];
     }
     this.load(this.path, data);
+    this.draw();
+  }
+
+  /** Shows what is left of a block, or takes it away. */
+  block(material?: Material): void {
+    const gl = this.gl;
+    const first = material && !this.material;
+    this.material = material;
+    if (material) {
+      gl.bindTexture(gl.TEXTURE_2D, this.heights);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, material.nx, material.ny, 0, gl.RED, gl.FLOAT, material.heights);
+      // Floats are not blended between.
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+      for (let axis = 0; axis < 3; axis++) {
+        this.low[axis] = Math.min(this.low[axis], material.block.low[axis]);
+        this.high[axis] = Math.max(this.high[axis], material.block.high[axis]);
+      }
+    }
+    if (first) this.fit();
     this.draw();
   }
 
@@ -127,10 +160,10 @@ export class Picture {
     return seen && [seen[0] * this.canvas.clientWidth, seen[1] * this.canvas.clientHeight];
   }
 
-  private program(): WebGLProgram {
+  private program(vertex: string, fragment: string): WebGLProgram {
     const gl = this.gl;
     const program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]] as const) {
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]] as const) {
       const shader = gl.createShader(kind) as WebGLShader;
       gl.shaderSource(shader, text);
       gl.compileShader(shader);
@@ -197,18 +230,52 @@ export class Picture {
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.viewport(0, 0, width, height);
     gl.clearColor(...rgb("--sheet"), 1);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.uniformMatrix4fv(uniforms.view, false, this.camera.view(width / height));
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const view = this.camera.view(width / height);
+    if (this.material) this.paintBlock(view, this.material);
+    else gl.disable(gl.DEPTH_TEST);
+    gl.useProgram(this.lineProgram);
+    gl.uniformMatrix4fv(uniforms.view, false, view);
+    gl.uniform1i(uniforms.only, this.material && !this.withPath ? 1 : 0);
     gl.uniform2f(uniforms.pixel, 2 / width, 2 / height);
     gl.uniform1i(uniforms.plain, 1);
     gl.uniform1i(uniforms.strip, 0);
     gl.uniform1f(uniforms.width, 0.7 * ratio);
     gl.uniform4f(uniforms.ink, ...rgb("--grid"), 1);
-    this.separate(this.grid);
+    // It would float in the block.
+    if (!this.material) this.separate(this.grid);
     gl.uniform4f(uniforms.ink, ...rgb("--accent"), 0.8);
     this.separate(this.box);
     this.paintPath(ratio);
     this.onpaint();
+  }
+
+  private paintBlock(view: Float32Array, { block, nx, ny }: Material): void {
+    const { gl } = this;
+    const program = this.blockProgram;
+    const at = (name: string) => gl.getUniformLocation(program, name);
+    const moving = performance.now() - this.lastMove < REST;
+    if (moving) setTimeout(() => this.draw(), REST);
+    const stride = Math.max(1, Math.ceil(Math.sqrt((nx * ny) / (moving ? QUADS_MOVING : QUADS))));
+    const quads = [nx, ny].map(count => Math.floor((count + stride - 2) / stride) + 2);
+    gl.useProgram(program);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    // The path lies on what it has cut: it is seen.
+    gl.enable(gl.POLYGON_OFFSET_FILL);
+    gl.polygonOffset(1, 2);
+    gl.uniformMatrix4fv(at("view"), false, view);
+    gl.uniform2i(at("size"), nx, ny);
+    gl.uniform1i(at("stride"), stride);
+    gl.uniform4f(at("frame"), block.low[0], block.low[1], block.high[0], block.high[1]);
+    gl.uniform1f(at("bottom"), block.low[2]);
+    gl.uniform1f(at("top"), block.high[2]);
+    gl.uniform3f(at("fresh"), ...rgb("--block"));
+    gl.uniform3f(at("cutColor"), ...rgb("--block-cut"));
+    gl.bindTexture(gl.TEXTURE_2D, this.heights);
+    gl.bindVertexArray(this.nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, quads[0] * quads[1] * 6);
+    gl.disable(gl.POLYGON_OFFSET_FILL);
   }
 
   private paintPath(ratio: number): void {
@@ -216,6 +283,7 @@ export class Picture {
     gl.uniform1i(uniforms.plain, 0);
     gl.uniform3f(uniforms.rapid, ...rgb("--rapid"));
     gl.uniform3f(uniforms.plunge, ...rgb("--plunge"));
+    gl.uniform3f(uniforms.crash, ...rgb("--bad"));
     gl.uniform3f(uniforms.future, ...rgb("--sheet"));
     gl.uniform3fv(uniforms.scale, [0, 1, 2, 3, 4, 5].flatMap(i => rgb(`--scale-${i}`)));
     gl.uniform1f(uniforms.now, Math.min(this.now, 3e38));

@@ -2,7 +2,9 @@
 import type { App } from "./app";
 import { $, clock, css, el } from "./dom";
 import { type Path, ROW, type Summary } from "./engine";
+import type { Material } from "./material";
 import { Picture } from "./picture";
+import { SHADE } from "./shaders";
 import { type Coloring, endOf, isRapid, lineOf, placeAt, rowAt, rowOfLine, shades } from "./track";
 
 /** Height of a line in the list, px, and the greatest height that browsers draw. */
@@ -17,6 +19,7 @@ export class Player {
   /** The same path from above, once it was asked for. */
   private second?: Picture;
   private machine?: number[];
+  private material?: Material;
   private path?: Path;
   private summary?: Summary;
   private playing = false;
@@ -84,8 +87,22 @@ export class Player {
     $("scale-low").textContent = made.legend.low;
     $("scale-high").textContent = made.legend.high;
     $("plunges").hidden = coloring !== "kind";
-    $("scale").classList.toggle("single", coloring === "kind");
+    $("scale").classList.toggle("kinds", coloring === "kind");
+    for (const crash of this.material?.crashes ?? []) for (const row of crash.rows) made.shades[row] = SHADE.crash;
     return made.shades;
+  }
+
+  /** Shows what is left of a block, with rapids through it in red; or the path alone again. */
+  showBlock(material?: Material, withPath = false): void {
+    if (!material && !this.material) return;
+    this.material = material;
+    $("crash-key").hidden = !material?.crashes.length;
+    for (const picture of [this.picture, this.second]) {
+      if (!picture || !this.path) continue;
+      picture.withPath = withPath;
+      picture.shade(this.color());
+      picture.block(material);
+    }
   }
 
   /** Shows or hides the view from above. */
@@ -99,6 +116,8 @@ export class Player {
       this.second.onpick = row => this.seek(this.path ? this.path.rows[row * ROW + 5] : 0);
     }
     this.second.show(this.path, this.color());
+    this.second.withPath = this.picture?.withPath ?? false;
+    this.second.block(this.material);
     this.second.look(0, Math.PI / 2);
   }
 

@@ -20,30 +20,45 @@ export function showReport(summary: Summary, goTo: (line: number) => void): void
     ...(errors ? [el("small", { textContent: " The time is that of the job without the refused lines." })] : []),
   );
   bar(summary);
+  byTool(summary);
   facts(summary);
   $("errors").replaceChildren(...list(summary, goTo));
   const said = new Set([...summary.messages, ...summary.notes]);
   $("messages").replaceChildren(...[...said].map(textContent => el("li", { textContent })));
 }
 
+/** Parts of the forecast: name, seconds and colour. What is no kind of its own is a rest. */
+export function kinds(summary: Summary): (readonly [string, number, string])[] {
+  const rest = summary.standing_s - summary.dwell_s - summary.spin_up_s;
+  return [["feed", summary.feed_s, "--scale-1"], ["rapids", summary.rapid_s, "--rapid"], ["dwell", summary.dwell_s, "--scale-4"],
+    ["spindle", summary.spin_up_s, "--scale-5"], ["other", rest < 0.0005 ? 0 : rest, "--line"]];
+}
+
 function bar(summary: Summary): void {
-  const parts = [["feed", summary.feed_s, "--scale-1"], ["rapids", summary.rapid_s, "--rapid"], ["standing", summary.standing_s, "--scale-4"]] as const;
+  const parts = kinds(summary).filter(([name, seconds]) => seconds > 0 || name === "feed" || name === "rapids");
   const whole = summary.forecast_s || 1;
-  $("bar").replaceChildren(...parts.map(([, seconds, color]) => {
+  const colored = (color: string, width = "") => {
     const part = el("i");
-    part.style.cssText = `width:${(seconds / whole) * 100}%;background:var(${color})`;
+    part.style.cssText = `${width}background:var(${color})`;
     return part;
-  }));
+  };
+  $("bar").replaceChildren(...parts.map(([, seconds, color]) => colored(color, `width:${(seconds / whole) * 100}%;`)));
   $("bar").setAttribute("aria-label", parts.map(([name, seconds]) => `${name} ${clock(seconds)}`).join(", "));
+  $("kinds").replaceChildren(...parts.map(([name, seconds, color]) => el("li", {}, colored(color), `${name} ${clock(seconds)}`)));
+}
+
+/** A row for each tool, if there are several. */
+function byTool({ tools }: Summary): void {
+  $("by-tool").hidden = tools.length < 2;
+  const cell = (seconds: number) => el("td", { textContent: seconds ? clock(seconds) : "–" });
+  ($("by-tool").querySelector("tbody") as HTMLElement).replaceChildren(...tools.map(row =>
+    el("tr", {}, el("th", { scope: "row", textContent: `T${row.tool}` }), cell(row.feed_s), cell(row.rapid_s), cell(row.dwell_s), cell(row.spin_up_s))));
 }
 
 function facts(summary: Summary): void {
   const { min, max } = summary.extents_mm;
   const offset = summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]);
   const rows: [string, string][] = [
-    ["at feed", clock(summary.feed_s)],
-    ["in rapids", clock(summary.rapid_s)],
-    ["standing", clock(summary.standing_s)],
     ["lines", summary.lines.toLocaleString("en")],
     ["path at feed", `${(summary.distance_mm - summary.rapid_distance_mm).toFixed(1)} mm`],
     ["path of rapids", `${summary.rapid_distance_mm.toFixed(1)} mm`],

@@ -1,13 +1,14 @@
 // What the page reads out of the rows of a path. No row is interpreted as G-code: places, times and lines come from the
 // firmware.
-import { type Path, RAPID, ROW } from "./engine";
+import { ARC, type Path, RAPID, ROW } from "./engine";
 import { SHADE } from "./shaders";
 
-export type Coloring = "speed" | "acceleration" | "kind" | "line";
+export type Coloring = "speed" | "acceleration" | "kind" | "tool" | "line";
 export interface Legend { low: string; high: string }
 
 export const isRapid = (path: Path, row: number): boolean => path.lines[row] >= RAPID;
-export const lineOf = (path: Path, row: number): number => path.lines[row] % RAPID;
+export const lineOf = (path: Path, row: number): number => path.lines[row] % ARC;
+export const isArc = (path: Path, row: number): boolean => path.lines[row] % RAPID >= ARC;
 export const endOf = (path: Path): number => (path.lines.length ? path.rows[(path.lines.length - 1) * ROW + 5] : 0);
 
 /** The first row that has not ended at a time. */
@@ -75,23 +76,29 @@ export function shades(path: Path, coloring: Coloring): { shades: Float32Array; 
   const count = path.lines.length;
   const made = new Float32Array(count);
   const feeds = Array.from({ length: count }, (_, row) => row).filter(row => row > 0 && !isRapid(path, row));
+  // In the order in which they come.
+  const tools = [...new Set(feeds.map(row => path.tools[row]))];
   const value = {
     speed: (row: number) => path.rows[row * ROW + 3],
     acceleration: (row: number) => acceleration(path, row),
     line: (row: number) => lineOf(path, row),
+    tool: (row: number) => tools.indexOf(path.tools[row]),
     kind: () => 0,
   }[coloring];
-  const most = coloring === "speed" ? feeds.reduce((most, row) => Math.max(most, value(row)), 0) || 1 : coloring === "kind" ? 1 : top(feeds.map(value));
+  const most = coloring === "speed" ? feeds.reduce((most, row) => Math.max(most, value(row)), 0) || 1 : coloring === "kind" ? 1
+    : coloring === "tool" ? Math.max(1, tools.length - 1) : top(feeds.map(value));
   for (let row = 0; row < count; row++) {
     if (isRapid(path, row)) made[row] = SHADE.rapid;
     else if (coloring === "kind" && isPlunge(path, row)) made[row] = SHADE.plunge;
-    else made[row] = coloring === "kind" ? 0.4 : Math.min(1, value(row) / most);
+    else if (coloring === "kind" && isArc(path, row)) made[row] = SHADE.arc;
+    else made[row] = coloring === "kind" ? SHADE.line : Math.min(1, value(row) / most);
   }
   const legend = {
     speed: { low: "0", high: `${(most * 60).toFixed(0)} mm/min` },
     acceleration: { low: "0", high: `${most.toFixed(0)} mm/s²` },
     line: { low: "line 1", high: `line ${most}` },
-    kind: { low: "feed", high: "" },
+    tool: { low: tools.length ? `T${tools[0]}` : "", high: tools.length > 1 ? `T${tools.at(-1)}` : "" },
+    kind: { low: "line", high: "arc" },
   }[coloring];
   return { shades: made, legend };
 }

@@ -1,11 +1,13 @@
 // Runs the firmware beside the page: whole jobs, or one machine in real time.
-import { Engine, type Order } from "./engine";
+import { Engine, type Order, type Path } from "./engine";
+import { type Block, cellFor, cut, type Cutter } from "./material";
 
 export type Task =
   | { task: "module"; module: WebAssembly.Module }
   | { task: "describe" }
   | { task: "check"; order: Order; job: Uint8Array }
   | { task: "stream"; order: Order; job: Uint8Array }
+  | { task: "material"; path: Path; cutters: Record<number, Cutter>; block: Block }
   | { task: "power"; order: Order }
   | { task: "send"; bytes: Uint8Array }
   | { task: "pin"; line: string }
@@ -53,12 +55,19 @@ async function carryOut(task: Task): Promise<void> {
       const summary = engine.check(task.order, task.job, part => worker.postMessage({ is: "progress", part }));
       const path = task.order.path ? engine.path() : undefined;
       summary.host_s = (performance.now() - began) / 1000;
-      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer] : []);
+      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer, path.tools.buffer] : []);
       return;
     }
     case "stream":
       worker.postMessage({ is: "streamed", streamed: (await Engine.start(module)).stream(task.order, task.job) });
       return;
+    case "material": {
+      const { path, cutters, block } = task;
+      const progress = (part: number) => worker.postMessage({ is: "progress", part });
+      const material = cut(path, cutters, block, cellFor(path, cutters, block), progress);
+      worker.postMessage({ is: "material", material }, [material.heights.buffer]);
+      return;
+    }
     case "power": {
       machine = await Engine.start(module);
       const greeting = machine.powerUp(task.order);

@@ -22,9 +22,10 @@ export async function open(browser, file, { viewport = { width: 1440, height: 90
   const faults = [];
   page.on("pageerror", error => faults.push(`error: ${error.message}`));
   page.on("console", message => ["error", "warning"].includes(message.type()) && !/GPU stall|GL Driver/.test(message.text()) && faults.push(`console: ${message.text()}`));
-  page.on("request", request => /^(file|blob|data):/.test(request.url()) || faults.push(`request: ${request.url()}`));
+  const own = file.startsWith("http") ? file : "file:";
+  page.on("request", request => /^(blob|data):/.test(request.url()) || request.url().startsWith(own) || faults.push(`request: ${request.url()}`));
   await prepare?.(page);
-  await page.goto(pathToFileURL(file).href);
+  await page.goto(file.startsWith("http") ? file : pathToFileURL(file).href);
   await checked(page);
   return { page, faults, context };
 }

@@ -131,7 +131,7 @@ export async function the_picture_is_where_the_machine_was(browser) {
   await page.waitForTimeout(100);
   const row = await page.evaluate(() => {
     const { lines } = oxmill.app.checked.path;
-    const rows = [...lines.keys()].filter(row => lines[row] === 29);
+    const rows = [...lines.keys()].filter(row => lines[row] % 2 ** 30 === 29);
     const { rows: all } = oxmill.app.checked.path;
     const middle = rows[Math.floor(rows.length / 2)];
     return oxmill.app.player.picture.place([0, 1, 2].map(axis => all[middle * 6 + axis]));
@@ -202,5 +202,47 @@ export async function a_slow_link_is_told(browser) {
   assert(!of(115200).starved && of(115200).places === 0 && !of(0).starved, JSON.stringify(rows));
   await page.locator("#link-table button").first().click();
   assert(await page.evaluate(() => oxmill.app.player.line) > 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function time_is_shown_by_kind_and_by_tool(browser) {
+  const { page, faults } = await open(browser, file);
+  await settings(page, { ...MILL, 394: 1.5 });
+  const text = "G21 G91\nM3 S1000\nG4 P2\nT1 M6\nG1 X3 F600\nT2 M6\nG0 X-3\nG4 P1\n";
+  const found = await openJob(page, "tools.nc", text);
+  same(found, run("tools.nc", text, { settings: { ...MILL, 394: 1.5 } }));
+  assert.deepEqual(found.tools.map(row => row.tool), [0, 1, 2]);
+  const close = (a, b) => assert(Math.abs(a - b) < 1e-4, `${a} ${b}`);
+  close(found.dwell_s, 3);
+  close(found.spin_up_s, 1.5);
+  const kinds = (await page.locator("#kinds li").allInnerTexts()).map(text => text.trim());
+  for (const part of ["dwell 3.00 s", "spindle 1.50 s", `feed ${found.feed_s.toFixed(2)} s`, `rapids ${found.rapid_s.toFixed(2)} s`]) assert(kinds.includes(part), `${part}: ${kinds}`);
+  const rows = await page.locator("#by-tool tbody tr").evaluateAll(all => all.map(row => [...row.cells].map(cell => cell.textContent)));
+  const cell = seconds => (seconds ? `${seconds.toFixed(2)} s` : "–");
+  assert.deepEqual(rows, found.tools.map(row => [`T${row.tool}`, cell(row.feed_s), cell(row.rapid_s), cell(row.dwell_s), cell(row.spin_up_s)]));
+  // One tool needs no table.
+  await openJob(page, "one.nc", "G21 G91\nG1 X3 F600\n");
+  assert(await page.locator("#by-tool").isHidden());
+  assert.deepEqual(faults, []);
+}
+
+/** What the picture is told of each row, by its line. */
+export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
+  const { page, faults } = await open(browser, file);
+  await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\nT3 M6\nG1 Y5\n");
+  const shown = coloring => page.evaluate(coloring => {
+    const select = document.getElementById("coloring");
+    select.value = coloring;
+    select.dispatchEvent(new Event("change"));
+    const { path } = oxmill.app.checked;
+    const { shades } = oxmill.app.player.picture;
+    const found = {};
+    path.lines.forEach((line, row) => row && (found[line % 2 ** 30] ??= new Set()).add(Number(shades[row].toFixed(3))));
+    return Object.fromEntries(Object.entries(found).map(([line, of]) => [line, [...of]]));
+  }, coloring);
+  assert.deepEqual(await shown("kind"), { 2: [-1], 3: [-2], 4: [0.2], 5: [0.8], 7: [0.2] });
+  assert.equal(await page.locator("#plunges").isVisible(), true);
+  assert.deepEqual(await shown("tool"), { 2: [-1], 3: [0], 4: [0], 5: [0], 7: [1] });
+  assert.deepEqual([await page.textContent("#scale-low"), await page.textContent("#scale-high")], ["T0", "T3"]);
   assert.deepEqual(faults, []);
 }

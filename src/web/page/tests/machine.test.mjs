@@ -203,3 +203,52 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
     assert(wire.realtime.includes(0x21));
   });
 }
+
+/** The status of an attempt to open a WebSocket, as a browser would make it. */
+const upgrade = (port, headers) => new Promise((resolve, reject) => {
+  const socket = net.connect(port, "127.0.0.1");
+  const all = { Host: `127.0.0.1:${port}`, Origin: `http://127.0.0.1:${port}`, Connection: "Upgrade", Upgrade: "websocket",
+    "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", ...headers };
+  const lines = Object.entries(all).filter(([, value]) => value !== undefined).map(([name, value]) => `${name}: ${value}\r\n`);
+  socket.once("data", data => {
+    resolve(Number(String(data).split(" ")[1]));
+    socket.destroy();
+  });
+  socket.once("error", reject);
+  socket.write(`GET /machine HTTP/1.1\r\n${lines.join("")}\r\n`);
+});
+
+export async function a_served_page_drives_the_machine_and_no_other_does(browser) {
+  const order = { board: "blackpill_f411", settings: MILL };
+  const device = await serve(order, "max", ["--web", "0", "--page", file]);
+  const url = `http://127.0.0.1:${device.port}/`;
+  try {
+    const { page, faults } = await open(browser, url);
+    await page.click("#tab-machine");
+    await page.click("#served");
+    await state(page, "^Idle");
+    const text = example("pocket_mm.nc");
+    await openJob(page, "pocket_mm.nc", text);
+    await page.click("#start");
+    await jobDone(page);
+    near(await place(page), run("pocket_mm.nc", text, order).position_mm);
+    // A second page is told.
+    const second = await open(browser, url);
+    await second.page.click("#tab-machine");
+    await second.page.click("#served");
+    await second.page.waitForFunction(() => document.getElementById("console").textContent.includes("Another host has the machine"));
+    await page.click("#leave");
+    assert(await page.locator("#served").isVisible());
+    assert.deepEqual([...faults, ...second.faults], []);
+    // Pages of other sites, and names that were made to lead here.
+    assert.equal(await upgrade(device.port, { Origin: "http://evil.example" }), 403);
+    assert.equal(await upgrade(device.port, { Origin: "null" }), 403);
+    assert.equal(await upgrade(device.port, { Origin: undefined }), 403);
+    assert.equal(await upgrade(device.port, { Origin: `http://127.0.0.1:${device.port}.evil.example` }), 403);
+    assert.equal(await upgrade(device.port, { Host: `evil.example:${device.port}`, Origin: `http://evil.example:${device.port}` }), 403);
+    assert.equal(await upgrade(device.port, {}), 101);
+    assert.equal((await fetch(`${url}nothing`)).status, 404);
+  } finally {
+    device.stop();
+  }
+}

@@ -21,7 +21,7 @@ async function instance() {
 
 export async function any_program_can_use_the_module() {
   const { x, put, output } = await instance();
-  assert.equal(x.oxmill_abi(), 1);
+  assert.equal(x.oxmill_abi(), 2);
   const text = example("house.nc");
   put(encode(`${JSON.stringify({ board: "nucleo_f446re", settings: { 110: 4000 } })}\0${text}`));
   assert.equal(x.oxmill_check_begin(), 0, output());

@@ -41,10 +41,10 @@ export function traced(name, text, order, steps_per_mm) {
 }
 
 /** The firmware as a Grbl device on a TCP port. */
-export async function serve(order, speed) {
-  const child = spawn(oxmill, ["serve", "--tcp", "127.0.0.1:0", "--speed", speed, ...options(order)]);
+export async function serve(order, speed, link = ["--tcp", "127.0.0.1:0"]) {
+  const child = spawn(oxmill, ["serve", ...link, "--speed", speed, ...options(order)]);
   const port = await new Promise((resolve, reject) => {
-    child.stdout.once("data", data => resolve(Number(String(data).trim().split(":").pop())));
+    child.stdout.once("data", data => resolve(parseInt(String(data).trim().split(":").pop(), 10)));
     child.once("error", reject);
   });
   return { port, stop: () => child.kill() };

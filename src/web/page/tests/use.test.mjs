@@ -12,7 +12,7 @@ export async function a_screen_reader_finds_nothing_serious(browser) {
     const { page } = await open(browser, file, { colorScheme });
     await openJob(page, "bad.nc", "G21\nG999\nG1 X1 F100\n");
     await page.evaluate(axe);
-    for (const tab of ["settings", "whatif", "link", "machine"]) {
+    for (const tab of ["settings", "whatif", "link", "material", "machine"]) {
       await page.click(`#tab-${tab}`);
       if (tab === "machine") await page.click("#power");
       const { violations } = await page.evaluate(() => axe.run());
@@ -55,7 +55,7 @@ export async function keys_are_enough(browser) {
 
 export async function a_telephone_shows_all_of_it(browser) {
   const { page, faults } = await open(browser, file, { viewport: { width: 390, height: 844 } });
-  for (const tab of ["settings", "whatif", "link", "machine"]) {
+  for (const tab of ["settings", "whatif", "link", "material", "machine"]) {
     await page.click(`#tab-${tab}`);
     if (tab === "machine") await page.click("#power");
     assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 390, tab);

@@ -1,0 +1,204 @@
+//! `serve --web`: the page, and the machine behind it by WebSocket, on the loopback only.
+//!
+//! A web site that somebody visits can reach ports of this computer. So nothing is answered unless `Host` names the loopback
+//! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
+//! tells both truthfully, and lets no page change them.
+
+use crate::server::{Happened, Inbox, Visitor, hung_up};
+use anyhow::{Context, Result, ensure};
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
+use std::thread;
+use std::time::{Duration, Instant};
+use tungstenite::handshake::server::{Request, Response};
+use tungstenite::{Message, WebSocket};
+
+/// How long a request may take to come, and how long it is.
+const REQUEST_TIME: Duration = Duration::from_secs(5);
+const REQUEST: usize = 1 << 14;
+/// How often answers are looked for while the page says nothing.
+const LOOK: Duration = Duration::from_millis(3);
+/// How long a page that does not read may hold its thread.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Where the machine is.
+const DEVICE: &str = "/machine";
+/// What the page asks of the browser, and what it has to ask for here besides.
+const POLICY: &str = "connect-src 'none'";
+const MARK: &str = "<meta charset=\"utf-8\">";
+
+/// A page that is served.
+pub struct Site {
+    html: Vec<u8>,
+    /// The names by which the loopback may be called, with the port.
+    hosts: [String; 2],
+}
+
+impl Site {
+    /// Opens the port and reads the page: the file that was named, or `oxmill.html` beside the program, or where
+    /// `cargo xtask web` leaves it.
+    pub fn open(port: u16, page: Option<&Path>) -> Result<(TcpListener, Self)> {
+        let path = page.map_or_else(usual_page, |path| Ok(path.to_owned()))?;
+        let text =
+            std::fs::read_to_string(&path).with_context(|| format!("cannot read the page {}", path.display()))?;
+        ensure!(text.contains(POLICY) && text.contains(MARK), "{} is not the page of Oxmill", path.display());
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
+            .with_context(|| format!("cannot listen on port {port} of the loopback"))?;
+        let port = listener.local_addr()?.port();
+        let hosts = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));
+        let policy = hosts.each_ref().map(|host| format!(" ws://{host}")).concat();
+        let mark = format!("{MARK}<meta name=\"oxmill-machine\" content=\"{DEVICE}\">");
+        let html = text.replacen(POLICY, &format!("connect-src{policy}"), 1).replacen(MARK, &mark, 1).into_bytes();
+        Ok((listener, Self { html, hosts }))
+    }
+
+    /// Where a browser finds it.
+    pub fn address(&self) -> String {
+        format!("http://{}/", self.hosts[0])
+    }
+
+    fn is_here(&self, host: Option<&str>) -> bool {
+        host.is_some_and(|host| self.hosts.iter().any(|known| known == host))
+    }
+
+    fn is_own(&self, origin: Option<&str>) -> bool {
+        self.is_here(origin.and_then(|origin| origin.strip_prefix("http://")))
+    }
+}
+
+fn usual_page() -> Result<PathBuf> {
+    const NAME: &str = "oxmill.html";
+    let beside = std::env::current_exe().ok().and_then(|program| Some(program.parent()?.join(NAME)));
+    let built = Path::new("target/web").join(NAME);
+    let found = beside.into_iter().chain([built]).find(|path| path.is_file());
+    found.context("there is no page: `cargo xtask web` makes it; or name it with --page FILE")
+}
+
+/// Answers browsers, each in a thread of its own.
+pub fn serve_web(listener: &TcpListener, site: &Arc<Site>, sender: &SyncSender<Happened>) {
+    for stream in listener.incoming() {
+        let Ok(stream) = stream else { continue };
+        let (site, sender) = (site.clone(), sender.clone());
+        // A browser that fails to ask properly gets no answer; nothing else depends on it.
+        thread::spawn(move || answer(stream, &site, &sender));
+    }
+}
+
+fn answer(stream: TcpStream, site: &Site, sender: &SyncSender<Happened>) -> io::Result<()> {
+    stream.set_read_timeout(Some(REQUEST_TIME))?;
+    stream.set_write_timeout(Some(REQUEST_TIME))?;
+    let request = look_at_request(&stream)?;
+    let header = |name: &str| {
+        let mut lines = request.lines().skip(1).filter_map(|line| line.split_once(':'));
+        lines.find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value.trim())
+    };
+    let target = request.split(' ').nth(1).unwrap_or_default();
+    let wants_socket = header("upgrade").is_some_and(|value| value.eq_ignore_ascii_case("websocket"));
+    let allowed = site.is_here(header("host")) && (!wants_socket || site.is_own(header("origin")));
+    if !allowed {
+        return reply(stream, &request, "403 Forbidden", b"Another page may not drive this machine.\n");
+    }
+    match (target, wants_socket) {
+        (DEVICE, true) => {
+            #[allow(clippy::result_large_err, reason = "what the library wants")]
+            let accept = |_: &Request, response: Response| Ok(response);
+            if let Ok(socket) = tungstenite::accept_hdr(stream, accept) {
+                let _ = sender.send(Happened::Knocked(Visitor::Page(Box::new(socket)), sender.clone()));
+            }
+            Ok(())
+        }
+        ("/", false) if request.starts_with("GET ") => reply(stream, &request, "200 OK", &site.html),
+        _ => reply(stream, &request, "404 Not Found", b"There is nothing here.\n"),
+    }
+}
+
+/// The head of a request, which stays where it is for who answers it.
+fn look_at_request(stream: &TcpStream) -> io::Result<String> {
+    let end = Instant::now() + REQUEST_TIME;
+    let mut buffer = vec![0; REQUEST];
+    loop {
+        let length = stream.peek(&mut buffer)?;
+        let text = String::from_utf8_lossy(&buffer[..length]);
+        if let Some((head, _)) = text.split_once("\r\n\r\n") {
+            return Ok(head.to_owned());
+        }
+        if length == 0 || length == REQUEST || Instant::now() > end {
+            return Err(ErrorKind::InvalidData.into());
+        }
+        thread::sleep(LOOK);
+    }
+}
+
+fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io::Result<()> {
+    // A socket that is closed with unread bytes in it would take the answer back.
+    stream.read_exact(&mut vec![0; request.len() + 4])?;
+    let kind = if status.starts_with("200") { "text/html" } else { "text/plain" };
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
+         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nConnection: close\r\n\r\n",
+        body.len()
+    );
+    stream.write_all(head.as_bytes())?;
+    stream.write_all(body)
+}
+
+/// Carries bytes between a page and the loop until either has gone.
+pub fn pass_messages(
+    mut socket: WebSocket<TcpStream>,
+    inbox: &Inbox,
+    answers: &Receiver<Vec<u8>>,
+    sender: &SyncSender<Happened>,
+) {
+    let _ = carry(&mut socket, inbox, answers, sender);
+    inbox.end();
+    // Without a loop there is no receiver.
+    let _ = sender.send(Happened::Heard);
+    let _ = socket.close(None);
+    let _ = socket.flush();
+}
+
+fn carry(
+    socket: &mut WebSocket<TcpStream>,
+    inbox: &Inbox,
+    answers: &Receiver<Vec<u8>>,
+    sender: &SyncSender<Happened>,
+) -> tungstenite::Result<()> {
+    socket.get_ref().set_read_timeout(Some(LOOK))?;
+    socket.get_ref().set_write_timeout(Some(PATIENCE))?;
+    loop {
+        loop {
+            match answers.try_recv() {
+                Ok(bytes) => socket.write(Message::binary(bytes))?,
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => return socket.flush(),
+            }
+        }
+        socket.flush()?;
+        if !inbox.wait_for_room(|| hung_up(socket.get_ref())) {
+            return Ok(());
+        }
+        match socket.read() {
+            Ok(Message::Binary(bytes)) => {
+                inbox.push(&bytes);
+                // A loop that has much to do looks into the inbox as well.
+                let _ = sender.try_send(Happened::Heard);
+            }
+            Ok(Message::Close(_)) => return Ok(()),
+            Ok(_) => {}
+            Err(tungstenite::Error::Io(error))
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Tells a second page why it is not served.
+pub fn turn_away(mut socket: WebSocket<TcpStream>, why: &[u8]) {
+    let _ = socket.get_ref().set_write_timeout(Some(PATIENCE));
+    let _ = socket.send(Message::binary(why.to_vec()));
+    let _ = socket.close(None);
+    // The browser closes its side, too, or the time to wait for it ends.
+    while socket.read().is_ok() {}
+}
