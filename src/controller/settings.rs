@@ -206,7 +206,7 @@ table! {
         SpindlePwm: 33, "Spindle PWM frequency", "Hz", Spindle, "", Kind::Whole(1, 100_000), 5000.0, false;
         JogClip: 40, "Jogs end at the soft limits", "", Limits, "", Kind::Switch, 0.0, false;
         Parking: 41, "Parking", "", Door, "", Kind::Switch, 0.0, false;
-        ParkingAxis: 42, "Parking axis", "", Door, AXIS_LABELS, Kind::Whole(0, 5), 2.0, false;
+        ParkingAxis: 42, "Parking axis", "", Door, "X axis,Y axis,Z axis,A axis,B axis,C axis", Kind::Whole(0, 5), 2.0, false;
         HomingPasses: 43, "Homing locate passes", "", Homing, "", Kind::Whole(1, 128), 1.0, false;
         ParkingPullOut: 56, "Parking pull-out", "mm", Door, "", Kind::Real, 5.0, false;
         ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Door, "", Kind::Real, 100.0, false;

@@ -114,13 +114,14 @@ fn answer(stream: TcpStream, site: &Site, sender: &SyncSender<Happened>) -> io::
     }
 }
 
-/// The head of a request, which stays where it is for who answers it.
+/// The head of a request, which stays where it is for who answers it: a character for each byte, for other programs of this
+/// host may have set cookies in any encoding.
 fn look_at_request(stream: &TcpStream) -> io::Result<String> {
     let end = Instant::now() + REQUEST_TIME;
     let mut buffer = vec![0; REQUEST];
     loop {
         let length = stream.peek(&mut buffer)?;
-        let text = String::from_utf8_lossy(&buffer[..length]);
+        let text: String = buffer[..length].iter().copied().map(char::from).collect();
         if let Some((head, _)) = text.split_once("\r\n\r\n") {
             return Ok(head.to_owned());
         }
@@ -133,7 +134,7 @@ fn look_at_request(stream: &TcpStream) -> io::Result<String> {
 
 fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io::Result<()> {
     // A socket that is closed with unread bytes in it would take the answer back.
-    stream.read_exact(&mut vec![0; request.len() + 4])?;
+    stream.read_exact(&mut vec![0; request.chars().count() + 4])?;
     let kind = if status.starts_with("200") { "text/html" } else { "text/plain" };
     let head = format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}; charset=utf-8\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\

@@ -1,9 +1,8 @@
 //! Settings, errors and alarms in words, for senders that show names instead of numbers: `$ES`, `$ESG`, `$ESH`, `$EG`, `$EA`,
 //! `$EE`, in the formats of grblHAL, whose senders ask for them.
 
-use super::report::END;
 use super::system::{Described, Format};
-use super::text::{Text, put, whole};
+use super::text::{END, Text, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::settings::{Description, Entry, Kind, Row, SettingGroup, Settings};
@@ -23,6 +22,17 @@ enum DataType {
 }
 
 impl DataType {
+    const fn word(self) -> &'static [u8] {
+        match self {
+            DataType::Switch => b"bool",
+            DataType::Bits => b"bitfield",
+            DataType::Choice => b"radiobuttons",
+            DataType::Axes => b"axismask",
+            DataType::Integer => b"integer",
+            DataType::Decimal => b"float",
+        }
+    }
+
     fn of(entry: &Entry, description: &Description) -> Self {
         let labelled = !description.labels.is_empty();
         match entry.kind {
@@ -37,10 +47,19 @@ impl DataType {
     }
 }
 
+/// The line above the rows of `$ESG` or `$ESH`.
+const fn header(format: Format) -> Option<&'static [u8]> {
+    match format {
+        Format::Fields => None,
+        Format::Commas => Some(b"\"$-Code\",\" Setting\",\" Units\",\" Setting Description\""),
+        Format::Tabs => Some(b"$-Code\tSetting\tUnits\tDatatype\tData format\tSetting Description\tMin\tMax"),
+    }
+}
+
 /// One row of `$ES`, `$ESG` or `$ESH`.
 fn setting(out: &mut Text, row: &Row, format: Format) {
     match format {
-        Format::Fields => fields(out, row),
+        Format::Fields => return fields(out, row),
         Format::Commas => {
             put(out, b"\"");
             whole(out, u64::from(row.number));
@@ -51,19 +70,25 @@ fn setting(out: &mut Text, row: &Row, format: Format) {
             put(out, b"\",\"");
             values(out, &row.entry, &row.description);
             put(out, b"\"");
-            put(out, END);
         }
         Format::Tabs => {
+            let data_type = DataType::of(&row.entry, &row.description);
             whole(out, u64::from(row.number));
             put(out, b"\t");
             name(out, row);
             put(out, b"\t");
             put(out, row.description.unit.as_bytes());
-            put(out, b"\t\t\t");
+            put(out, b"\t");
+            put(out, data_type.word());
+            put(out, b"\t");
+            put(out, data_format(row, data_type));
+            put(out, b"\t");
             values(out, &row.entry, &row.description);
-            put(out, END);
+            put(out, b"\t");
+            range(out, row, data_type, b"\t");
         }
     }
+    put(out, END);
 }
 
 /// `[SETTING:number|group|name|unit|data type|format|least|greatest|needs a restart|may be empty]`.
@@ -85,30 +110,36 @@ fn fields(out: &mut Text, row: &Row) {
     put(out, b"|");
     whole(out, data_type as u64);
     put(out, b"|");
-    put(
-        out,
-        match (data_type, row.entry.kind) {
-            (DataType::Switch, _) => b"",
-            (DataType::Bits | DataType::Choice, _) => row.description.labels.as_bytes(),
-            (DataType::Axes, _) => b"axes",
-            (DataType::Integer, _) => b"#####0",
-            (DataType::Decimal, Kind::Speed) => b"#####0",
-            (DataType::Decimal, Kind::Place) => b"-#####0.000",
-            (DataType::Decimal, _) => b"#####0.000",
-        },
-    );
+    put(out, data_format(row, data_type));
     put(out, b"|");
-    match row.entry.kind {
-        Kind::Whole(least, greatest) if data_type == DataType::Integer => {
-            whole(out, u64::from(least));
-            put(out, b"|");
-            whole(out, u64::from(greatest));
-        }
-        Kind::Real | Kind::Speed => put(out, b"0|"),
-        _ => put(out, b"|"),
-    }
+    range(out, row, data_type, b"|");
     put(out, b"|0|0]");
     put(out, END);
+}
+
+/// The choices, the bits of a mask, or the digits.
+fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
+    match (data_type, row.entry.kind) {
+        (DataType::Switch, _) => b"",
+        (DataType::Bits | DataType::Choice, _) => row.description.labels.as_bytes(),
+        (DataType::Axes, _) => b"axes",
+        (DataType::Integer, _) | (DataType::Decimal, Kind::Speed) => b"#####0",
+        (DataType::Decimal, Kind::Place) => b"-#####0.000",
+        (DataType::Decimal, _) => b"#####0.000",
+    }
+}
+
+/// The least and the greatest value, as far as there are any.
+fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
+    match row.entry.kind {
+        Kind::Whole(least, _) if data_type == DataType::Integer => whole(out, u64::from(least)),
+        Kind::Real | Kind::Speed => put(out, b"0"),
+        _ => {}
+    }
+    put(out, between);
+    if let (Kind::Whole(_, greatest), DataType::Integer) = (row.entry.kind, data_type) {
+        whole(out, u64::from(greatest));
+    }
 }
 
 /// The name; of a setting of an axis with that axis before it, of a homing cycle with its number behind it.
@@ -170,7 +201,7 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
 /// How many lines a description has, on a machine with `N` axes.
 pub const fn lines<const N: usize>(what: Described) -> usize {
     match what {
-        Described::Settings(_) => Settings::<N>::LINES,
+        Described::Settings(format) => Settings::<N>::LINES + header(format).is_some() as usize,
         Described::Groups => SettingGroup::ALL.len() + N,
         Described::Errors => Error::ALL.len(),
         Described::Alarms => Alarm::ALL.len(),
@@ -180,11 +211,17 @@ pub const fn lines<const N: usize>(what: Described) -> usize {
 /// One of them.
 pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize) {
     match what {
-        Described::Settings(format) => {
-            if let Some(row) = Settings::<N>::described(line) {
-                setting(out, &row, format);
+        Described::Settings(format) => match (header(format), line) {
+            (Some(header), 0) => {
+                put(out, header);
+                put(out, END);
             }
-        }
+            (header, line) => {
+                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some())) {
+                    setting(out, &row, format);
+                }
+            }
+        },
         Described::Groups => group(out, line),
         Described::Errors => {
             if let Some(error) = Error::ALL.get(line) {
@@ -244,7 +281,7 @@ mod tests {
     fn of(number: u16, format: Format) -> String {
         let found = (0..Settings::<3>::LINES)
             .find(|line| Settings::<3>::described(*line).is_some_and(|row| row.number == number));
-        text(Described::Settings(format), found.expect("a setting"))
+        text(Described::Settings(format), found.expect("a setting") + usize::from(format != Format::Fields))
     }
 
     #[test]
@@ -263,7 +300,11 @@ mod tests {
             assert_eq!(of(number, Format::Fields), expected);
         }
         assert_eq!(of(101, Format::Commas), "\"101\",\"Y-axis resolution\",\"steps/mm\",\"0 and above\"\r\n");
-        assert_eq!(of(904, Format::Tabs), "904\tKinematics\t\t\t\t0 Cartesian, 1 CoreXY\r\n");
+        assert_eq!(
+            of(904, Format::Tabs),
+            "904\tKinematics\t\tradiobuttons\tCartesian,CoreXY\t0 Cartesian, 1 CoreXY\t\t\r\n"
+        );
+        assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }
 
     #[test]
@@ -304,9 +345,7 @@ mod tests {
             let labels = row.description.labels.split(',').count();
             match row.entry.kind {
                 Kind::Mask(bits) => assert_eq!(1 << (labels - 1), (bits >> (labels - 1)) << (labels - 1), "{line}"),
-                Kind::Whole(0, most)
-                    if DataType::of(&row.entry, &row.description) == DataType::Choice && row.number != 42 =>
-                {
+                Kind::Whole(0, most) if DataType::of(&row.entry, &row.description) == DataType::Choice => {
                     assert_eq!(labels, most as usize + 1, "{line}");
                 }
                 _ => {}
@@ -316,7 +355,7 @@ mod tests {
             assert_eq!(line.matches('"').count(), 8, "{line}");
         }
         for line in all(Described::Settings(Format::Tabs)) {
-            assert_eq!(line.matches('\t').count(), 5, "{line}");
+            assert_eq!(line.matches('\t').count(), 7, "{line}");
         }
     }
 }

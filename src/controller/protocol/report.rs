@@ -2,7 +2,8 @@
 //!
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
-use super::text::{Text, length, put, real, whole};
+use super::descriptions::DESCRIPTIONS;
+use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::messages::{
     Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
@@ -23,8 +24,6 @@ pub struct Release {
 
 /// This release. A new version has a new date.
 pub const RELEASE: Release = Release { version: "0.1.0", date: "20261122" };
-
-pub(super) const END: &[u8] = b"\r\n";
 
 /// `ok`
 pub fn ok(out: &mut Text) {
@@ -222,7 +221,11 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $RST= $RC $PINS $ES $ESG $ESH $EG $EE $EA $I+ ");
+        put(out, b"$HX $RST= $RC $PINS ");
+        if DESCRIPTIONS {
+            put(out, b"$ES $ESG $ESH $EG $EE $EA ");
+        }
+        put(out, b"$I+ ");
     }
     put(out, b"~ ! ? ctrl-x");
     if !grbl {

@@ -8,6 +8,9 @@ pub const PIECE: usize = 320;
 /// A piece of text being made. What does not fit is cut off: [`PIECE`] is sized so that nothing is.
 pub type Text = heapless::Vec<u8, PIECE>;
 
+/// The end of every line that a host gets.
+pub const END: &[u8] = b"\r\n";
+
 /// Appends bytes.
 #[inline(never)]
 pub fn put(out: &mut Text, bytes: &[u8]) {

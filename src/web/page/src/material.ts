@@ -24,6 +24,8 @@ const SMALLEST_CELL = 0.02;
 export const SLACK = 0.05;
 /** Rows between two words on the progress. */
 const ROWS_AT_A_TIME = 2000;
+/** Cells along a side, at most: every graphics processor takes a texture of this size. */
+const LONGEST = 4000;
 
 /** The edge of a cell with which map and work stay within bounds. */
 export function cellFor(path: Path, cutters: Record<number, Cutter>, block: Block): number {
@@ -35,7 +37,8 @@ export function cellFor(path: Path, cutters: Record<number, Cutter>, block: Bloc
     const way = Math.hypot(path.rows[at] - path.rows[at - ROW], path.rows[at + 1] - path.rows[at - ROW + 1]);
     swept += (way + 2 * radius) * 2 * radius;
   }
-  return Math.max(SMALLEST_CELL, Math.sqrt(area / CELLS), Math.sqrt(swept / WORK));
+  const longest = Math.max(block.high[0] - block.low[0], block.high[1] - block.low[1]);
+  return Math.max(SMALLEST_CELL, Math.sqrt(area / CELLS), Math.sqrt(swept / WORK), longest / LONGEST);
 }
 
 export const cutterOf = (cutters: Record<number, Cutter>, tool: number): Cutter => cutters[tool] ?? cutters[0] ?? { shape: "flat", diameter: 3, angle: 60 };

@@ -85,6 +85,10 @@ export async function map_and_work_have_bounds() {
   const cell = cellFor(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, wide);
   const { nx, ny } = cut(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, wide, cell);
   assert(nx * ny <= 400_000, `${nx} x ${ny}`);
+  // No side is longer than a texture may be.
+  const thin = { low: [0, 0, -1], high: [2000, 1, 0] };
+  const narrow = cut(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, thin, cellFor(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, thin));
+  assert(narrow.nx <= 4096 && narrow.ny >= 1, `${narrow.nx} x ${narrow.ny}`);
   const long = through(Array.from({ length: 100_000 }, (_, i) => [i % 20, (i >> 8) % 7, -1]));
   assert(cellFor(long, { 0: FLAT }, BLOCK) > 2 * cellFor(through([[0, 0, 0], [1, 0, 0]]), { 0: FLAT }, BLOCK));
   // Each tool has its own cutter.
