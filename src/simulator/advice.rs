@@ -124,6 +124,7 @@ mod tests {
             assert!(advice.ends_with('.') && advice.len() > 15, "{error:?}: {advice}");
         }
         assert_eq!(for_code(255), "");
+        assert!(Error::ALL.is_sorted_by_key(|error| error.code()) && Alarm::ALL.is_sorted_by_key(|alarm| alarm.code()));
         for alarm in Alarm::ALL {
             assert!(for_alarm(*alarm).ends_with('.'), "{alarm:?}");
         }

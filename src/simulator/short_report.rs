@@ -48,6 +48,9 @@ impl fmt::Display for ShortReport<'_> {
         for tool in summary.several_tools().iter().take(SHOWN_ERRORS) {
             writeln!(f, "           {tool}")?;
         }
+        if let Some(more) = summary.several_tools().len().checked_sub(SHOWN_ERRORS).filter(|more| *more > 0) {
+            writeln!(f, "           and {more} more tools")?;
+        }
         for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
             let title = if axis == 0 { "extents" } else { "" };
             let (low, high) = (summary.extents_mm.min[axis], summary.extents_mm.max[axis]);

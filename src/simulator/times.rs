@@ -34,7 +34,7 @@ impl Times {
 
     /// The rows of the tools that took time.
     pub fn rows(&self) -> Vec<ToolTime> {
-        self.0.clone()
+        self.0.iter().filter(|row| row.feed_s + row.rapid_s + row.dwell_s + row.spin_up_s > 0.0).cloned().collect()
     }
 
     /// All of them together.

@@ -32,8 +32,8 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// A page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// The names by which the loopback may be called, with the port.
-    hosts: [String; 2],
+    /// The names by which the loopback may be called, with the port; also without it where browsers leave it out.
+    hosts: Vec<String>,
 }
 
 impl Site {
@@ -47,8 +47,8 @@ impl Site {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
             .with_context(|| format!("cannot listen on port {port} of the loopback"))?;
         let port = listener.local_addr()?.port();
-        let hosts = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));
-        let policy = hosts.each_ref().map(|host| format!(" ws://{host}")).concat();
+        let hosts = names(port);
+        let policy: String = hosts.iter().map(|host| format!(" ws://{host}")).collect();
         let mark = format!("{MARK}<meta name=\"oxmill-machine\" content=\"{DEVICE}\">");
         let html = text.replacen(POLICY, &format!("connect-src{policy}"), 1).replacen(MARK, &mark, 1).into_bytes();
         Ok((listener, Self { html, hosts }))
@@ -66,6 +66,13 @@ impl Site {
     fn is_own(&self, origin: Option<&str>) -> bool {
         self.is_here(origin.and_then(|origin| origin.strip_prefix("http://")))
     }
+}
+
+/// The names of the loopback in `Host` and `Origin`.
+fn names(port: u16) -> Vec<String> {
+    const NAMES: [&str; 2] = ["127.0.0.1", "localhost"];
+    let bare = NAMES.iter().filter(|_| port == 80).map(|name| (*name).to_owned());
+    NAMES.iter().map(|name| format!("{name}:{port}")).chain(bare).collect()
 }
 
 fn usual_page() -> Result<PathBuf> {
@@ -201,5 +208,17 @@ pub fn turn_away(mut socket: WebSocket<TcpStream>, why: &[u8]) {
     let _ = socket.send(Message::binary(why.to_vec()));
     let _ = socket.close(None);
     // The browser closes its side, too, or the time to wait for it ends.
-    while socket.read().is_ok() {}
+    let end = Instant::now() + PATIENCE;
+    while Instant::now() < end && socket.read().is_ok() {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::names;
+
+    #[test]
+    fn browsers_leave_port_80_out() {
+        assert_eq!(names(8080), ["127.0.0.1:8080", "localhost:8080"]);
+        assert_eq!(names(80), ["127.0.0.1:80", "localhost:80", "127.0.0.1", "localhost"]);
+    }
 }

@@ -112,7 +112,8 @@ export class MaterialPanel {
     } catch (error) {
       if (!running.signal.aborted) $("material-note").textContent = (error as Error).message;
     }
-    progress.hidden = true;
+    // A run that another has taken the place of leaves the bar to that.
+    if (this.running === running) progress.hidden = true;
   }
 
   private list({ crashes, removed, cell }: Material): void {
