@@ -116,6 +116,8 @@ pub enum Alarm {
     /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
     EmergencyStop = 101,
     DriverFault = 102,
+    /// The step outputs have not put out what they were told to. Other controllers cannot know.
+    StepCount = 103,
 }
 
 impl Alarm {
@@ -139,6 +141,7 @@ impl Alarm {
             Alarm::HomingSquaring => "squaring found only one of the two switches of an axis",
             Alarm::SpindleSpeed => "the spindle did not come up to speed in time; the position is kept",
             Alarm::Underrun => "motion data ran out at speed; the position may be lost",
+            Alarm::StepCount => "the step outputs and their count disagree; the position is lost",
             Alarm::EmergencyStop => "the emergency stop was pressed; the position may be lost if something moved",
             Alarm::DriverFault => "a motor driver reported a fault; the position may be lost",
         }

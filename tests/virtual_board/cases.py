@@ -17,10 +17,8 @@ from .scope import Scope, steady
 from .usb import UsbHost
 
 US = 1e-6
-MOVING_MASK_S = 1.1 * US
-"""More than any board masks interrupts for while it steps; at rest it may for longer (a line of the log, the erasing of flash)."""
-ENTRY_S = 0.05 * US
-"""What an interrupt may be late besides masked time: the instruction that is under way."""
+JITTER_S = 0.1 * US
+"""How far a period may be off: edges wait for other transfers of DMA, and for nothing that the program does."""
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
 """From the moment a stop is known to the last rising edge (targets.md, section 2)."""
@@ -32,8 +30,8 @@ ANSWER_S = 20e-3
 """From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
-LATEST_PULSE_END_S = 3 * US
-"""How much longer than $0 a pulse may be: its end is an interrupt, and waits for masks and for the rest of the tick."""
+LATEST_PULSE_END_S = 0.15 * US
+"""How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
 
 
 class Bench:
@@ -244,14 +242,14 @@ def pulses(bench):
 def safe_rate(bench):
     """The same at the rate that the board calls safe."""
     safe = bench.wiring.safe_step_hz
-    yield from at_rates(bench, (safe, round(safe**2 / 6e6) + 2000, 1), acceleration=6_000)
+    yield from at_rates(bench, (safe, round(1.1 * safe**2 / 6e6) + 2000, 1), acceleration=6_000)
 
 
 def tight(bench):
     """Longer pulses at the greatest rate that the settings allow with them."""
     for pulse_us in (2, 3, 4, 5, 6, 7, 9, 10):
         rate = round(bench.wiring.greatest_hz(pulse_us))
-        yield from at_rates(bench, (rate, round(rate**2 / 3e6) + 1000, pulse_us))
+        yield from at_rates(bench, (rate, round(1.1 * rate**2 / 3e6) + 1000, pulse_us))
 
 
 def at_rates(bench, *rates, acceleration=3_000):
@@ -290,8 +288,8 @@ def at_rates(bench, *rates, acceleration=3_000):
             raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
         if found["drift"] > 2 * US:
             raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
-        if found["period_error"] > min(mask, MOVING_MASK_S) + ENTRY_S:
-            raise Failure(f"a period is off by {us(found['period_error'])}, more than the {us(mask)} that interrupts are masked")
+        if found["period_error"] > JITTER_S:
+            raise Failure(f"a period is off by {us(found['period_error'])}, whatever is masked it may be {us(JITTER_S)}")
         bench.ask("G90")
 
 
@@ -328,7 +326,7 @@ def hard_start(bench):
 
 def turns(bench):
     """Directions change in full motion: a zigzag whose corners are passed at speed; with long set-up times that put ticks
-    off, so that they come one after the other as close as pulses allow."""
+    off. Those behind come later by as much: none comes closer to the one before it than was planned."""
     for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
         bench.boot()
         fast(bench, 10_000, pulse_us)
@@ -350,6 +348,10 @@ def turns(bench):
             raise Failure("a pulse or the pause after it is too short")
         if fastest > 20 * US:
             raise Failure("the corners were not passed at speed: this proves nothing")
+        # X has 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
+        planned = 60 / 4600 / 1000 * (1 + 2 / 16) ** 0.5
+        if fastest < planned - JITTER_S:
+            raise Failure(f"a step comes {us(fastest)} after the one before, {us(planned)} are planned")
 
 
 def called_at_turns(bench):
@@ -462,6 +464,77 @@ def stops(bench):
                 raise Failure(f"{what} at F{feed}: pulses for another {us(late)}, allowed {us(allowed[what])}")
     for what, late in worst.items():
         yield f"{what:>5}: pulses end at most {us(late)} after it is heard, allowed {us(allowed[what])}; places as reported"
+
+
+def at_full_rate(bench):
+    """X as fast as the board calls safe, with the shortest pulse."""
+    safe = bench.wiring.safe_step_hz
+    fast(bench, 6_000)
+    rate = safe * 60 // 1000
+    # The pulse first: with a longer one the rate would be refused.
+    bench.settings(s0=1)
+    bench.settings(s110=rate)
+    return rate
+
+
+def ring_stops(bench):
+    """0x18 at moments that fall on every place of the ring, at the safe rate: what is reported has come out, to the step."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    rate = at_full_rate(bench)
+    worst, place = 0, 0
+    for k in range(64):
+        bench.ask("$X")
+        scope = Scope(board)
+        bench.ask(f"G91 G1 X{'-' if k % 2 else ''}100 F{rate}")
+        # At speed after 82 ms; each event is 2.04 us.
+        board.run(seconds=0.085 + k * 2.1 * US)
+        after = len(bench.host.text)
+        heard = bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        rising = [step.at for step in scope.steps()]
+        worst = max(worst, (rising[-1] - heard) / hz)
+        place += scope.counts()[0]
+        told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        if told != place:
+            raise Failure(f"stop {k + 1}: X{told} is told after {place} steps")
+    yield f"64 stops at {bench.wiring.safe_step_hz} steps/s: counts exact, pulses end at most {us(max(worst, 0))} after the byte"
+    if worst > STOP_S:
+        raise Failure("pulses after the stop")
+
+
+def masked_long(bench):
+    """Interrupts are masked for 100 us at the safe rate, again and again: events run out, are begun again, and none is lost."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    rate = at_full_rate(bench)
+    scope = Scope(board)
+    bench.ask(f"G91 G1 X60 F{rate}")
+    board.run(seconds=0.085)
+    for k in range(12):
+        board.run(seconds=(700 + 137 * k) * US)
+        mask(board, 100 * US)
+    bench.wait_state("Idle", 5)
+    rising = [step.at for step in scope.steps()]
+    longest = max((b - a) / hz for a, b in pairwise(rising[1000:-1000]))
+    yield f"masked 12 times for 100 us at {bench.wiring.safe_step_hz} steps/s: {len(rising)} steps, longest time without one {us(longest)}"
+    if scope.counts() != [60_000, 0, 0]:
+        raise Failure(f"the motors are at {scope.counts()}")
+    if longest < 20 * US:
+        raise Failure("the ring never ran dry: this proves nothing")
+
+
+def mask(board, seconds):
+    """Interrupts are masked for a time, by whom does not matter."""
+    before = board.state.primask
+    board.core.write("primask", 1)
+    board.state.primask = 1
+    board.look()
+    board.run(seconds=seconds)
+    board.core.write("primask", before)
+    board.state.primask = before
+    board.look()
 
 
 def error_of(bench, line):
@@ -602,7 +675,8 @@ def probe(bench):
         # The pin is looked at after the step of a tick: the one that is under way, or the next.
         if not 0 <= at_contact - latched <= 1 or not report.endswith(":1]"):
             raise Failure(f"F{feed}: contact after step {at_contact}, latched {latched}: {report}")
-        if not 0 <= overshoot <= bound + 1:
+        # The ramp's series, in single precision, may be a step or two longer in 5000 (84 MHz).
+        if not 0 <= overshoot <= 1.0005 * bound + 1:
             raise Failure(f"F{feed}: {overshoot} steps beyond the contact, v²/2a + 1 = {bound:.0f}")
         worst = max(worst, at_contact - latched)
         bench.wait_state("Idle", 1)
@@ -1275,10 +1349,7 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
-KNOWN = {
-    ("blackpill_f401", "turns"): "ticks put off by a set-up of 200 us are made up for so closely that a byte of the UART may "
-    "be lost; its line is refused, and the host is told",
-}
+KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
 
@@ -1300,6 +1371,8 @@ def all_cases(root):
         ("called at turns", called_at_turns),
         ("hold", hold),
         ("stops", stops),
+        ("stops on the ring", ring_stops),
+        ("masked for long", masked_long),
         ("trips", trips),
         ("emergency stop", emergency_stop),
         ("switch noise", noise),

@@ -60,17 +60,14 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
-const ROWS: [Row; 20] = [
-    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
-    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
-    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (204, 315))
-        .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (202, 331)),
-    row("wait", "a call that comes too near an edge", Figure::Worst, None, (90, 157)),
-    row("stop", "stop, with its report", Figure::Worst, None, (408, 725)),
+const ROWS: [Row; 17] = [
+    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_200, 1_500))
+        .beside("3360 / 4416", "4384 / 6240"),
+    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (900, 1_200)).beside("2656 / 3808", "3520 / 5440"),
+    row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_400, 3_100)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (500, 700)),
+    row("stop", "stop with 31 events undone, with its report", Figure::Worst, None, (1_500, 2_200)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1_475))
         .beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_420, 4_500))

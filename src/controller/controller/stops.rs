@@ -33,7 +33,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return;
             }
             StepEvent::Underrun { stops, position } => {
-                self.stops.underrun(stops);
+                self.stops.failed(stops, Alarm::Underrun);
+                self.stopped_at(&position);
+            }
+            StepEvent::Miscounted { stops, position } => {
+                self.stops.failed(stops, Alarm::StepCount);
                 self.stopped_at(&position);
             }
         }
@@ -98,7 +102,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if alarm == Alarm::HardLimit {
             self.tell_trip(stop.line);
         }
-        if alarm == Alarm::Underrun {
+        if matches!(alarm, Alarm::Underrun | Alarm::StepCount) {
             if matches!(self.task, Task::JogWaits) {
                 self.lines.clear();
             }

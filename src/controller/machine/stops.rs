@@ -145,12 +145,12 @@ impl Stops {
         self.line = line;
     }
 
-    /// The step task has stopped at speed for want of segments.
-    pub fn underrun(&mut self, stops: u16) {
+    /// The step task has stopped at speed by itself: for want of segments, or as its outputs have failed.
+    pub fn failed(&mut self, stops: u16, alarm: Alarm) {
         self.count(1);
         self.seen = stops;
         self.moving = true;
-        self.awaited.get_or_insert(StopReason::Alarm(Alarm::Underrun));
+        self.awaited.get_or_insert(StopReason::Alarm(alarm));
     }
 
     /// The awaited stop, once every stop that was asked for has happened. The step task is opened again after it.
@@ -236,11 +236,11 @@ mod tests {
     #[test]
     fn an_underrun_counts_itself_and_yields_to_what_is_awaited() {
         let mut stops = Stops::NONE;
-        stops.underrun(1);
+        stops.failed(1, Alarm::Underrun);
         let reason = StopReason::Alarm(Alarm::Underrun);
         assert_eq!(stops.finish(), Some(Finished { reason, moving: true, line: 0 }));
         stops.begin(StopReason::Nothing);
-        stops.underrun(3);
+        stops.failed(3, Alarm::Underrun);
         assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Nothing));
     }
 }

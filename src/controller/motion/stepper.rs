@@ -442,8 +442,8 @@ impl<const N: usize> Stepper<N> {
                 words.fill(table.get(always & 7).copied().unwrap_or(0));
                 return;
             }
-            1 => count_down([a], threshold, &of_counting, words),
-            2 => count_down([a, b], threshold, &of_counting, words),
+            // For one counting axis a loop of its own would save little: the other one takes nothing off.
+            1 | 2 => count_down([a, b], threshold, &of_counting, words),
             _ => count_down([a, b, c], threshold, &of_counting, words),
         };
         for ((axis, ..), new) in counting.iter().zip(left).take(count) {
@@ -574,8 +574,8 @@ impl<const N: usize> Stepper<N> {
         (self.moment >> 32) as u32
     }
 
-    /// Sets the step clock: the moment of the next tick, which is the first. At rest only; a fraction of a clock tick that
-    /// the last motion has left stays.
+    /// Sets the moment of the next tick: of the first after a rest, or of one that is put off, with all that come after it. The
+    /// fraction of a clock tick stays.
     pub fn begin_at(&mut self, moment: u32) {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
@@ -684,6 +684,12 @@ impl<const N: usize> Stepper<N> {
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
 
+    /// Stops at once, as what has come out does not agree with what was made; the report of it.
+    pub fn miscounted(&mut self) -> StepEvent<N> {
+        self.shut();
+        StepEvent::Miscounted { stops: self.stops, position: self.position() }
+    }
+
     /// The report that belongs to a [`Tick::underrun`].
     pub fn underrun_event(&self) -> StepEvent<N> {
         StepEvent::Underrun { stops: self.stops, position: self.position() }
@@ -778,6 +784,12 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     pub fn is_shut(&self) -> bool {
         self.gate_shut || self.unnoted
+    }
+
+    /// Whether a segment runs.
+    #[inline(always)]
+    pub fn is_moving(&self) -> bool {
+        self.piece.ticks() != 0
     }
 
     /// Whether there is nothing left to do.

@@ -396,7 +396,7 @@ mod suite {
         let (segments_in, segments_out) = segments.split();
         let (wiring_in, wiring_out) = wiring.split();
         let (events_in, events_out) = events.split();
-        let step = Step::new(parts.step_timer, parts.step_pins, segments_out, wiring_out, events_in, wake.writer());
+        let step = Step::new(parts.step_pins, segments_out, wiring_out, events_in, wake.writer());
         // SAFETY: unsafe because a static is changed and an interrupt is let in; safe because the interrupt is masked until the
         // task is in its place, and the tests share nothing with it but channels and atomics.
         unsafe {
