@@ -47,14 +47,12 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// A pulse is never shorter than `$0`, and this much longer at most: its end is an interrupt, and waits for the rest of the
-/// tick and for half a message.
-const LATEST_PULSE_END_US: i32 = 5;
-/// How far a period may be off: a tick that comes late for the same reasons, before or after one that does not.
-const PERIOD_ERROR_US: i32 = 3;
-/// How far the last pulse but one of a train may be from where it belongs: no error adds up. The last one comes later,
-/// for its tick looks for a message that does not follow.
-const DRIFT_US: i32 = 2;
+/// A pulse is never shorter than `$0`, and this much longer at most: its end is a transfer of DMA, which may wait for others.
+const LATEST_PULSE_END_US: i32 = 1;
+/// How far a period may be off, for the same reason.
+const PERIOD_ERROR_US: i32 = 1;
+/// How far the last pulse but one of a train may be from where it belongs: no error adds up.
+const DRIFT_US: i32 = 1;
 /// How far apart pulses of one tick may be: ports are written one after the other.
 const SKEW_NS: i32 = 500;
 /// Drivers want this even if `$29` asks for less.
@@ -384,7 +382,7 @@ mod suite {
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
         let parts = boards::setup(device, low_voltage);
-        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and DMA1 here,
+        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and the recorder's streams of DMA1,
         // and of port B and the clocks only what the recorder's own pins and timer need is changed.
         let again = unsafe { pac::Peripherals::steal() };
         let capture = Capture::new(again.TIM4, again.DMA1, &again.GPIOB, &again.RCC);
