@@ -1,4 +1,4 @@
-//! The step generator: turns blocks and segments into step bits and moments, one call for each expiry of the timer.
+//! The step generator: turns blocks and segments into step bits and moments, one call for each tick.
 //!
 //! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
 //! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
@@ -34,7 +34,7 @@ const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
 /// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
-/// What to do at an expiry of the step timer.
+/// What to do at a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tick {
     /// Axes to step now, bit 0 for X.
@@ -42,7 +42,7 @@ pub struct Tick {
     /// Direction levels for the *next* step (bit set = negative), to be written once this pulse has ended. They change
     /// with the first tick of a segment only.
     pub directions: u8,
-    /// Step-clock ticks to the next call; 0 = at rest, the timer may stop.
+    /// Step-clock ticks to the next one; 0 = at rest.
     pub interval: u32,
     /// A segment has begun with this tick, and its power and directions hold from now on.
     pub begins: bool,
@@ -375,32 +375,27 @@ impl<const N: usize> Stepper<N> {
         self.is_next = true;
     }
 
-    /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
+    /// The next tick; from rest the first makes no step and gives the interval to the one that does.
     #[inline]
     pub fn tick(&mut self) -> Tick {
-        match self.plain_tick() {
-            Some(tick) => tick,
-            None => {
-                let steps = self.rare_steps();
-                self.rare_tick(steps)
-            }
+        if self.unnoted {
+            self.note_touch();
         }
-    }
-
-    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_steps`]
-    /// and [`Stepper::rare_tick`] are to be called.
-    #[inline(always)]
-    pub fn plain_tick(&mut self) -> Option<Tick> {
-        self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
         let steps = self.step_axes();
-        Some(self.set_out(steps))
+        match self.piece.plain_ticks.checked_sub(1) {
+            Some(left) => {
+                self.piece.plain_ticks = left;
+                self.set_out(steps)
+            }
+            None => self.rare_tick(steps),
+        }
     }
 
     /// Plain ticks in a row, as many as there is room for or as the segment has left: for each its steps, as the entry of
     /// `table` that belongs to them (bit 0 for X), and its moment. How many.
     ///
     /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
-    /// if [`Stepper::plain_tick`] had been called as often.
+    /// if [`Stepper::tick`] had been called as often.
     #[inline(always)]
     pub fn plain_ticks(&mut self, table: &[u32; 8], words: &mut [u32], moments: &mut [u32]) -> usize {
         const { assert!(N <= 3, "a table of eight words is for three axes") };
@@ -488,19 +483,9 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.unnoted
     }
 
-    /// The steps of a tick with which a segment may end or motion begin or end, or at which the probe is waited for; for
-    /// what else it does there is time after their edges.
+    /// What a tick does after its steps with which a segment may end or motion begin or end, or at which the probe is waited for.
     #[inline(always)]
-    pub fn rare_steps(&mut self) -> u8 {
-        if self.unnoted {
-            self.note_touch();
-        }
-        self.step_axes()
-    }
-
-    /// What else such a tick does, after its steps; a message may be loaded in between.
-    #[inline(always)]
-    pub fn rare_tick(&mut self, steps: u8) -> Tick {
+    fn rare_tick(&mut self, steps: u8) -> Tick {
         if self.piece.rare_ticks > 1 {
             self.piece.rare_ticks = self.piece.rare_ticks.wrapping_sub(1);
             return self.set_out(steps);
@@ -919,7 +904,7 @@ mod tests {
                 for (word, at) in words.into_iter().zip(moments).take(made) {
                     prop_assert_eq!(at, single.moment());
                     let (least, greatest) = single.intervals();
-                    let tick = single.plain_tick().expect("it is plain");
+                    let tick = single.tick();
                     prop_assert_eq!(word, table[usize::from(tick.steps)]);
                     prop_assert!((least..=greatest + 1).contains(&tick.interval));
                 }
