@@ -3,7 +3,7 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// All alarms, in the order of their numbers.
-pub const ALARMS: [Alarm; 14] = [
+pub const ALARMS: [Alarm; 15] = [
     Alarm::HardLimit,
     Alarm::SoftLimit,
     Alarm::AbortInMotion,
@@ -18,6 +18,7 @@ pub const ALARMS: [Alarm; 14] = [
     Alarm::Underrun,
     Alarm::EmergencyStop,
     Alarm::DriverFault,
+    Alarm::StepCount,
 ];
 
 /// What helps against an error with this number; empty for a number that does not exist.

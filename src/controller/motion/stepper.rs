@@ -603,8 +603,7 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times, and
-        // the end of the pulse waits for it.
+        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times.
         let course = self.courses.get(usize::from(self.odd)).unwrap_or(&Course::NOWHERE);
         let Course { beyond, threshold, entered, directions, .. } = course;
         for (left, beyond) in self.left.iter_mut().zip(beyond) {

@@ -179,11 +179,19 @@ impl Registers {
         self.put_out(Self::RING);
     }
 
+    /// The call that the task has asked for, at its moment: what was to come out before it has done so.
+    fn called(&mut self) {
+        let now = self.read(Self::CCR2);
+        let ahead = self.ahead();
+        let out = (0..ahead).take_while(|place| self.moment(self.out + place).wrapping_sub(now) as i32 <= 0).count();
+        self.put_out(ahead - out);
+        self.interrupt(Due::MORE, now);
+    }
+
     /// All comes out, and the task comes to rest.
     fn finish(&mut self) {
         while !shared::STEP.at_rest.load(Ordering::Relaxed) {
-            self.put_out(0);
-            self.interrupt(Due::MORE, self.last + 3_000);
+            self.called();
         }
     }
 }
@@ -239,21 +247,21 @@ fn step_task() {
     }
 
     // The longest runs: in each a block begins in another direction and with other power, both of its messages are received,
-    // and the rest of the batch is made.
-    send(&mut to_step, &block([40, 30, 20], 7, 40, 0, 0));
-    registers.start();
-    for turn in 0..20_u8 {
-        let flags = if turn == 19 { Segment::FLAG_LAST } else { 0 };
-        let [first, ToStep::Segment(segment)] = block([40, 30, 20], if turn & 1 == 0 { 0 } else { 7 }, 40, 0, flags)
-        else {
-            return;
-        };
+    // and the rest of the batch is made. Before them as much is ahead as a run needs, and messages for more than a run wait.
+    let mut turning = |turn: u8, last: u8| {
+        let [first, second] = block([40, 30, 20], if turn & 1 == 0 { 0 } else { 7 }, 40, 0, last);
+        let ToStep::Segment(segment) = second else { return };
         send(&mut to_step, &[first, ToStep::Segment(Segment { power: 100 + u16::from(turn), ..segment })]);
-        registers.put_out(12);
+    };
+    (0..4).for_each(|turn| turning(turn, 0));
+    registers.start();
+    for turn in 4..24 {
+        turning(turn, if turn == 23 { Segment::FLAG_LAST } else { 0 });
+        registers.put_out(20);
         row_segment();
         registers.interrupt(Due::MORE, registers.last);
         row_none();
-        registers.interrupt(Due::MARK, registers.last + 6_000);
+        registers.interrupt(Due::MARK, registers.last);
     }
     registers.finish();
 
