@@ -40,11 +40,10 @@ const START_TICKS: u32 = 2_000 * TICKS_PER_US;
 const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
 /// No fewer events than these are ahead, however long they last.
 const LEAST_EVENTS: usize = 4;
-/// Most events of a run: the longer it takes, the later everything else, a stop that comes by the serial line among it. Fewer
-/// on the slow boards, one of which has an image built for size: a run is to take less than 20 us there, too.
-const MOST_EVENTS: usize = if CORE_HZ > 90_000_000 { 32 } else { 16 };
-/// More than a run takes (`cargo xtask count`, times 1.1 for the flash).
-const RUN_TICKS: u32 = in_ticks(4_500);
+/// Most events of a run: the longer it takes, the later everything else, a stop that comes by the serial line among it.
+const MOST_EVENTS: usize = 32;
+/// More than a run takes from its look at the time to its last event (`cargo xtask count`).
+const RUN_TICKS: u32 = in_ticks(3_600);
 /// More than it takes to begin.
 const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// As many events of a batch take as long as an event, or a tick, that is made by itself.
@@ -430,7 +429,7 @@ impl Step {
     #[inline(never)]
     fn call_again(&mut self) {
         let ahead = self.output.ahead();
-        let left = (ahead / 2).max(ahead.saturating_sub(MOST_EVENTS)).max(LEAST_EVENTS - 1);
+        let left = (ahead / 2).max(LEAST_EVENTS - 1);
         let at = match self.state {
             State::Running if !self.one_by_one && ahead > left => {
                 let (half, last_chance) = (self.output.moment_before(left), self.last_chance());
