@@ -1,6 +1,6 @@
 //! The pages of `docs/`: those that are made from tables of the firmware are current, links lead somewhere, commands exist.
 
-use oxmill_controller::error::Error;
+use oxmill_controller::error::{Alarm, Error};
 use oxmill_simulator::advice;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -45,8 +45,8 @@ fn the_page_of_errors_is_the_tables() {
         let _ = writeln!(page, "| {} | {} | {} |", error.code(), error.text(), advice::for_error(*error));
     }
     page += "\n## Alarms\n\nAn alarm locks the machine until `$X`, `$H` or a reset.\n\n| alarm | meaning | what helps |\n|---|---|---|\n";
-    for alarm in advice::ALARMS {
-        let _ = writeln!(page, "| {} | {} | {} |", alarm.code(), alarm.text(), advice::for_alarm(alarm));
+    for alarm in Alarm::ALL {
+        let _ = writeln!(page, "| {} | {} | {} |", alarm.code(), alarm.text(), advice::for_alarm(*alarm));
     }
     let path = root().join("docs/errors.md");
     if std::env::var_os("OXMILL_WRITE_DOCS").is_some() {

@@ -1,6 +1,10 @@
 //! `docs/settings.md` is made from the table of settings; this holds the two together.
 
-use oxmill_controller::settings::{Entry, Kind, PER_AXIS, SCALARS, Settings};
+use oxmill_controller::protocol::descriptions;
+use oxmill_controller::protocol::text::Text;
+use oxmill_controller::settings::{
+    Description, Entry, PER_AXIS, PER_AXIS_DESCRIPTIONS, SCALAR_DESCRIPTIONS, SCALARS, Settings,
+};
 use std::fmt::Write;
 
 const HEAD: &str = "# Settings
@@ -15,40 +19,39 @@ When stored settings were damaged (flash that has lost a bit), the welcome line 
 listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log).
 
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not
-have need this dialect. This page is made from the table in `src/controller/settings.rs`.
+have need this dialect.
+
+Senders can ask for all of this: `$ES` lists the settings with group, name, unit, type, choices and range, `$EG` their groups, `$EE` and `$EA` the texts of
+errors and alarms, in the formats of grblHAL; `$ESG` and `$ESH` are the settings as a table with commas or tabs; `$I+` adds the axes and what can be asked
+for to `$I`. The Black Pill F401 has no room for the texts (`error:125`), and the dialect of Grbl knows none of these commands.
+
+This page is made from the table in `src/controller/settings.rs`.
 
 | $ | setting | unit | values | default | Grbl 1.1 |
 |---|---|---|---|---|---|
 ";
 
-fn row(page: &mut String, number: &str, entry: &Entry, default: &str) {
-    let values = match entry.kind {
-        Kind::Whole(least, greatest) => format!("{least} to {greatest}"),
-        Kind::Switch => "0 or 1".into(),
-        Kind::Mask(bits) => {
-            let bits = (0..32).filter(|bit| bits >> bit & 1 != 0).map(|bit| (1_u32 << bit).to_string());
-            format!("sum of {}", bits.collect::<Vec<_>>().join(", "))
-        }
-        Kind::Real | Kind::Speed => "0 and above".into(),
-        Kind::Place => "any".into(),
-        Kind::Axes => "axes of the machine".into(),
-    };
+fn row(page: &mut String, number: &str, (entry, description): (&Entry, &Description), default: &str) {
+    let mut values = Text::new();
+    descriptions::values(&mut values, entry, description);
+    let values = std::str::from_utf8(&values).expect("text");
     let known = if entry.grbl { "yes" } else { "" };
-    let _ = writeln!(page, "| {number} | {} | {} | {values} | {default} | {known} |", entry.name, entry.unit);
+    let _ =
+        writeln!(page, "| {number} | {} | {} | {values} | {default} | {known} |", description.name, description.unit);
 }
 
 #[test]
 fn the_page_is_the_table() {
     let mut page = HEAD.to_string();
-    for entry in SCALARS {
-        row(&mut page, &entry.number.to_string(), &entry, &entry.default.to_string());
+    for (entry, description) in SCALARS.iter().zip(&SCALAR_DESCRIPTIONS) {
+        row(&mut page, &entry.number.to_string(), (entry, description), &entry.default.to_string());
     }
-    for entry in PER_AXIS {
+    for (entry, description) in PER_AXIS.iter().zip(&PER_AXIS_DESCRIPTIONS) {
         let numbers = [0, 1, 2].map(|axis| entry.number + axis);
         let mut defaults: Vec<String> =
             numbers.iter().map(|n| Settings::<3>::default().by_number(*n).unwrap_or(f32::NAN).to_string()).collect();
         defaults.dedup();
-        row(&mut page, &numbers.map(|n| n.to_string()).join(", "), &entry, &defaults.join(", "));
+        row(&mut page, &numbers.map(|n| n.to_string()).join(", "), (entry, description), &defaults.join(", "));
     }
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/settings.md");
     if std::env::var_os("OXMILL_WRITE_DOCS").is_some() {

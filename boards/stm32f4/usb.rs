@@ -1,4 +1,4 @@
-//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
+//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes. What a closed port still sends is dropped.
 //!
 //! ```text
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it
@@ -79,7 +79,7 @@ fn write(offset: usize, word: u32) {
 }
 
 /// How long after its end a host's bytes may still come: much longer than an operating system takes to call them back.
-const CLOSING_TICKS: u32 = 200_000 * crate::CLOCK_TICKS_PER_US;
+const LATE_BYTES_TICKS: u32 = 200_000 * crate::CLOCK_TICKS_PER_US;
 
 /// The receiving half: what has been fetched of the last packet.
 struct Received {
@@ -259,7 +259,7 @@ impl Port for UsbPort {
             if received.length > 0
                 && let Some(since) = self.closing
             {
-                if clock_ticks().wrapping_sub(since) < CLOSING_TICKS {
+                if clock_ticks().wrapping_sub(since) < LATE_BYTES_TICKS {
                     received.length = 0;
                 } else {
                     self.closing = None;

@@ -1,19 +1,19 @@
 //! What can go wrong, with the numbers that Grbl 1.1 gives it on the wire.
 
-/// One row for each error: name, number on the wire, text for people.
-macro_rules! errors {
-    ($($(#[$attribute:meta])* $name:ident = $number:literal, $text:literal;)*) => {
-        /// Why a line was refused; answered as `error:N`.
+/// A table of codes: for each its name, its number on the wire, and a text for people.
+macro_rules! codes {
+    ($(#[$doc:meta])* $codes:ident; $($(#[$attribute:meta])* $name:ident = $number:literal, $text:literal;)*) => {
+        $(#[$doc])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u8)]
-        #[allow(missing_docs, reason = "each variant is described by Error::text")]
-        pub enum Error {
+        #[allow(missing_docs, reason = "each variant is described by its text")]
+        pub enum $codes {
             $($(#[$attribute])* $name = $number,)*
         }
 
-        impl Error {
+        impl $codes {
             /// All of them, in the order of their numbers.
-            pub const ALL: &'static [Error] = &[$(Error::$name),*];
+            pub const ALL: &'static [$codes] = &[$($codes::$name),*];
 
             /// The number on the wire.
             pub const fn code(self) -> u8 {
@@ -23,14 +23,16 @@ macro_rules! errors {
             /// What it means, for people.
             pub const fn text(self) -> &'static str {
                 match self {
-                    $(Error::$name => $text,)*
+                    $($codes::$name => $text,)*
                 }
             }
         }
     };
 }
 
-errors! {
+codes! {
+    /// Why a line was refused; answered as `error:N`.
+    Error;
     ExpectedLetter = 1, "a word must begin with a letter";
     BadNumber = 2, "the number of a word is missing or malformed, or the $ command is unknown";
     InvalidStatement = 3, "the $ statement was not understood";
@@ -88,62 +90,33 @@ errors! {
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore";
     ExtendedLeftOut = 124, "this board has no room for canned cycles, the tool table and words of state";
+    DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";
 }
 
-/// Why the machine locked itself; announced as `ALARM:N`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-#[allow(missing_docs, reason = "each variant is described by Alarm::text")]
-pub enum Alarm {
-    HardLimit = 1,
-    SoftLimit = 2,
-    AbortInMotion = 3,
-    ProbeInitialState = 4,
-    ProbeNoContact = 5,
-    HomingReset = 6,
-    HomingDoor = 7,
-    HomingPullOff = 8,
-    HomingNoSwitch = 9,
-    HomingSquaring = 10,
+codes! {
+    /// Why the machine locked itself; announced as `ALARM:N`.
+    Alarm;
+    HardLimit = 1, "a limit switch tripped; the position may be lost";
+    SoftLimit = 2, "the target exceeds the machine's travel; the position is kept";
+    AbortInMotion = 3, "a reset came in motion; the position may be lost";
+    ProbeInitialState = 4, "the probe was not in the expected state before the cycle";
+    ProbeNoContact = 5, "the probe made no contact within its travel";
+    HomingReset = 6, "a reset came during homing";
+    HomingDoor = 7, "the door opened during homing";
+    HomingPullOff = 8, "homing could not clear the switch by pulling off";
+    HomingNoSwitch = 9, "homing found no switch within its travel";
+    HomingSquaring = 10, "squaring found only one of the two switches of an axis";
     /// The spindle did not tell in time that it is up to speed (`$915`, `$916`). Not in Grbl; grblHAL's number.
-    SpindleSpeed = 14,
+    SpindleSpeed = 14, "the spindle did not come up to speed in time; the position is kept";
     /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
     /// 11 on are taken by other controllers, so one above theirs.
-    Underrun = 100,
+    Underrun = 100, "motion data ran out at speed; the position may be lost";
     /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
-    EmergencyStop = 101,
-    DriverFault = 102,
+    EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";
+    DriverFault = 102, "a motor driver reported a fault; the position may be lost";
     /// The step outputs have not put out what they were told to. Other controllers cannot know.
-    StepCount = 103,
-}
-
-impl Alarm {
-    /// The number on the wire.
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// What it means, for people.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Alarm::HardLimit => "a limit switch tripped; the position may be lost",
-            Alarm::SoftLimit => "the target exceeds the machine's travel; the position is kept",
-            Alarm::AbortInMotion => "a reset came in motion; the position may be lost",
-            Alarm::ProbeInitialState => "the probe was not in the expected state before the cycle",
-            Alarm::ProbeNoContact => "the probe made no contact within its travel",
-            Alarm::HomingReset => "a reset came during homing",
-            Alarm::HomingDoor => "the door opened during homing",
-            Alarm::HomingPullOff => "homing could not clear the switch by pulling off",
-            Alarm::HomingNoSwitch => "homing found no switch within its travel",
-            Alarm::HomingSquaring => "squaring found only one of the two switches of an axis",
-            Alarm::SpindleSpeed => "the spindle did not come up to speed in time; the position is kept",
-            Alarm::Underrun => "motion data ran out at speed; the position may be lost",
-            Alarm::StepCount => "the step outputs and their count disagree; the position is lost",
-            Alarm::EmergencyStop => "the emergency stop was pressed; the position may be lost if something moved",
-            Alarm::DriverFault => "a motor driver reported a fault; the position may be lost",
-        }
-    }
+    Miscounted = 103, "the step outputs and their count disagree; the position is lost";
 }

@@ -69,7 +69,7 @@ impl Realtime {
 /// In place of a byte of a line: what has come of the line is void, for its host has gone or lost the floor. No host can
 /// send it, as 0x18 is a command. In place of the epoch it has the number (wrapping) of hosts that have gone before it, as
 /// [`Event::Disconnected`].
-pub const CUT: u8 = 0x18;
+pub const HOST_CHANGED: u8 = 0x18;
 
 /// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that had been handed
 /// to `control` before it. So a byte sent before a reset is dropped and one sent after it never is, although the two queues to
@@ -389,7 +389,7 @@ pub enum Event<const N: usize> {
     /// A host has just opened the port.
     Connected,
     /// The host that was listened to has closed the port or is unplugged: the number (wrapping) of such hosts since power-up.
-    /// Not every link can tell. Its lines, up to the [`CUT`] of this number, get no answers.
+    /// Not every link can tell. Its lines, up to the [`HOST_CHANGED`] of this number, get no answers.
     Disconnected(u16),
 }
 

@@ -30,7 +30,8 @@ pub struct Number {
     pub places: u8,
 }
 
-/// Reads a number (sign, digits, at most one point) from the start of `text`; `None` without any digit.
+/// Parses the decimal text (sign, digits, at most one point) at the start of `text` to the fixed-point type [`Decimal`];
+/// `None` without any digit.
 pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
     let signs = usize::from(negative || text.first() == Some(&b'+'));

@@ -27,15 +27,11 @@ pub enum Kind {
     Axes,
 }
 
-/// One row of the table.
+/// What the machine needs of a row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// The number after `$`. For a setting that exists per axis, the one of X.
     pub number: u16,
-    /// What it is.
-    pub name: &'static str,
-    /// In which unit; empty for none.
-    pub unit: &'static str,
     /// How it is checked and printed.
     pub kind: Kind,
     /// Value of a new controller.
@@ -44,17 +40,108 @@ pub struct Entry {
     pub grbl: bool,
 }
 
-/// A table of settings: each row has its key, and its number, name, unit, check, default, and whether Grbl has it.
+/// What people and senders are told of a row. It is apart from what the machine needs, so that a board without room for it
+/// links none of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Description {
+    /// What it is.
+    pub name: &'static str,
+    /// In which unit; empty for none.
+    pub unit: &'static str,
+    /// What it belongs to.
+    pub group: SettingGroup,
+    /// What the values 0, 1, 2 and so on choose, or what the bits of a mask mean, from the lowest; commas between. Empty
+    /// for numbers that are quantities.
+    pub labels: &'static str,
+}
+
+/// A row of `$$` as it is told to people and senders.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// The number after `$`.
+    pub number: u16,
+    /// The axis, or of homing cycles the one whose place in the order is the number of the cycle.
+    pub axis: Option<Axis>,
+    /// What the machine needs of it.
+    pub entry: Entry,
+    /// What is told of it.
+    pub description: Description,
+}
+
+/// What a setting belongs to, for senders that show settings in groups.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+#[allow(missing_docs, reason = "SettingGroup::name says what each is")]
+pub enum SettingGroup {
+    General = 1,
+    Steppers,
+    ControlInputs,
+    Limits,
+    Probing,
+    Motion,
+    Homing,
+    Spindle,
+    Door,
+    GangedAxis,
+    Program,
+    /// The groups of the axes, X to C, have the numbers that follow this one's.
+    Axes,
+}
+
+impl SettingGroup {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [SettingGroup; 12] = [
+        SettingGroup::General,
+        SettingGroup::Steppers,
+        SettingGroup::ControlInputs,
+        SettingGroup::Limits,
+        SettingGroup::Probing,
+        SettingGroup::Motion,
+        SettingGroup::Homing,
+        SettingGroup::Spindle,
+        SettingGroup::Door,
+        SettingGroup::GangedAxis,
+        SettingGroup::Program,
+        SettingGroup::Axes,
+    ];
+
+    /// The heading.
+    pub const fn name(self) -> &'static str {
+        match self {
+            SettingGroup::General => "General",
+            SettingGroup::Steppers => "Stepper motors",
+            SettingGroup::ControlInputs => "Control inputs",
+            SettingGroup::Limits => "Limits",
+            SettingGroup::Probing => "Probing",
+            SettingGroup::Motion => "Motion",
+            SettingGroup::Homing => "Homing",
+            SettingGroup::Spindle => "Spindle and laser",
+            SettingGroup::Door => "Safety door and parking",
+            SettingGroup::GangedAxis => "Axis with two motors",
+            SettingGroup::Program => "Program",
+            SettingGroup::Axes => "Axes",
+        }
+    }
+}
+
+/// A table of settings: each row has its key, and its number, name, unit, group, labels, check, default, and whether Grbl
+/// has it.
 macro_rules! table {
     (
         $(#[$rows_doc:meta])* $rows:ident;
+        $(#[$descriptions_doc:meta])* $descriptions:ident;
         $(#[$keys_doc:meta])* $keys:ident {
-            $($key:ident: $number:expr, $name:expr, $unit:expr, $kind:expr, $default:expr, $grbl:expr;)*
+            $($key:ident: $number:expr, $name:expr, $unit:expr, $group:ident, $labels:expr, $kind:expr, $default:expr, $grbl:expr;)*
         }
     ) => {
         $(#[$rows_doc])*
         pub const $rows: [Entry; $keys::COUNT] = [$(
-            Entry { number: $number, name: $name, unit: $unit, kind: $kind, default: $default, grbl: $grbl },
+            Entry { number: $number, kind: $kind, default: $default, grbl: $grbl },
+        )*];
+
+        $(#[$descriptions_doc])*
+        pub const $descriptions: [Description; $keys::COUNT] = [$(
+            Description { name: $name, unit: $unit, group: SettingGroup::$group, labels: $labels },
         )*];
 
         $(#[$keys_doc])*
@@ -75,82 +162,85 @@ macro_rules! table {
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
+/// What the bits of the control inputs are.
+const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Emergency stop,N/A,Driver fault";
+/// What the bits of the limit inputs are.
+const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
+/// Axes by number or bit.
+const AXIS_LABELS: &str = "X axis,Y axis,Z axis";
 
 table! {
     /// Settings that exist once.
     SCALARS;
+    /// What is told of the rows of [`SCALARS`].
+    SCALAR_DESCRIPTIONS;
     /// Names the rows of [`SCALARS`].
     Key {
-        StepPulse: 0, "Step pulse", "us", Kind::Whole(1, 255), 10.0, true;
-        IdleDelay: 1, "Step idle delay", "ms", Kind::Whole(0, 255), 25.0, true;
-        StepInvert: 2, "Step invert", "mask", Kind::Whole(0, 255), 0.0, true;
-        DirectionInvert: 3, "Direction invert", "mask", Kind::Whole(0, 255), 0.0, true;
-        EnableInvert: 4, "Enable invert", "", Kind::Switch, 0.0, true;
-        LimitInvert: 5, "Limit invert", "", Kind::Switch, 0.0, true;
-        ProbeInvert: 6, "Probe invert", "", Kind::Switch, 0.0, true;
-        StatusReport: 10, "Status report", "mask", Kind::Whole(0, 255), 1.0, true;
-        JunctionDeviation: 11, "Junction deviation", "mm", Kind::Real, 0.010, true;
-        ArcTolerance: 12, "Arc tolerance", "mm", Kind::Real, 0.002, true;
-        ReportInches: 13, "Report in inches", "", Kind::Switch, 0.0, true;
-        ControlInvert: 14,
-            "Control inputs invert (1 reset, 2 hold, 4 start, 8 door, 64 emergency stop, 256 driver fault)",
-            "mask",
-            CONTROL,
-            0.0,
-            false;
-        ControlNoPullUp: 17, "Control inputs without pull-up (as $14)", "mask", CONTROL, 0.0, false;
-        LimitNoPullUp: 18, "Limit inputs without pull-up (1 X, 2 Y, 4 Z, 64 second motor)", "mask", LIMITS, 0.0, false;
-        ProbeNoPullUp: 19, "Probe input without pull-up", "", Kind::Switch, 0.0, false;
-        SoftLimits: 20, "Soft limits", "", Kind::Switch, 0.0, true;
-        HardLimits: 21, "Hard limits", "", Kind::Switch, 0.0, true;
-        Homing: 22, "Homing", "", Kind::Switch, 0.0, true;
-        HomingDirection: 23, "Homing direction", "mask", Kind::Whole(0, 255), 0.0, true;
-        HomingLocate: 24, "Homing locate feed", "mm/min", Kind::Real, 25.0, true;
-        HomingSeek: 25, "Homing seek rate", "mm/min", Kind::Real, 500.0, true;
-        HomingDebounce: 26, "Homing debounce", "ms", Kind::Whole(0, 65_535), 250.0, true;
-        HomingPullOff: 27, "Homing pull-off", "mm", Kind::Real, 1.0, true;
-        DirectionSetup: 29, "Direction set-up", "us", Kind::Whole(0, 255), 5.0, false;
-        SpindleMaximum: 30, "Maximum spindle speed", "rpm", Kind::Speed, 1000.0, true;
-        SpindleMinimum: 31, "Minimum spindle speed", "rpm", Kind::Speed, 0.0, true;
-        Laser: 32, "Laser mode", "", Kind::Switch, 0.0, true;
-        SpindlePwm: 33, "Spindle PWM frequency", "Hz", Kind::Whole(1, 100_000), 5000.0, false;
-        JogClip: 40, "Jogs end at the soft limits", "", Kind::Switch, 0.0, false;
-        Parking: 41, "Parking", "", Kind::Switch, 0.0, false;
-        ParkingAxis: 42, "Parking axis (0 X, 1 Y, 2 Z)", "", Kind::Whole(0, 5), 2.0, false;
-        HomingPasses: 43, "Homing locate passes", "", Kind::Whole(1, 128), 1.0, false;
-        ParkingPullOut: 56, "Parking pull-out", "mm", Kind::Real, 5.0, false;
-        ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Kind::Real, 100.0, false;
-        ParkingTarget: 58, "Parking place", "mm", Kind::Place, -5.0, false;
-        ParkingFastRate: 59, "Parking fast rate", "mm/min", Kind::Real, 500.0, false;
-        SquaringShare: 347, "Squaring fails after (share of the travel)", "%", Kind::Real, 5.0, false;
-        SquaringLeast: 348, "Squaring fails after at least", "mm", Kind::Real, 2.5, false;
-        SquaringMost: 349, "Squaring fails after at most", "mm", Kind::Real, 25.0, false;
-        DoorSpindleDelay: 392, "Spindle on to coolant on, after a door", "s", Kind::Real, 4.0, false;
-        DoorCoolantDelay: 393, "Coolant on to motion, after a door", "s", Kind::Real, 1.0, false;
-        SpinUp: 394, "Spindle on to motion", "s", Kind::Real, 0.0, false;
-        SpinDown: 539, "Spindle off to motion", "s", Kind::Real, 0.0, false;
-        Dialect: 900, "Dialect (0 Grbl, 1 Oxmill, 2 seed document)", "", Kind::Whole(0, 2), 1.0, false;
-        StopOnError: 901, "An error stops the job", "", Kind::Switch, 0.0, false;
-        TrustNeeded: 902, "Machine coordinates need a trusted position", "", Kind::Switch, 1.0, false;
-        DoorFitted: 903, "Safety door fitted", "", Kind::Switch, 1.0, false;
-        Kinematics: 904, "Kinematics (0 Cartesian, 1 CoreXY)", "", Kind::Whole(0, 1), 0.0, false;
-        GangedAxis: 905, "Axis with two motors (0 none, 1 X, 2 Y, 3 Z)", "", Kind::Whole(0, 3), 0.0, false;
-        GangedInvert: 906, "Second motor turns the other way", "", Kind::Switch, 0.0, false;
-        GangedSwitch: 907, "Second motor has its own limit switch", "", Kind::Switch, 0.0, false;
-        LimitInvertEach: 908, "Limit inputs of the other polarity than $5 says (as $18)", "mask", LIMITS, 0.0, false;
-        ControlPullDown: 909, "Control inputs with a pull-down (as $14)", "mask", CONTROL, 0.0, false;
-        LimitPullDown: 910, "Limit inputs with a pull-down (as $18)", "mask", LIMITS, 0.0, false;
-        ProbePullDown: 911, "Probe input with a pull-down", "", Kind::Switch, 0.0, false;
-        ResetIsEmergencyStop: 912, "Reset input is an emergency stop", "", Kind::Switch, 0.0, false;
-        EmergencyDriversOff: 913, "Emergency stop and driver fault switch the drivers off", "", Kind::Switch, 0.0, false;
-        HoldWithoutHost: 914, "Hold when the host goes in mid-job", "", Kind::Switch, 1.0, false;
-        AtSpeed: 915, "Spindle at-speed input (0 none, 1 low at speed, 2 high at speed)", "", Kind::Whole(0, 2), 0.0, false;
-        AtSpeedWithin: 916, "Longest time from spindle on to at speed", "s", Kind::Real, 10.0, false;
-        CurveAcceleration: 917, "Acceleration in curves, share of $120 to $122", "%", Kind::Whole(10, 1000), 100.0, false;
-        ToolChange: 918, "M6 (0 is ignored, 1 stops and asks for the tool)", "", Kind::Whole(0, 1), 0.0, false;
-        OptionalStop: 919, "M1 pauses", "", Kind::Switch, 0.0, false;
-        BlockDelete: 920, "Lines that begin with / are skipped", "", Kind::Switch, 0.0, false;
-        PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Kind::Real, 0.254, false;
+        StepPulse: 0, "Step pulse", "us", Steppers, "", Kind::Whole(1, 255), 10.0, true;
+        IdleDelay: 1, "Step idle delay", "ms", Steppers, "", Kind::Whole(0, 255), 25.0, true;
+        StepInvert: 2, "Step invert", "mask", Steppers, AXIS_LABELS, Kind::Whole(0, 255), 0.0, true;
+        DirectionInvert: 3, "Direction invert", "mask", Steppers, AXIS_LABELS, Kind::Whole(0, 255), 0.0, true;
+        EnableInvert: 4, "Enable invert", "", Steppers, "", Kind::Switch, 0.0, true;
+        LimitInvert: 5, "Limit invert", "", Limits, "", Kind::Switch, 0.0, true;
+        ProbeInvert: 6, "Probe invert", "", Probing, "", Kind::Switch, 0.0, true;
+        StatusReport: 10, "Status report", "mask", General, "Machine position,Buffer state", Kind::Whole(0, 255), 1.0, true;
+        JunctionDeviation: 11, "Junction deviation", "mm", Motion, "", Kind::Real, 0.010, true;
+        ArcTolerance: 12, "Arc tolerance", "mm", Motion, "", Kind::Real, 0.002, true;
+        ReportInches: 13, "Report in inches", "", General, "", Kind::Switch, 0.0, true;
+        ControlInvert: 14, "Control inputs invert", "mask", ControlInputs, CONTROL_LABELS, CONTROL, 0.0, false;
+        ControlNoPullUp: 17, "Control inputs without pull-up", "mask", ControlInputs, CONTROL_LABELS, CONTROL, 0.0, false;
+        LimitNoPullUp: 18, "Limit inputs without pull-up", "mask", Limits, LIMIT_LABELS, LIMITS, 0.0, false;
+        ProbeNoPullUp: 19, "Probe input without pull-up", "", Probing, "", Kind::Switch, 0.0, false;
+        SoftLimits: 20, "Soft limits", "", Limits, "", Kind::Switch, 0.0, true;
+        HardLimits: 21, "Hard limits", "", Limits, "", Kind::Switch, 0.0, true;
+        Homing: 22, "Homing", "", Homing, "", Kind::Switch, 0.0, true;
+        HomingDirection: 23, "Homing direction", "mask", Homing, AXIS_LABELS, Kind::Whole(0, 255), 0.0, true;
+        HomingLocate: 24, "Homing locate feed", "mm/min", Homing, "", Kind::Real, 25.0, true;
+        HomingSeek: 25, "Homing seek rate", "mm/min", Homing, "", Kind::Real, 500.0, true;
+        HomingDebounce: 26, "Homing debounce", "ms", Homing, "", Kind::Whole(0, 65_535), 250.0, true;
+        HomingPullOff: 27, "Homing pull-off", "mm", Homing, "", Kind::Real, 1.0, true;
+        DirectionSetup: 29, "Direction set-up", "us", Steppers, "", Kind::Whole(0, 255), 5.0, false;
+        SpindleMaximum: 30, "Maximum spindle speed", "rpm", Spindle, "", Kind::Speed, 1000.0, true;
+        SpindleMinimum: 31, "Minimum spindle speed", "rpm", Spindle, "", Kind::Speed, 0.0, true;
+        Laser: 32, "Laser mode", "", Spindle, "", Kind::Switch, 0.0, true;
+        SpindlePwm: 33, "Spindle PWM frequency", "Hz", Spindle, "", Kind::Whole(1, 100_000), 5000.0, false;
+        JogClip: 40, "Jogs end at the soft limits", "", Limits, "", Kind::Switch, 0.0, false;
+        Parking: 41, "Parking", "", Door, "", Kind::Switch, 0.0, false;
+        ParkingAxis: 42, "Parking axis", "", Door, AXIS_LABELS, Kind::Whole(0, 5), 2.0, false;
+        HomingPasses: 43, "Homing locate passes", "", Homing, "", Kind::Whole(1, 128), 1.0, false;
+        ParkingPullOut: 56, "Parking pull-out", "mm", Door, "", Kind::Real, 5.0, false;
+        ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Door, "", Kind::Real, 100.0, false;
+        ParkingTarget: 58, "Parking place", "mm", Door, "", Kind::Place, -5.0, false;
+        ParkingFastRate: 59, "Parking fast rate", "mm/min", Door, "", Kind::Real, 500.0, false;
+        SquaringShare: 347, "Squaring fails after (share of the travel)", "%", GangedAxis, "", Kind::Real, 5.0, false;
+        SquaringLeast: 348, "Squaring fails after at least", "mm", GangedAxis, "", Kind::Real, 2.5, false;
+        SquaringMost: 349, "Squaring fails after at most", "mm", GangedAxis, "", Kind::Real, 25.0, false;
+        DoorSpindleDelay: 392, "Spindle on to coolant on, after a door", "s", Door, "", Kind::Real, 4.0, false;
+        DoorCoolantDelay: 393, "Coolant on to motion, after a door", "s", Door, "", Kind::Real, 1.0, false;
+        SpinUp: 394, "Spindle on to motion", "s", Spindle, "", Kind::Real, 0.0, false;
+        SpinDown: 539, "Spindle off to motion", "s", Spindle, "", Kind::Real, 0.0, false;
+        Dialect: 900, "Dialect", "", General, "Grbl,Oxmill,Seed document", Kind::Whole(0, 2), 1.0, false;
+        StopOnError: 901, "An error stops the job", "", General, "", Kind::Switch, 0.0, false;
+        TrustNeeded: 902, "Machine coordinates need a trusted position", "", General, "", Kind::Switch, 1.0, false;
+        DoorFitted: 903, "Safety door fitted", "", Door, "", Kind::Switch, 1.0, false;
+        Kinematics: 904, "Kinematics", "", Motion, "Cartesian,CoreXY", Kind::Whole(0, 1), 0.0, false;
+        GangedAxis: 905, "Axis with two motors", "", GangedAxis, "None,X axis,Y axis,Z axis", Kind::Whole(0, 3), 0.0, false;
+        GangedInvert: 906, "Second motor turns the other way", "", GangedAxis, "", Kind::Switch, 0.0, false;
+        GangedSwitch: 907, "Second motor has its own limit switch", "", GangedAxis, "", Kind::Switch, 0.0, false;
+        LimitInvertEach: 908, "Limit inputs of the other polarity than $5 says", "mask", Limits, LIMIT_LABELS, LIMITS, 0.0, false;
+        ControlPullDown: 909, "Control inputs with a pull-down", "mask", ControlInputs, CONTROL_LABELS, CONTROL, 0.0, false;
+        LimitPullDown: 910, "Limit inputs with a pull-down", "mask", Limits, LIMIT_LABELS, LIMITS, 0.0, false;
+        ProbePullDown: 911, "Probe input with a pull-down", "", Probing, "", Kind::Switch, 0.0, false;
+        ResetIsEmergencyStop: 912, "Reset input is an emergency stop", "", ControlInputs, "", Kind::Switch, 0.0, false;
+        EmergencyDriversOff: 913, "Emergency stop and driver fault switch the drivers off", "", ControlInputs, "", Kind::Switch, 0.0, false;
+        HoldWithoutHost: 914, "Hold when the host goes in mid-job", "", General, "", Kind::Switch, 1.0, false;
+        AtSpeed: 915, "Spindle at-speed input", "", Spindle, "None,Low at speed,High at speed", Kind::Whole(0, 2), 0.0, false;
+        AtSpeedWithin: 916, "Longest time from spindle on to at speed", "s", Spindle, "", Kind::Real, 10.0, false;
+        CurveAcceleration: 917, "Acceleration in curves, share of $120 to $122", "%", Motion, "", Kind::Whole(10, 1000), 100.0, false;
+        ToolChange: 918, "M6", "", Program, "Is ignored,Stops and asks for the tool", Kind::Whole(0, 1), 0.0, false;
+        OptionalStop: 919, "M1 pauses", "", Program, "", Kind::Switch, 0.0, false;
+        BlockDelete: 920, "Lines that begin with / are skipped", "", Program, "", Kind::Switch, 0.0, false;
+        PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Program, "", Kind::Real, 0.254, false;
     }
 }
 
@@ -165,17 +255,19 @@ impl Key {
 table! {
     /// Settings that exist for each axis: the number of X; Y has the next one, and so on.
     PER_AXIS;
+    /// What is told of the rows of [`PER_AXIS`].
+    PER_AXIS_DESCRIPTIONS;
     /// Names the rows of [`PER_AXIS`].
     AxisKey {
         // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
         // `homing_cycle`.
-        HomingCycle: 44, "Axes homed in cycle 1, 2, 3", "mask", Kind::Axes, 0.0, false;
-        Resolution: 100, "Resolution", "steps/mm", Kind::Real, 250.0, true;
-        MaxRate: 110, "Maximum rate", "mm/min", Kind::Real, 500.0, true;
-        Acceleration: 120, "Acceleration", "mm/s2", Kind::Real, 10.0, true;
-        Travel: 130, "Maximum travel", "mm", Kind::Real, 200.0, true;
-        Backlash: 160, "Backlash of the motor's drive", "mm", Kind::Real, 0.0, false;
-        Jerk: 220, "Jerk (0 = not limited)", "mm/s3", Kind::Real, 0.0, false;
+        HomingCycle: 44, "Axes homed in cycle", "mask", Homing, "", Kind::Axes, 0.0, false;
+        Resolution: 100, "Resolution", "steps/mm", Axes, "", Kind::Real, 250.0, true;
+        MaxRate: 110, "Maximum rate", "mm/min", Axes, "", Kind::Real, 500.0, true;
+        Acceleration: 120, "Acceleration", "mm/s2", Axes, "", Kind::Real, 10.0, true;
+        Travel: 130, "Maximum travel", "mm", Axes, "", Kind::Real, 200.0, true;
+        Backlash: 160, "Backlash of the motor's drive", "mm", Axes, "", Kind::Real, 0.0, false;
+        Jerk: 220, "Jerk (0 = not limited)", "mm/s3", Axes, "", Kind::Real, 0.0, false;
     }
 }
 
@@ -302,6 +394,18 @@ impl<const N: usize> Settings<N> {
         let entry = PER_AXIS.get(line / N)?;
         let axis = Axis::ALL.get(line % N)?;
         Some((*entry, entry.number + axis.index() as u16, self.per_axis.get(line / N)?.get(*axis)?))
+    }
+
+    /// What is told of the `line`-th row of `$$`.
+    pub fn described(line: usize) -> Option<Row> {
+        if let (Some(entry), Some(description)) = (SCALARS.get(line), SCALAR_DESCRIPTIONS.get(line)) {
+            return Some(Row { number: entry.number, axis: None, entry: *entry, description: *description });
+        }
+        let line = line.checked_sub(Key::COUNT)?;
+        let (entry, description) = (PER_AXIS.get(line / N)?, PER_AXIS_DESCRIPTIONS.get(line / N)?);
+        let axis = *Axis::ALL.get(line % N)?;
+        let number = entry.number + axis.index() as u16;
+        Some(Row { number, axis: Some(axis), entry: *entry, description: *description })
     }
 
     /// Checks and takes over `$number=value`. Nothing is changed when it is refused.

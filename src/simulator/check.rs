@@ -103,15 +103,15 @@ impl Check {
             if self.done {
                 break;
             }
-            if self.round() {
+            if self.run_slice() {
                 self.finish();
             }
         }
         self.done
     }
 
-    /// One round. Whether there is no further one.
-    fn round(&mut self) -> bool {
+    /// Carries the job on by a slice of machine time. Whether it is done.
+    fn run_slice(&mut self) -> bool {
         let (simulator, outcome) = (&mut self.simulator, &mut self.outcome);
         if simulator.unfetched() > 0 {
             simulator.take_output();

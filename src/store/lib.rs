@@ -1,4 +1,5 @@
-//! Settings that survive a power cut at any moment: an append-only log of records in two flash sectors.
+//! Settings that survive a power cut at any moment: an append-only log of records, each with its CRC, in two flash sectors;
+//! a full one is compacted into the other.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
@@ -461,7 +462,7 @@ impl<F: Flash> Log<F> {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
-            return self.move_to_spare(&entry);
+            return self.compact_into_spare(&entry);
         }
         // If the memory fails within the record, what it has written stays behind the end.
         self.appendable = false;
@@ -490,8 +491,8 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Copies what counts into the spare sector, and what is being stored with it; the spare then becomes the log.
-    fn move_to_spare(&mut self, coming: &Entry) -> Result<(), StoreError<F::Error>> {
+    /// Compacts the log (garbage collection): copies what counts into the spare sector, and what is being stored with it; the spare then becomes the log.
+    fn compact_into_spare(&mut self, coming: &Entry) -> Result<(), StoreError<F::Error>> {
         if !self.spare_erased {
             return Err(StoreError::Full);
         }
@@ -586,7 +587,7 @@ impl<F: Flash> Log<F> {
         Ok(entry)
     }
 
-    /// The record at an address, if there is a whole one.
+    /// The record at an address, if it is whole and its CRC is right.
     fn checked_entry(&mut self, address: u32) -> Result<Option<Entry>, F::Error> {
         let size = self.flash.sector_size();
         if address + 8 > size {

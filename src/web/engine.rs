@@ -1,8 +1,9 @@
-//! What the module does, without pointers: orders as JSON in, reports as JSON out.
+//! What the module does, without pointers: orders as JSON in; reports, tables of the firmware and the path of a job out.
 
-use oxmill_controller::axes::Axis;
-use oxmill_controller::error::Error;
-use oxmill_controller::settings::{Entry, Kind, Settings};
+use oxmill_controller::error::{Alarm, Error};
+use oxmill_controller::protocol::descriptions;
+use oxmill_controller::protocol::text::Text;
+use oxmill_controller::settings::{Kind, Row, Settings};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
 use oxmill_simulator::fittings::Description;
@@ -146,22 +147,22 @@ pub fn describe() -> Value {
         .iter()
         .map(|e| json!({ "code": e.code(), "text": e.text(), "advice": advice::for_error(*e) }))
         .collect();
-    let alarms: Vec<Value> = advice::ALARMS
+    let alarms: Vec<Value> = Alarm::ALL
         .iter()
         .map(|a| json!({ "code": a.code(), "text": a.text(), "advice": advice::for_alarm(*a) }))
         .collect();
     let settings = Settings::<AXES>::default();
-    let rows: Vec<Value> =
-        (0..Settings::<AXES>::LINES).filter_map(|line| settings.row(line)).map(|row| setting(&row)).collect();
+    let rows: Vec<Value> = (0..Settings::<AXES>::LINES)
+        .filter_map(Settings::<AXES>::described)
+        .map(|row| setting(&row, &settings))
+        .collect();
     json!({ "version": env!("CARGO_PKG_VERSION"), "boards": boards::ALL.iter().map(board).collect::<Vec<_>>(),
         "settings": rows, "errors": errors, "alarms": alarms })
 }
 
-/// A row of the table of settings, as `$$` has it.
-fn setting((entry, number, value): &(Entry, u16, f32)) -> Value {
-    let axis = Axis::ALL.get(usize::from(number - entry.number)).map(|axis| format!("{axis:?}"));
-    let per_axis = oxmill_controller::settings::PER_AXIS.iter().any(|row| row.number == entry.number);
-    let (kind, min, max) = match entry.kind {
+/// A row of the table of settings, with the default of a new controller.
+fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
+    let (kind, min, max) = match row.entry.kind {
         Kind::Whole(min, max) => ("whole", Some(min), Some(max)),
         Kind::Mask(bits) => ("mask", Some(0), Some(bits)),
         Kind::Switch => ("switch", Some(0), Some(1)),
@@ -169,10 +170,15 @@ fn setting((entry, number, value): &(Entry, u16, f32)) -> Value {
         Kind::Real | Kind::Speed => ("real", Some(0), None),
         Kind::Place => ("place", None, None),
     };
-    json!({ "number": number, "name": entry.name, "unit": entry.unit, "kind": kind, "min": min, "max": max,
+    let (mut name, mut values) = (Text::new(), Text::new());
+    descriptions::name(&mut name, row);
+    descriptions::values(&mut values, &row.entry, &row.description);
+    let default = settings.by_number(row.number).unwrap_or_default();
+    json!({ "number": row.number, "name": String::from_utf8_lossy(&name), "unit": row.description.unit, "kind": kind,
+        "min": min, "max": max, "values": String::from_utf8_lossy(&values),
         // As people write it: an f32 has some nine digits, and a table seven.
-        "default": value.to_string().parse::<f64>().unwrap_or_default(), "grbl": entry.grbl,
-        "axis": axis.filter(|_| per_axis) })
+        "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
+        "axis": row.axis.map(|axis| format!("{axis:?}")) })
 }
 
 #[cfg(test)]

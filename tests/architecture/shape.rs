@@ -220,7 +220,10 @@ fn a_crate_has_each_type_name_once() {
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
-                *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
+                // A macro's type is named where the macro is used.
+                if item.name != "$" {
+                    *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
+                }
             }
         }
     }

@@ -5,7 +5,7 @@
 //! gets room as soon as the queues are read.
 
 use arbitrary::{Arbitrary, Unstructured};
-use oxmill_controller::messages::{CUT, LineByte, Realtime};
+use oxmill_controller::messages::{HOST_CHANGED, LineByte, Realtime};
 use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
@@ -90,10 +90,10 @@ impl Reader {
         }
         match byte {
             b'\n' | b'\r' => self.sent[host].extend([[middle; 2], [whole - middle; 2]]),
-            CUT => self.sent[host].push_back([whole, whole - middle]),
+            HOST_CHANGED => self.sent[host].push_back([whole, whole - middle]),
             _ => self.sent[host].push_back([whole; 2]),
         }
-        self.resets += usize::from(byte == CUT);
+        self.resets += usize::from(byte == HOST_CHANGED);
         line.push(b'\n');
         line
     }
@@ -101,7 +101,7 @@ impl Reader {
     fn read_lines(&mut self, queues: &mut Depths, most: usize) {
         for byte in queues.lines.drain(..most.min(queues.lines.len())) {
             match byte.byte {
-                CUT => self.half.clear(),
+                HOST_CHANGED => self.half.clear(),
                 b'\n' | b'\r' => {
                     let damaged = byte.damaged || self.half.iter().any(|byte| byte.damaged);
                     let letters = LETTERS.map(|letter| self.half.iter().filter(|byte| byte.byte == letter).count());

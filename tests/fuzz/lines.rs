@@ -7,7 +7,7 @@
 use oxmill_controller::gcode::{
     AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
-use oxmill_controller::protocol::line::{self, Line, Pushed, Rules};
+use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
 
 const AXES: usize = 3;
 /// Lines that a program may execute: a loop has no end of its own.
@@ -24,7 +24,7 @@ struct Program {
 pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let dialect = [Dialect::Oxmill, Dialect::Grbl, Dialect::Seed][usize::from(*first % 3)];
-    let rules = || Rules {
+    let rules = || LineRules {
         length: if dialect == Dialect::Grbl { line::GRBL_LENGTH } else { line::LENGTH },
         merge_crlf: dialect != Dialect::Grbl,
         nested_remarks: dialect == Dialect::Seed,

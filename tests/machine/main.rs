@@ -16,6 +16,7 @@ mod known_jobs;
 mod motion_properties;
 mod optimum;
 mod oracle;
+mod programs;
 mod resets;
 mod rig;
 mod seed;

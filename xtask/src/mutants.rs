@@ -35,7 +35,7 @@ struct Mutant {
 const AXIS_LIMITS: &str = "src/controller/motion/axis_limits.rs";
 const QUEUE: &str = "src/controller/motion/queue.rs";
 const RUNNING: &str = "src/controller/motion/running.rs";
-const SEGMENT_FEED: &str = "src/controller/motion/segment_feed.rs";
+const SEGMENT_FEED: &str = "src/controller/motion/segment_source.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
 const CURVATURE: &str = "src/controller/motion/curvature.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";

@@ -1,4 +1,4 @@
-//! What the host is told: answers, messages, reports.
+//! What the host is told: `ok`, `error:N`, `ALARM:N`, messages, status reports.
 
 use super::Controller;
 use super::task::Task;
@@ -46,7 +46,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::alarm(out, alarm.code()));
         match alarm {
             Alarm::Underrun => self.say(|out| report::message(out, "Motion data ran out")),
-            Alarm::StepCount => self.say(|out| report::message(out, "Step outputs have failed")),
+            Alarm::Miscounted => self.say(|out| report::message(out, "Step outputs have failed")),
             _ => {}
         }
     }
@@ -94,7 +94,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     pub(super) fn report_status(&mut self) {
-        let busy = self.feed.is_running()
+        let busy = self.step_supply.is_running()
             || matches!(
                 self.mode,
                 Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
@@ -106,11 +106,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let line = self.motion.line_number();
         let overrides = self.accessories.overrides();
         let status = report::Status {
-            state: self.mode.name(self.motion.is_at_rest(), self.feed.is_running(), self.inputs.signals().door),
+            state: self.mode.name(self.motion.is_at_rest(), self.step_supply.is_running(), self.inputs.signals().door),
             machine: self.machine_position(),
             offset: self.interpreter.work_offset(),
             show_machine: mask & 1 != 0,
-            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.feed.observed().rx_free)),
+            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.step_supply.observed().rx_free)),
             line: (line > 0 && !grbl).then_some(line),
             feed: per_minute(self.motion.speed().max(self.door.motion().speed())),
             speed,

@@ -1,4 +1,4 @@
-//! `$` commands are carried out.
+//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines.
 
 use super::Controller;
 use super::task::{Answer, Listing, Task};
@@ -6,6 +6,7 @@ use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::machine::state::Mode;
+use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -21,14 +22,18 @@ const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A line that begins with `$`.
     pub(super) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
-        let resting = matches!(self.mode, Mode::Normal) && !self.feed.is_running();
+        let resting = matches!(self.mode, Mode::Normal) && !self.step_supply.is_running();
         let idle = resting && self.motion.is_idle();
         match system::allowed(line) {
             Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
             Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
             _ => {}
         }
-        match system::read(line)? {
+        let command = system::read(line)?;
+        if self.dialect() == Dialect::Grbl {
+            command.known_to_grbl()?;
+        }
+        match command {
             System::Help => {
                 let grbl = self.dialect() == Dialect::Grbl;
                 self.say(|out| report::help(out, grbl));
@@ -38,14 +43,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Settings => self.task = Task::Listing(Listing::Settings, 0),
             System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
             System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
-            System::ParserState => {
-                self.report_parser_state();
-                self.say(report::ok);
-            }
-            System::BuildInfo => {
-                self.report_build_info();
-                self.say(report::ok);
-            }
+            System::ParserState => self.report_parser_state(),
+            System::BuildInfo => self.report_build_info(false),
+            System::MoreBuildInfo => self.report_build_info(true),
+            System::Describe(_) if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
+            System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
             System::SetBuildInfo(text) => {
                 let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
                 self.records.save_build_info(text);
@@ -62,8 +64,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(|out| report::restart(out, &restart));
                 self.say(report::ok);
             }
-            // Grbl takes the P for the number of a setting.
-            System::Pins | System::ClearNoise if self.dialect() == Dialect::Grbl => return Err(Error::BadNumber),
             System::Pins => {
                 self.inputs.ask_view(false);
                 self.task = Task::Listing(Listing::Pins, 0);

@@ -79,7 +79,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Door::Braking if self.motion.is_at_rest() => {
                 if self.door.take_jog() {
                     self.motion.discard();
-                    self.feed.end();
+                    self.step_supply.end();
                     self.interpreter.set_position(self.motion.machine_position());
                 }
                 self.begin_parking();
@@ -143,7 +143,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// The first move of parking, or straight to switching off where there is no parking: with an untrusted position, or
+    /// Retracts the tool: the first move of parking, or straight to switching off where there is no parking: with an untrusted position, or
     /// where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job

@@ -96,7 +96,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn alarm_at_soft_limit(&mut self) {
         self.motion.discard();
         self.interpreter.set_position(self.motion.machine_position());
-        self.feed.end();
+        self.step_supply.end();
         self.accessories.switch_off();
         self.tell_alarm(Alarm::SoftLimit);
         self.say(|out| report::message(out, "Reset to continue"));
@@ -308,7 +308,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if self.leaves_travel() {
+        if self.violates_soft_limits() {
             self.motion.hold();
             self.task = Task::SoftLimit(answer);
         } else {
@@ -331,7 +331,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if !clipped && self.leaves_travel() {
+        if !clipped && self.violates_soft_limits() {
             return Err(Error::JogOutsideTravel);
         }
         self.begin(Answer::Host, true);

@@ -1,4 +1,4 @@
-//! Feed holds, jogs and soft stops: motion brakes, and resumes or is forgotten.
+//! Feed holds, jogs and soft stops: motion brakes, and resumes or is forgotten; the drivers' idle delay (`$1`) at its end.
 
 use super::Controller;
 use super::task::Task;
@@ -12,7 +12,7 @@ use crate::settings::Key;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn start_motion(&mut self) {
         if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home(_)) {
-            self.feed.start();
+            self.step_supply.start();
             self.motion.start();
         }
     }
@@ -105,7 +105,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn end_soft_stop(&mut self, locked: bool) {
         self.motion.discard();
-        self.feed.end();
+        self.step_supply.end();
         self.probe.break_off();
         self.door.take_jog();
         self.interpreter.set_position(self.motion.machine_position());
@@ -138,7 +138,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
     pub(super) fn forget_received_jogs(&mut self) {
-        self.lines.end_received_jogs(self.feed.observed().received);
+        self.lines.end_received_jogs(self.step_supply.observed().received);
     }
 
     #[inline(never)]
@@ -147,7 +147,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.task.forget_jog();
         self.interpreter.set_position(self.motion.machine_position());
         self.mode = Mode::Normal;
-        self.feed.end();
+        self.step_supply.end();
         self.start_idle_delay();
     }
 }

@@ -1,5 +1,5 @@
-//! Why a line may not be carried out though it is correct: settings that lock motion, a position that is not known, the
-//! ends of the travel.
+//! Why a line may not be carried out though it is correct: settings that lock motion, a position that is not known, soft
+//! limits.
 
 use super::Controller;
 use crate::axes::{Arrangement, PerAxis};
@@ -79,8 +79,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
 
-    /// Whether any part of the line's motion lies outside of the travel, with soft limits on.
-    pub(super) fn leaves_travel(&self) -> bool {
+    /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
+    pub(super) fn violates_soft_limits(&self) -> bool {
         if !self.limits_travel() {
             return false;
         }

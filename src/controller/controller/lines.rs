@@ -150,16 +150,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 }
 
 /// How lines are read.
-fn line_rules<const N: usize>(settings: &Settings<N>) -> line::Rules {
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
     match dialect(settings) {
-        Dialect::Grbl => line::Rules {
+        Dialect::Grbl => line::LineRules {
             length: line::GRBL_LENGTH,
             merge_crlf: false,
             nested_remarks: false,
             expressions: false,
             block_delete: false,
         },
-        dialect => line::Rules {
+        dialect => line::LineRules {
             length: line::LENGTH,
             merge_crlf: true,
             nested_remarks: dialect == Dialect::Seed,

@@ -1,10 +1,12 @@
-//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$PINS`, `$I`, `$G`.
+//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$PINS`, `$I`, `$G`, `$ES` and the like.
 
 use super::Controller;
 use super::task::{Listing, Task};
-use crate::gcode::{CoordinateSystem, Dialect, StoredOffset, TOOLS};
+use crate::gcode::{CoordinateSystem, Dialect, EXPRESSIONS, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::protocol::descriptions::{self, DESCRIPTIONS};
 use crate::protocol::report::{self, ParserState};
+use crate::protocol::system::Described;
 use crate::settings::Key;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -20,6 +22,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Some(view) => self.list_pin(&view, line),
                 None => return false,
             },
+            Listing::Descriptions(what) => DESCRIPTIONS && self.describe(what, line),
             Listing::StartupLines => match self.records.startup_line(line).cloned() {
                 Some(text) => {
                     self.say(|out| report::startup_line(out, line, &text));
@@ -86,8 +89,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         bit + 1 < input::COUNT
     }
 
-    /// `$I`
-    pub(super) fn report_build_info(&mut self) {
+    fn describe(&mut self, what: Described, line: usize) -> bool {
+        let is_there = line < descriptions::lines::<N>(what);
+        if is_there {
+            self.say(|out| descriptions::line::<N>(out, what, line));
+        }
+        is_there
+    }
+
+    /// `$I`, or `$I+` with what a sender may ask for.
+    pub(super) fn report_build_info(&mut self, with_options: bool) {
+        const OPTIONS: &[&str] = match (DESCRIPTIONS, EXPRESSIONS) {
+            (true, true) => &["ENUMS", "EXPR"],
+            (true, false) => &["ENUMS"],
+            (false, true) => &["EXPR"],
+            (false, false) => &[],
+        };
         let info = self.records.build_info().clone();
         let letters = self.option_letters();
         self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
@@ -95,6 +112,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.dialect() != Dialect::Grbl {
             self.say(report::firmware);
         }
+        if with_options {
+            self.say(|out| report::more_options(out, N, OPTIONS));
+        }
+        self.say(report::ok);
     }
 
     /// What `$I` says is switched on, in Grbl's letters and their order.
@@ -137,5 +158,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let inches = self.settings.is_on(Key::ReportInches);
         self.say(|out| report::parser_state(out, &state, inches));
+        self.say(report::ok);
     }
 }

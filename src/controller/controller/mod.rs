@@ -1,4 +1,5 @@
-//! The dispatcher: events in, outputs out. The only room that knows all the others.
+//! The dispatcher: events in, outputs out; which message the step task gets next, and when its gate opens again. The only
+//! room that knows all the others.
 //!
 //! It promises that every call returns after a bounded piece of work: at most one line, one chord or one segment. What
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued
@@ -22,7 +23,7 @@
 //! * [`outputs`], [`answers`]: pins, and what the host is told
 //! * [`view`]: what can be asked
 //!
-//! Parts of their own, which know nothing of the controller: [`line_in_work`], [`pins`], [`records`], [`settings_lock`], [`step_feed`], those
+//! Parts of their own, which know nothing of the controller: [`line_in_work`], [`pins`], [`records`], [`settings_lock`], [`step_supply`], those
 //! of `machine` and `protocol`.
 
 mod answers;
@@ -45,7 +46,7 @@ mod realtime;
 mod records;
 mod reset;
 mod settings_lock;
-mod step_feed;
+mod step_supply;
 mod stops;
 mod task;
 mod tool_change;
@@ -72,7 +73,7 @@ use line_in_work::LineInWork;
 use pins::Pins;
 use records::Records;
 use settings_lock::SettingsLock;
-use step_feed::StepFeed;
+use step_supply::StepSupply;
 use task::Task;
 
 /// What the controller must know of the machine it runs on.
@@ -98,7 +99,7 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     settings: Settings<N>,
     mode: Mode<N>,
     reference: Reference,
-    feed: StepFeed,
+    step_supply: StepSupply,
     task: Task,
     accessories: Accessories,
     probe: Probe<N>,
@@ -129,7 +130,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             lines: LineIntake::new(),
             mode: Mode::Normal,
             reference: Reference::ASSUMED,
-            feed: StepFeed::AT_REST,
+            step_supply: StepSupply::AT_REST,
             task: Task::None,
             line: LineInWork::NONE,
             accessories: Accessories::OFF,
@@ -173,7 +174,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What the pump sees of the step task and of received lines. To be called before outputs, and before each event that
     /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
-        self.feed.observe(observed);
+        self.step_supply.observe(observed);
         self.lines.observe(observed.received);
         self.motion.observe(&observed);
         self.door.observe(&observed);
@@ -228,9 +229,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         // What a completed hold or a parked door has interrupted continues with an event, not by itself.
         let moving = !self.motion.is_at_rest()
             || !self.door.motion().is_at_rest()
-            || self.feed.is_running() && !self.mode.is_suspended();
+            || self.step_supply.is_running() && !self.mode.is_suspended();
         let moving = moving
-            .then(|| self.now + step_feed::refill_delay([self.door.motion().queued_us(), self.motion.queued_us()]));
+            .then(|| self.now + step_supply::refill_delay([self.door.motion().queued_us(), self.motion.queued_us()]));
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until)) => Some(self.next_look_at_spindle(until)),
             Mode::Door(Door::CoolantRestoring(until)) => Some(until),
@@ -248,7 +249,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// No more bytes will come: what is queued is started.
     pub fn input_ended(&mut self) {
-        self.feed.end_input();
+        self.step_supply.end_input();
     }
 
     /// Works, and gives the next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
@@ -281,7 +282,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(clear_noise) = self.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
         }
-        let short = self.feed.is_short(self.motion.queued_us());
+        let short = self.step_supply.is_short(self.motion.queued_us());
         let urgent = short && !self.motion.ends_at_rest();
         if urgent
             && room.step
@@ -339,8 +340,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.stops.is_awaited() {
             return;
         }
-        if self.feed.is_running() && self.motion.is_idle() {
-            self.feed.end();
+        if self.step_supply.is_running() && self.motion.is_idle() {
+            self.step_supply.end();
             // Between the moves of homing the drivers stay on.
             if !matches!(self.mode, Mode::Home(_)) {
                 self.start_idle_delay();
@@ -371,11 +372,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn auto_start(&mut self) {
         // A move queued while the last piece of the one before was already in the step queue belongs to the same
         // run: without a start of its own it would never begin.
-        if self.feed.is_running() && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+        if self.step_supply.is_running() && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
             self.motion.start();
             return;
         }
-        if matches!(self.mode, Mode::Normal) && !self.motion.is_idle() && self.task.is_none() && self.feed.has_no_more()
+        if matches!(self.mode, Mode::Normal)
+            && !self.motion.is_idle()
+            && self.task.is_none()
+            && self.step_supply.has_no_more()
         {
             self.start_motion();
         }

@@ -14,7 +14,7 @@ use crate::units::Coordinate;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
     pub(super) fn start_queued(&mut self) {
-        if !self.feed.is_running() && !self.motion.is_idle() {
+        if !self.step_supply.is_running() && !self.motion.is_idle() {
             self.start_motion();
         }
     }
@@ -47,6 +47,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             target: *target,
             speed,
             power,
+            // M4: the laser's power follows the speed.
             scale_power: laser && self.accessories.spindle() == SpindleDirection::CounterClockwise,
             line_number: self.line.checked.line_number,
             no_feed_override: jog,

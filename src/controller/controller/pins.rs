@@ -1,4 +1,5 @@
-//! What the pump has been told of the pins: levels of the slow outputs, and the facts that its own tasks need.
+//! The wiring that the settings ask for (step and direction inversion, direction set-up, PWM frequency, pull resistors), and
+//! what the pump has been told last of it and of the levels of the slow outputs.
 
 use crate::axes::AxisMask;
 use crate::machine::inputs;

@@ -33,7 +33,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Once the step task has braked it is asked where it is, and opened again.
     pub(super) fn settle_probe(&mut self) {
-        if self.probe.is_braking() && self.feed.observed().step_idle && !self.stops.is_awaited() {
+        if self.probe.is_braking() && self.step_supply.observed().step_idle && !self.stops.is_awaited() {
             self.stops.order(StopReason::Contact);
         }
     }
@@ -43,7 +43,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
         let Some(touched) = self.probe.outcome(self.motion.is_idle()) else { return false };
         self.motion.discard();
-        self.feed.end();
+        self.step_supply.end();
         let here = self.motion.machine_position();
         self.interpreter.set_position(here);
         self.probe.finish(touched, must_touch, here);

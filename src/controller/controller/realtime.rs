@@ -101,7 +101,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// No operator can stop what moves or see where it goes: it is held if `$914` says so. In any case a jog ends, as
     /// the key that would end it has no wire any more.
     pub(super) fn host_left(&mut self) {
-        let at_work = self.feed.is_running() || !self.motion.is_idle() || !self.task.is_none();
+        let at_work = self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none();
         match self.mode {
             Mode::Jog { .. } => {
                 self.cancel_jog();

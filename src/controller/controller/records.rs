@@ -44,7 +44,7 @@ enum Damage {
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub(super) struct Records {
-    /// Without a store nothing is handed over.
+    /// Without a settings flash no record is handed over to be written.
     has_store: bool,
     /// Changes that have not been answered yet.
     unstored: u8,

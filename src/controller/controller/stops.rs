@@ -1,4 +1,5 @@
-//! What follows a stop: the machine is locked, reset, or continues from where it stopped.
+//! What follows a stop (hard limit, emergency stop, driver fault, underrun, reset, hold): the machine is locked, reset, or
+//! continues from where it stopped.
 
 use super::Controller;
 use super::task::Task;
@@ -37,7 +38,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stopped_at(&position);
             }
             StepEvent::Miscounted { stops, position } => {
-                self.stops.failed(stops, Alarm::StepCount);
+                self.stops.failed(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
         }
@@ -52,7 +53,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What follows a stop, once every stop that was asked for has happened.
     pub(super) fn finish_stop(&mut self) {
         let Some(stop) = self.stops.finish() else { return };
-        self.feed.end();
+        self.step_supply.end();
         self.probe.stopped();
         match stop.reason {
             StopReason::Nothing => self.motion.discard(),
@@ -102,7 +103,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if alarm == Alarm::HardLimit {
             self.tell_trip(stop.line);
         }
-        if matches!(alarm, Alarm::Underrun | Alarm::StepCount) {
+        if matches!(alarm, Alarm::Underrun | Alarm::Miscounted) {
             if matches!(self.task, Task::JogWaits) {
                 self.lines.clear();
             }
@@ -116,7 +117,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Latched: only a reset ends it, and one that comes while the input is still active says so again.
+    /// The emergency stop is latched: only a reset ends it, and one that comes while the input is still active says so again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
         let homing = matches!(self.mode, Mode::Home(_));
         let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);

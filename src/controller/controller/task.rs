@@ -1,5 +1,6 @@
 //! What the controller is in the middle of, and who waits for its end.
 
+use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};
 
 /// What the controller is in the middle of. While there is one, no further line is taken.
@@ -159,4 +160,6 @@ pub(super) enum Listing {
     StartupLines,
     /// `$PINS`
     Pins,
+    /// `$ES` and the like
+    Descriptions(Described),
 }

@@ -47,6 +47,9 @@ pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
 
+/// Whether this build has expressions, parameters and O words.
+pub const EXPRESSIONS: bool = cfg!(feature = "expressions");
+
 /// Whose meaning a program's words have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {

@@ -105,12 +105,12 @@ impl<const N: usize> Offsets<N> {
     }
 
     /// G92 and tool length offset together.
-    pub fn volatile(&self) -> PerAxis<Coordinate, N> {
+    pub fn g92_and_tool_length(&self) -> PerAxis<Coordinate, N> {
         self.g92.zip(&self.tool_length, |g92, tool| g92 + tool)
     }
 
     /// What lies between machine and work position while `system` is active.
     pub fn total(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
-        self.system(system).zip(&self.volatile(), |origin, offset| origin + offset)
+        self.system(system).zip(&self.g92_and_tool_length(), |origin, offset| origin + offset)
     }
 }

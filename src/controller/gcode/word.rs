@@ -59,6 +59,8 @@ impl<'a, const N: usize> Words<'a, N> {
                 let rest = state.assign(text)?;
                 Ok((Word { letter, value: Decimal::ZERO, places: 0 }, rest))
             }
+            // Polar coordinates of LinuxCNC.
+            Some(_) if matches!(letter, b'@' | b'^') => Err(Error::NotSupported),
             _ => Err(Error::ExpectedLetter),
         }
     }

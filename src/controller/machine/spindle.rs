@@ -1,4 +1,4 @@
-//! From a spindle speed to the power of its output.
+//! From the spindle speed of an S word to the duty of the PWM output.
 
 use crate::settings::{Key, Settings};
 

@@ -195,7 +195,7 @@ impl<const N: usize> Block<N> {
         flags: 0,
     };
 
-    /// The speed to run at under overrides.
+    /// The speed to run at under feed and rapid override.
     #[inline]
     pub(super) fn nominal(&self, overrides: OverrideFactors) -> f32 {
         let wanted = if self.flags & NO_OVERRIDE != 0 {

@@ -1,4 +1,4 @@
-//! Changes of speed with bounded jerk: how far they reach, and what a machine in motion may do next.
+//! The S-curve: changes of speed with bounded jerk: how far they reach, and what a machine in motion may do next.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___

@@ -3,10 +3,10 @@
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper
 //!  arc ─ chords ─┘                 entry speeds        cut from the trapezoid of the running block
-//!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_feed ──────────╯
+//!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_source ──────────╯
 //! ```
 //! `queue` owns the way in: the blocks and the end of the path, at which `enqueue` adds blocks (`short_moves` joins
-//! short ones). `segment_feed` owns the way out: the running block, the state of motion at the end of what has been handed
+//! short ones). `segment_source` owns the way out: the running block, the state of motion at the end of what has been handed
 //! over, and the segments in flight. The first knows nothing of the second; here both are brought together.
 //!
 //! It promises: steps add up exactly; no axis is asked for more than its rate and acceleration; whatever has been handed
@@ -32,14 +32,14 @@ mod planner;
 mod queue;
 mod running;
 mod segment;
-mod segment_feed;
+mod segment_source;
 mod short_moves;
 pub mod stepper;
 mod trapezoid;
 
 pub use arc::{Arc, ArcGeometry};
 pub use extent::extent;
-pub use segment_feed::QUEUED_TIME_MS;
+pub use segment_source::QUEUED_TIME_MS;
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
@@ -50,7 +50,7 @@ use backlash::Motors;
 use block::{Block, NO_OVERRIDE, OverrideFactors};
 use core::ops::{Deref, DerefMut};
 use queue::{MoveQueue, Numbering};
-use segment_feed::SegmentFeed;
+use segment_source::SegmentSource;
 
 /// Overrides that make sense at all.
 const LEAST_OVERRIDE: f32 = 0.001;
@@ -126,7 +126,7 @@ pub struct MotionWith<const N: usize, R: ?Sized> {
     /// Machine steps when the step counters are 0.
     origin: PerAxis<i32, N>,
     settings: MotionSettings<N>,
-    feed: SegmentFeed<N>,
+    source: SegmentSource<N>,
     queue: MoveQueue<N, R>,
 }
 
@@ -153,7 +153,7 @@ impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
             step_idle: self.step_idle,
             origin: self.origin,
             settings: self.settings,
-            feed: self.feed.clone(),
+            source: self.source.clone(),
             queue: self.queue.clone(),
         }
     }
@@ -183,7 +183,7 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 arc_tolerance: 0.0,
                 step_clock_hz,
             },
-            feed: SegmentFeed::new(step_clock_hz),
+            source: SegmentSource::new(step_clock_hz),
             queue: MoveQueue::new(),
             step_idle: true,
             origin: PerAxis::all(0),
@@ -196,7 +196,7 @@ impl<const N: usize> AnyMotion<N> {
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         let before = self.prepared();
         self.settings = settings;
-        self.feed.configure(settings.step_clock_hz);
+        self.source.configure(settings.step_clock_hz);
         self.queue.configure(&settings);
         let lead = self.queue.backlash.lead_within(before.lead);
         let motors = Motors { steps: before.tool().zip(&PerAxis(lead), i32::wrapping_add), lead };
@@ -204,7 +204,7 @@ impl<const N: usize> AnyMotion<N> {
             // With less slack the motors lead less; the tool stays where it is.
             let moved = motors.steps.zip(&before.steps, i32::wrapping_sub);
             self.origin = self.origin.zip(&moved, i32::wrapping_add);
-            self.feed.in_flight.forget(motors.tool(), lead);
+            self.source.in_flight.forget(motors.tool(), lead);
         }
         self.plan_from(motors);
     }
@@ -212,7 +212,7 @@ impl<const N: usize> AnyMotion<N> {
     /// The queue begins once more with the motors here.
     fn plan_from(&mut self, motors: Motors<N>) {
         let motors = self.queue.restart(motors);
-        self.feed.restart(motors);
+        self.source.restart(motors);
     }
 
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
@@ -256,7 +256,7 @@ impl<const N: usize> AnyMotion<N> {
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.queue.backlash.want(lead);
         if self.queue.planner.len() == 0 {
-            self.queue.finish_taking_up(&self.prepared(), self.feed.running.line_number);
+            self.queue.finish_taking_up(&self.prepared(), self.source.running.line_number);
             self.start();
         }
     }
@@ -265,14 +265,14 @@ impl<const N: usize> AnyMotion<N> {
     pub fn stand_where(&mut self, other: &Self) {
         let motors = other.prepared();
         self.origin = other.origin;
-        self.feed.in_flight.forget(motors.tool(), motors.lead);
+        self.source.in_flight.forget(motors.tool(), motors.lead);
         self.plan_from(motors);
     }
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
     pub fn start(&mut self) {
         if self.queue.planner.len() > 0 {
-            self.feed.start();
+            self.source.start();
         }
     }
 
@@ -285,11 +285,11 @@ impl<const N: usize> AnyMotion<N> {
     /// The same without a new observation.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
-        if !self.feed.wants_more() {
+        if !self.source.wants_more() {
             return None;
         }
         self.queue.continue_long_move();
-        let message = self.feed.next_message(&mut self.queue.planner, self.queue.overrides, &self.queue.backlash)?;
+        let message = self.source.next_message(&mut self.queue.planner, self.queue.overrides, &self.queue.backlash)?;
         if self.queue.is_empty() {
             self.run_out();
         }
@@ -300,16 +300,16 @@ impl<const N: usize> AnyMotion<N> {
     #[inline(never)]
     fn run_out(&mut self) {
         if self.queue.backlash.is_on() {
-            self.queue.finish_taking_up(self.feed.block_start(), self.feed.running.line_number);
+            self.queue.finish_taking_up(self.source.block_start(), self.source.running.line_number);
         }
         if self.queue.is_empty() {
-            self.feed.run_out();
+            self.source.run_out();
         }
     }
 
     /// The deceleration of the first move in the queue, in units per square of a step-clock tick.
     pub fn braking(&self) -> f32 {
-        let clock = self.feed.step_clock_hz() as f32;
+        let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
             let units_per_mm = (block.dominant() * UNITS_PER_STEP) as f32 / block.length;
             block.acceleration * units_per_mm / clock / clock
@@ -318,7 +318,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Brakes to a stop, beginning with the next segment handed over.
     pub fn hold(&mut self) {
-        self.feed.hold();
+        self.source.hold();
     }
 
     /// Resumes after a hold, also before it has come to a stop.
@@ -327,13 +327,13 @@ impl<const N: usize> AnyMotion<N> {
             // The hold has brought the machine below what was raised for its fall.
             self.replan();
         }
-        self.feed.resume(!self.queue.is_empty());
+        self.source.resume(!self.queue.is_empty());
     }
 
     /// The step task has done something else meanwhile, and the machine is back at the very same position: the running
     /// block is announced once more. At rest only.
     pub fn reenter(&mut self) {
-        self.feed.running.announce_again();
+        self.source.running.announce_again();
     }
 
     /// The settings in force.
@@ -343,7 +343,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Whether a hold is in force and what was handed over ends at rest.
     pub fn is_held(&self) -> bool {
-        self.feed.is_held()
+        self.source.is_held()
     }
 
     /// Factors on feeds and rapids, 1 = as programmed; they act with the next segment handed over.
@@ -357,54 +357,54 @@ impl<const N: usize> AnyMotion<N> {
         }
         self.queue.overrides = overrides;
         self.replan();
-        if self.feed.running.is_active()
+        if self.source.running.is_active()
             && let Some(block) = self.queue.planner.first()
         {
-            self.feed.set_nominal(block.nominal(overrides));
+            self.source.set_nominal(block.nominal(overrides));
         }
     }
 
     /// Plans the whole queue under the overrides, from the state of the machine.
     #[inline(never)]
     fn replan(&mut self) {
-        let (state, left) = self.feed.path_state(self.queue.planner.first());
+        let (state, left) = self.source.path_state(self.queue.planner.first());
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
     /// Forgets all queued moves. At rest, or once a hold has been handed over to its end; ignored in motion.
     pub fn discard(&mut self) {
-        if !self.feed.ends_at_rest() {
+        if !self.source.ends_at_rest() {
             return;
         }
         self.plan_from(self.prepared());
-        self.feed.stop();
+        self.source.stop();
     }
 
     /// After a stop or underrun of the step task, with its step counters: everything queued is forgotten and the position
     /// is exact. The gate of the step task is opened by the caller (`ToStep::Resume`) before anything of `next` reaches it.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
-        let before = self.feed.in_flight.before();
+        let before = self.source.in_flight.before();
         let motors = self.queue.backlash.followed(&Motors { steps: before.motors(), lead: before.lead }, steps);
-        self.feed.in_flight.forget(motors.tool(), motors.lead);
+        self.source.in_flight.forget(motors.tool(), motors.lead);
         self.plan_from(motors);
-        self.feed.stop();
+        self.source.stop();
     }
 
     /// Takes over how far the step task is.
     pub fn observe(&mut self, observed: &Observed) {
         self.step_idle = observed.step_idle;
-        self.feed.in_flight.observe(observed.segments_begun, observed.step_idle);
+        self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
     /// Whether nothing is in the step task and nothing will come before `start` or `resume`.
     pub fn is_at_rest(&self) -> bool {
-        self.feed.in_flight.is_empty() && self.step_idle && self.feed.ends_at_rest() && !self.feed.is_on()
+        self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
 
     /// Whether what has been handed over ends at rest, so that nothing need follow in time.
     pub fn ends_at_rest(&self) -> bool {
-        self.feed.ends_at_rest()
+        self.source.ends_at_rest()
     }
 
     /// Whether the machine is at rest and nothing is queued.
@@ -414,12 +414,12 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Time of what has been handed over and not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
-        self.feed.in_flight.queued() / (self.feed.step_clock_hz() / 1_000_000).max(1)
+        self.source.in_flight.queued() / (self.source.step_clock_hz() / 1_000_000).max(1)
     }
 
     /// Machine position in steps at the end of the segment begun last.
     pub fn machine_steps(&self) -> PerAxis<i32, N> {
-        self.feed.in_flight.current().position
+        self.source.in_flight.current().position
     }
 
     /// Machine position at the end of the segment begun last.
@@ -433,7 +433,7 @@ impl<const N: usize> AnyMotion<N> {
         let new = self.queue.kinematics.steps(position);
         let moved = new.zip(&old.tool(), i32::wrapping_sub);
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
-        self.feed.in_flight.forget(new, old.lead);
+        self.source.in_flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
         // The programmed position, not the nearest step: what follows is measured from it.
         self.queue.set_position(position);
@@ -442,7 +442,7 @@ impl<const N: usize> AnyMotion<N> {
     /// The machine position at a reading of the step counters in the present straight move from rest.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let steps = counter.zip(&self.origin, i32::wrapping_add);
-        self.queue.kinematics.place(&self.queue.backlash.followed(self.feed.last_rest(), steps).tool())
+        self.queue.kinematics.place(&self.queue.backlash.followed(self.source.last_rest(), steps).tool())
     }
 
     /// End of the queue, as programmed.
@@ -452,12 +452,12 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Speed of the segment being executed, mm/s; 0 at rest.
     pub fn speed(&self) -> f32 {
-        self.feed.in_flight.current().speed
+        self.source.in_flight.current().speed
     }
 
     /// Power of the segment being executed; 0 at rest.
     pub fn power(&self) -> u16 {
-        self.feed.in_flight.current().power
+        self.source.in_flight.current().power
     }
 
     /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),
@@ -469,12 +469,12 @@ impl<const N: usize> AnyMotion<N> {
 
     /// N word of the block being executed, 0 if none.
     pub fn line_number(&self) -> u32 {
-        self.feed.in_flight.current().line_number
+        self.source.in_flight.current().line_number
     }
 
     /// N word of the move that is handed over now or was last, 0 if none. It is ahead of the step task by the time queued there.
     pub fn running_line_number(&self) -> u32 {
-        self.feed.running.line_number
+        self.source.running.line_number
     }
 
     /// Moves are numbered by lines from here on: see [`MotionWith::begin_line`].
@@ -491,7 +491,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// The motors at the end of what has been handed over.
     fn prepared(&self) -> Motors<N> {
-        self.feed.motors(&self.queue.backlash)
+        self.source.motors(&self.queue.backlash)
     }
 }
 

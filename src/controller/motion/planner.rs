@@ -1,5 +1,5 @@
 //! The look-ahead: a ring of blocks, each with the greatest entry speed from which all that is queued behind it can still
-//! be braked to a stop.
+//! be braked to a stop, and the least acceleration and jerk of the blocks ahead.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |
@@ -116,7 +116,7 @@ struct Stretch {
     slowest2: f32,
     bounds: Bounds,
     /// The least acceleration without bends, and what all bends together leave.
-    straight: f32,
+    straight_acceleration: f32,
     curve: CurveLoad,
 }
 
@@ -125,7 +125,7 @@ impl Stretch {
         length: 0.0,
         slowest2: f32::INFINITY,
         bounds: Bounds::NONE,
-        straight: f32::INFINITY,
+        straight_acceleration: f32::INFINITY,
         curve: CurveLoad::NONE,
     };
 
@@ -136,7 +136,7 @@ impl Stretch {
             length: self.length + block.length,
             slowest2: lesser(self.slowest2, anchor2),
             bounds: self.bounds.and(block.bounds()),
-            straight: lesser(self.straight, block.acceleration),
+            straight_acceleration: lesser(self.straight_acceleration, block.acceleration),
             curve: self.curve.and(block.curve),
         }
     }
@@ -550,17 +550,17 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// and gets no faster.
     pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
         let Some(first) = self.first() else { return Bounds::NONE };
-        let (mut straight, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);
+        let (mut straight_acceleration, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);
         let (mut place, mut end) = (0, left);
         while distance > end {
             let Some((stretch, blocks)) = self.stretch(place + 1, distance - end) else { break };
             place += blocks;
-            straight = lesser(straight, stretch.straight);
+            straight_acceleration = lesser(straight_acceleration, stretch.straight_acceleration);
             curve = curve.and(stretch.curve);
             jerk = lesser(jerk, stretch.bounds.jerk);
             end += stretch.length;
         }
-        Bounds { acceleration: curve.left(straight, speed2), jerk }
+        Bounds { acceleration: curve.left(straight_acceleration, speed2), jerk }
     }
 }
 

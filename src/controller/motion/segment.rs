@@ -34,15 +34,15 @@ pub(super) struct Cut {
 }
 
 /// Speed in units/s above which `level` is not needed.
-fn level_speed(level: u8) -> f32 {
+fn amass_level_speed(level: u8) -> f32 {
     // The power of two by its exponent: no conversion and no division.
     SMOOTH_RATE * UNITS_PER_STEP as f32 * f32::from_bits((127 - u32::from(level)) << 23)
 }
 
-/// The coarsest level whose ticks are fast enough.
-fn level_for(speed: f32) -> u8 {
+/// The AMASS level of a segment: the coarsest one whose ticks are fast enough.
+fn amass_level_for(speed: f32) -> u8 {
     let mut level = 0;
-    while level < MAX_LEVEL && speed < level_speed(level) {
+    while level < MAX_LEVEL && speed < amass_level_speed(level) {
         level += 1;
     }
     level
@@ -77,14 +77,14 @@ impl SegmentSize {
     /// The piece that a machine of this pace and acceleration (units, seconds) goes next.
     #[inline]
     pub(super) fn next(pace: Pace, acceleration: f32, done: u32, left: u32) -> Self {
-        let level = level_for(pace.speed);
+        let level = amass_level_for(pace.speed);
         let mut reach = (pace.speed + 0.5 * acceleration * SEGMENT_TIME) * SEGMENT_TIME;
         let steepness = acceleration.abs();
         if steepness * SEGMENT_TIME > 1.0e-6 * pace.speed {
             reach = lesser(reach, EVEN * pace.speed2 / steepness);
             let edge = match acceleration > 0.0 {
-                true if level > 0 => level_speed(level - 1),
-                false if level < MAX_LEVEL => level_speed(level),
+                true if level > 0 => amass_level_speed(level - 1),
+                false if level < MAX_LEVEL => amass_level_speed(level),
                 _ => f32::INFINITY,
             };
             reach = lesser(reach, (edge * edge - pace.speed2).abs() / (2.0 * steepness));
@@ -116,16 +116,16 @@ impl SegmentSize {
 pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace) -> Cut {
     let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);
-    let mut level = level_for(speed);
+    let mut level = amass_level_for(speed);
     let change = phase.sign * curve.acceleration * SEGMENT_TIME;
     // A braking that ends within the time: all of it.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * SEGMENT_TIME } else { speed * SEGMENT_TIME };
     if phase.sign != 0.0 {
         reach = lesser(reach, EVEN * speed2 / curve.acceleration);
         let edge = if phase.sign > 0.0 {
-            if level > 0 { level_speed(level - 1) } else { f32::MAX }
+            if level > 0 { amass_level_speed(level - 1) } else { f32::MAX }
         } else if level < MAX_LEVEL {
-            level_speed(level)
+            amass_level_speed(level)
         } else {
             0.0
         };

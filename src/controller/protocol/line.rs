@@ -1,4 +1,4 @@
-//! One line as the host wrote it, filtered the way Grbl does: no blanks, no comments, upper case.
+//! One line as the host wrote it, filtered by dialect, the way Grbl does: no blanks, no comments, upper case.
 
 /// Longest line in Grbl's dialect, after filtering.
 pub const GRBL_LENGTH: usize = 79;
@@ -19,9 +19,9 @@ pub enum Pushed {
     TooLong,
 }
 
-/// Rules that depend on the dialect.
+/// How lines are filtered in a dialect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rules {
+pub struct LineRules {
     /// Longest line, after filtering.
     pub length: usize,
     /// Whether CR LF is one line end (Grbl takes it for two).
@@ -119,7 +119,7 @@ impl Line {
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
     #[inline]
-    pub fn push(&mut self, byte: u8, rules: impl Fn() -> Rules) -> Pushed {
+    pub fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> Pushed {
         let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
         self.after_cr = byte == b'\r';
         match byte {
@@ -146,7 +146,7 @@ impl Line {
     }
 
     /// A byte within a remark. One with more than 255 parentheses open ends too soon.
-    fn remark(&mut self, byte: u8, rules: Rules) {
+    fn remark(&mut self, byte: u8, rules: LineRules) {
         if byte != b')' && self.comment != Comment::Semicolon {
             // What has no room is left out.
             let _ = self.remark.push(byte);
@@ -166,18 +166,18 @@ impl Line {
 mod tests {
     use super::*;
 
-    const OXMILL: Rules =
-        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false };
-    const GRBL: Rules = Rules {
+    const OXMILL: LineRules =
+        LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false };
+    const GRBL: LineRules = LineRules {
         length: GRBL_LENGTH,
         merge_crlf: false,
         nested_remarks: false,
         expressions: false,
         block_delete: false,
     };
-    const SEED: Rules = Rules { nested_remarks: true, ..OXMILL };
+    const SEED: LineRules = LineRules { nested_remarks: true, ..OXMILL };
 
-    fn lines(bytes: &[u8], rules: Rules) -> Vec<String> {
+    fn lines(bytes: &[u8], rules: LineRules) -> Vec<String> {
         let mut line = Line::new();
         let mut all = Vec::new();
         for byte in bytes {
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn block_delete() {
-        let delete = Rules { block_delete: true, ..OXMILL };
+        let delete = LineRules { block_delete: true, ..OXMILL };
         assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0X1", ""]);
         assert_eq!(lines(b"/G0 X1\n", OXMILL), ["G0X1"]);
     }

@@ -11,8 +11,8 @@
 //! What has no epoch of its own counts the bytes received by then instead: a reset button drops them, a feed hold and a door
 //! end the jogs among them.
 
-use super::line::{Line, Pushed, Rules};
-use crate::messages::{CUT, LineByte};
+use super::line::{Line, LineRules, Pushed};
+use crate::messages::{HOST_CHANGED, LineByte};
 
 /// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
 const EPOCHS: u16 = 1 << 14;
@@ -22,7 +22,7 @@ const EPOCHS: u16 = 1 << 14;
 pub struct Taken {
     /// Bytes before it were lost on the way.
     pub lost: bool,
-    /// What follows is another host's: it was a [`CUT`].
+    /// What follows is another host's: it was a [`HOST_CHANGED`].
     pub cut: bool,
     /// What it completed.
     pub pushed: Pushed,
@@ -108,8 +108,8 @@ impl LineIntake {
     }
 
     /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
-    pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> Rules) -> Taken {
-        if byte.byte == CUT {
+    pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> LineRules) -> Taken {
+        if byte.byte == HOST_CHANGED {
             // Its epoch is the number of the host that has gone.
             self.hosts_cut = byte.epoch;
         } else if is_before(self.epoch, byte.epoch) {
@@ -122,12 +122,12 @@ impl LineIntake {
         if self.drop_bytes > 0 || self.drop_rest {
             // Received before the reset button; the line that the last of them is in is dropped to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
-            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | CUT);
-            return Taken { cut: byte.byte == CUT, ..Taken::NOTHING };
+            self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | HOST_CHANGED);
+            return Taken { cut: byte.byte == HOST_CHANGED, ..Taken::NOTHING };
         }
         let before_cancel = self.jog_bytes > 0;
         self.jog_bytes = self.jog_bytes.saturating_sub(1);
-        if byte.byte == CUT {
+        if byte.byte == HOST_CHANGED {
             self.line = Line::new();
             return Taken { cut: true, ..Taken::NOTHING };
         }
@@ -243,8 +243,8 @@ mod tests {
     use super::*;
     use crate::protocol::line::LENGTH;
 
-    fn rules() -> Rules {
-        Rules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
+    fn rules() -> LineRules {
+        LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
     }
 
     fn byte(byte: u8, epoch: u16) -> LineByte {
@@ -346,7 +346,7 @@ mod tests {
     #[test]
     fn a_cut_voids_the_half_line() {
         let mut intake = LineIntake::new();
-        assert_eq!(give(&mut intake, &[b'G', b'0', CUT, b'G', b'4', b'\n'], 0), ["G4"]);
+        assert_eq!(give(&mut intake, &[b'G', b'0', HOST_CHANGED, b'G', b'4', b'\n'], 0), ["G4"]);
     }
 
     #[test]

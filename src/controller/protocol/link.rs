@@ -14,7 +14,7 @@
 //! A line is read as a whole or not at all: of one that was refused, or cut because another host took the floor or made
 //! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
 
-use crate::messages::{CUT, LineByte, Realtime};
+use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::realtime::Received;
 
 /// The way to `control`.
@@ -38,7 +38,7 @@ pub struct HostArbiter {
     /// The epoch of the next line byte: see [`LineByte`]. It is counted where a command is handed over and not where it is
     /// received, so that a command that waits for room is not overtaken in the count by one of the other host.
     epoch: u16,
-    /// The line that has begun is void: [`CUT`] goes before the next line byte.
+    /// The line that has begun is void: [`HOST_CHANGED`] goes before the next line byte.
     cut: bool,
     /// Hosts with the floor that have gone since power-up (wrapping).
     gone: u16,
@@ -60,7 +60,7 @@ impl HostArbiter {
         self.gone
     }
 
-    /// Whether a [`CUT`] goes before the next byte, which is a byte received like others.
+    /// Whether a [`HOST_CHANGED`] goes before the next byte, which is a byte received like others.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
@@ -75,7 +75,7 @@ impl HostArbiter {
     }
 
     fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
-        if self.cut && !queues.line(LineByte { byte: CUT, epoch: self.gone, damaged: false }) {
+        if self.cut && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
             return false;
         }
         self.cut = false;
@@ -248,7 +248,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
-    /// within it. A [`CUT`] goes before its first byte of a line: it ends what was there before. What has no place in the
+    /// within it. A [`HOST_CHANGED`] goes before its first byte of a line: it ends what was there before. What has no place in the
     /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
     pub fn came<const OTHER: usize>(
         &mut self,
@@ -264,7 +264,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// The host has gone. What has no place in the queue goes with it, also the rest of a line, and the next host begins at
-    /// the start of one: a [`CUT`] goes before it, and the controller answers none of the lines in front of that. Gives
+    /// the start of one: a [`HOST_CHANGED`] goes before it, and the controller answers none of the lines in front of that. Gives
     /// whether it had the floor.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let held_floor = arbiter.holder() == self.number;
@@ -475,13 +475,13 @@ mod tests {
 
         /// What is in the queue, with `|` for a cut; the cut before the first byte is of nothing and not shown.
         fn text(&self) -> String {
-            let shown = |byte: &LineByte| if byte.byte == CUT { '|' } else { char::from(byte.byte) };
+            let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
             self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
         }
 
         /// The controller's view: which bytes are of which epoch, and what has it read once all commands have come.
         fn epochs(&self) -> Vec<u16> {
-            self.queues.lines.iter().filter(|byte| byte.byte != CUT).map(|byte| byte.epoch).collect()
+            self.queues.lines.iter().filter(|byte| byte.byte != HOST_CHANGED).map(|byte| byte.epoch).collect()
         }
 
         /// How often each has been refused a line.
@@ -542,7 +542,7 @@ mod tests {
         both.queues.lines.clear();
         both.pass_on();
         taken.push_str(&both.text());
-        assert_eq!(taken.trim_start_matches(char::from(CUT)).as_bytes(), flood);
+        assert_eq!(taken.trim_start_matches(char::from(HOST_CHANGED)).as_bytes(), flood);
         assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
     }
 
@@ -593,8 +593,9 @@ mod tests {
         both.usb(b"G4P0\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
         // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
-        let cuts =
-            |both: &Both<16>| both.queues.lines.iter().filter(|b| b.byte == CUT).map(|b| b.epoch).collect::<Vec<_>>();
+        let cuts = |both: &Both<16>| {
+            both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
+        };
         assert_eq!((cuts(&both), both.arbiter.gone()), (vec![0, 1], 1));
         // The other one may be the next.
         both.usb(b"G1 Y");

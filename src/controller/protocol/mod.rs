@@ -2,8 +2,9 @@
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`line_intake`]
 //! knows which of their bytes still count, [`system`] reads `$`
-//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`replies`] keeps them until they are sent.
+//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`descriptions`] those that put numbers into words, [`replies`] keeps them until they are sent.
 
+pub mod descriptions;
 pub mod line;
 pub mod line_intake;
 pub mod link;

@@ -57,7 +57,7 @@ pub const fn command(byte: u8) -> Option<Realtime> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::CUT;
+    use crate::messages::HOST_CHANGED;
 
     #[test]
     fn commands_are_picked_out_in_mid_line() {
@@ -79,6 +79,6 @@ mod tests {
         for byte in 0x80..=0xFF {
             assert!(!matches!(Received::of(byte), Received::Line(_)));
         }
-        assert!(!matches!(Received::of(CUT), Received::Line(_)), "no host can send it");
+        assert!(!matches!(Received::of(HOST_CHANGED), Received::Line(_)), "no host can send it");
     }
 }

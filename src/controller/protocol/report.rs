@@ -24,7 +24,7 @@ pub struct Release {
 /// This release. A new version has a new date.
 pub const RELEASE: Release = Release { version: "0.1.0", date: "20261122" };
 
-const END: &[u8] = b"\r\n";
+pub(super) const END: &[u8] = b"\r\n";
 
 /// `ok`
 pub fn ok(out: &mut Text) {
@@ -222,7 +222,7 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $RST= $RC $PINS ");
+        put(out, b"$HX $RST= $RC $PINS $ES $ESG $ESH $EG $EE $EA $I+ ");
     }
     put(out, b"~ ! ? ctrl-x");
     if !grbl {
@@ -281,6 +281,22 @@ pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx
 pub fn firmware(out: &mut Text) {
     put(out, b"[FIRMWARE:Oxmill ");
     put(out, RELEASE.version.as_bytes());
+    put(out, b"]\r\n");
+}
+
+/// `[AXS:...]` and `[NEWOPT:...]` of `$I+`, in the format of grblHAL: the axes, and what a sender may ask for.
+pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
+    put(out, b"[AXS:");
+    whole(out, axes as u64);
+    put(out, b":");
+    for axis in Axis::ALL.iter().take(axes) {
+        put(out, &[axis.letter()]);
+    }
+    put(out, b"]\r\n[NEWOPT:");
+    for (i, option) in options.iter().enumerate() {
+        put(out, if i > 0 { b"," } else { b"" });
+        put(out, option.as_bytes());
+    }
     put(out, b"]\r\n");
 }
 

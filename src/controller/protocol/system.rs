@@ -18,6 +18,10 @@ pub enum System<'a> {
     ParserState,
     /// `$I`
     BuildInfo,
+    /// `$I+`
+    MoreBuildInfo,
+    /// `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE`, `$EA`
+    Describe(Described),
     /// `$I=text`
     SetBuildInfo(&'a [u8]),
     /// `$N`
@@ -44,6 +48,44 @@ pub enum System<'a> {
     Sleep,
     /// `$n=v`
     Set(u16, Decimal),
+}
+
+/// In which format settings are described.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `$ES`: fields between bars, for programs.
+    Fields,
+    /// `$ESG`: comma-separated values, as the table of codes that Grbl comes with.
+    Commas,
+    /// `$ESH`: values between tabs.
+    Tabs,
+}
+
+impl System<'_> {
+    /// The error by which Grbl refuses what it does not have: it takes the letter for the number of a setting.
+    ///
+    /// # Errors
+    /// [`Error::BadNumber`], [`Error::InvalidStatement`].
+    pub fn known_to_grbl(&self) -> Result<(), Error> {
+        match self {
+            System::Pins | System::ClearNoise | System::Describe(_) => Err(Error::BadNumber),
+            System::MoreBuildInfo => Err(Error::InvalidStatement),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What is put into words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Described {
+    /// Each setting.
+    Settings(Format),
+    /// The groups of settings.
+    Groups,
+    /// What `error:N` means.
+    Errors,
+    /// What `ALARM:N` means.
+    Alarms,
 }
 
 /// What `$RST` brings back to its default.
@@ -96,6 +138,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
         Some(b'S') if rest == b"LP" => Ok(System::Sleep),
         Some(b'S') => Err(Error::InvalidStatement),
         Some(b'I') if rest.is_empty() => Ok(System::BuildInfo),
+        Some(b'I') if rest == b"+" => Ok(System::MoreBuildInfo),
+        Some(b'E') => describe(rest),
         Some(b'I') => rest.strip_prefix(b"=").map(System::SetBuildInfo).ok_or(Error::InvalidStatement),
         Some(b'H') => match rest {
             [] => Ok(System::Home(None)),
@@ -128,6 +172,19 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
+/// Reads what follows `$E`. An unknown rest is an unknown command, as all of them are to Grbl.
+fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
+    Ok(System::Describe(match rest {
+        b"S" => Described::Settings(Format::Fields),
+        b"SG" => Described::Settings(Format::Commas),
+        b"SH" => Described::Settings(Format::Tabs),
+        b"G" => Described::Groups,
+        b"E" => Described::Errors,
+        b"A" => Described::Alarms,
+        _ => return Err(Error::BadNumber),
+    }))
+}
+
 /// Splits `n=text`. A fraction of `n` is cut off, as Grbl does; a number that no setting can have becomes one that none
 /// has.
 fn numbered(text: &[u8]) -> Result<(u16, &[u8]), Error> {
@@ -149,20 +206,24 @@ mod tests {
         assert_eq!(read(b"$N1=G20"), Ok(System::SetStartupLine(1, b"G20")));
         assert_eq!(read(b"$HX"), Ok(System::Home(Some(Axis::X))));
         assert_eq!(read(b"$RST=*"), Ok(System::Restore(Restore::All)));
+        assert_eq!(read(b"$I+"), Ok(System::MoreBuildInfo));
+        assert_eq!(read(b"$ESH"), Ok(System::Describe(Described::Settings(Format::Tabs))));
+        assert_eq!(read(b"$EA"), Ok(System::Describe(Described::Alarms)));
         assert_eq!(read(b"$I=ABC"), Ok(System::SetBuildInfo(b"ABC")));
     }
 
     #[test]
     fn refusals_have_grbls_numbers() {
-        for line in
-            ["$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$RST", "$RST=X", "$N0", "$N2=G0", "$N-1=G0"]
-        {
+        for line in [
+            "$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$I+1", "$RST", "$RST=X", "$N0", "$N2=G0",
+            "$N-1=G0",
+        ] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
         for line in ["$1", "$1=5X", "$1=25ABC", "$HQ"] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
-        for line in ["$Z", "$ABC", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N="] {
+        for line in ["$Z", "$ABC", "$E", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N="] {
             assert_eq!(read(line.as_bytes()), Err(Error::BadNumber), "{line}");
         }
     }

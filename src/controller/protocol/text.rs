@@ -9,6 +9,7 @@ pub const PIECE: usize = 320;
 pub type Text = heapless::Vec<u8, PIECE>;
 
 /// Appends bytes.
+#[inline(never)]
 pub fn put(out: &mut Text, bytes: &[u8]) {
     for byte in bytes {
         if out.push(*byte).is_err() {

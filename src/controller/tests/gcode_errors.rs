@@ -8,7 +8,7 @@ use program::{DIALECTS, Program, target};
 
 /// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
 const ERRORS: &[(u8, &[&str])] = &[
-    (1, &["1", "%", "G1 X1..2", "X1*2", "@", "X1,5", "g0"]),
+    (1, &["1", "%", "G1 X1..2", "X1*2", "!", "X1,5", "g0"]),
     (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
     (4, &["F-1", "N-1", "P-1", "S-1", "T-1", "F-0.0000001"]),
     (20, &["G6", "G38", "G38.6", "G90.2", "M100", "D1", "A1", "U1"]),

@@ -139,11 +139,11 @@ fn what_is_forgotten() {
     assert_eq!([x(&program, "#1"), x(&program, "#31"), x(&program, "EXISTS[#<_GLOBAL>]")], [0.0; 3]);
 }
 
-/// 157 numbers, 19 of them in a line; a parameter that is there can always be set again.
+/// 315 numbers, 19 of them in a line; a parameter that is there can always be set again.
 #[test]
 fn capacity() {
     let mut program = ready();
-    for number in 100..257 {
+    for number in 100..415 {
         program.run(&format!("#{number}={number}"));
     }
     assert_eq!(program.error("#1=1"), 83);

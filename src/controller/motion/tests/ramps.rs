@@ -78,18 +78,18 @@ impl<const B: usize> Course<B> {
         let ToStep::Segment(segment) = message else {
             if let ToStep::Block { .. } = message {
                 self.blocks += 1;
-                self.entries.push(f64::from(self.motion.feed.motion.pace.speed / self.motion.feed.running.scale));
+                self.entries.push(f64::from(self.motion.source.motion.pace.speed / self.motion.source.running.scale));
             }
             return true;
         };
         self.observed.segments_begun += 1;
         let ticks = f64::from(segment.ticks);
         let clocks = f64::from(segment.interval) * ticks + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
-        let seconds = clocks / 4096.0 / f64::from(self.motion.feed.step_clock_hz());
+        let seconds = clocks / 4096.0 / f64::from(self.motion.source.step_clock_hz());
         self.time += seconds;
-        let run = &self.motion.feed.running;
+        let run = &self.motion.source.running;
         let scale = f64::from(run.scale);
-        let speed = f64::from(self.motion.feed.motion.pace.speed) / if run.is_active() { scale } else { 1.0 };
+        let speed = f64::from(self.motion.source.motion.pace.speed) / if run.is_active() { scale } else { 1.0 };
         let old = self.points.last().filter(|p| p.block == self.blocks).copied();
         let motion: &AnyMotion<3> = &self.motion;
         let first = motion.queue.planner.first();
@@ -109,7 +109,7 @@ impl<const B: usize> Course<B> {
             time: self.time,
             seconds,
             speed,
-            acceleration: f64::from(self.motion.feed.motion.acceleration),
+            acceleration: f64::from(self.motion.source.motion.acceleration),
             bound: f64::from(run.acceleration) / scale,
             jerk,
             nominal: f64::from(run.nominal2).sqrt() / scale,

@@ -147,7 +147,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             let Some(message) = self.motion.next(&observed) else { return };
             match message {
                 ToStep::Block { legs, .. } => {
-                    let run = &self.motion.feed.running;
+                    let run = &self.motion.source.running;
                     self.blocks.push(BlockFacts {
                         units: run.total,
                         length: f64::from(run.total) / f64::from(run.scale),

@@ -32,7 +32,7 @@ export interface Streamed { baud: number; forecast_s: number; complete: boolean;
 
 export interface Setting {
   number: number; name: string; unit: string; kind: string; min: number | null; max: number | null;
-  default: number; grbl: boolean; axis: string | null;
+  values: string; default: number; grbl: boolean; axis: string | null;
 }
 export interface Meaning { code: number; text: string; advice: string }
 export interface Description {

@@ -9,13 +9,8 @@ export function parseSettings(text: string): Record<string, number> {
   return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)/gm)].map(match => [match[1], Number(match[2])]));
 }
 
-export function nameOf(setting: Setting): string {
-  return setting.axis && setting.kind !== "axes" ? `${setting.axis} ${setting.name.charAt(0).toLowerCase()}${setting.name.slice(1)}` : setting.name;
-}
-
 export function rangeOf(setting: Setting): string {
-  const range = setting.kind === "switch" ? "0 or 1" : setting.max === null ? "" : `${setting.min} to ${setting.max}`;
-  return [setting.unit === "mask" ? "" : setting.unit, range, `new ${setting.default}`].filter(Boolean).join(", ");
+  return [setting.unit === "mask" ? "" : setting.unit, setting.values, `new ${setting.default}`].filter(Boolean).join(", ");
 }
 
 export class SettingsPanel {
@@ -61,14 +56,14 @@ export class SettingsPanel {
   }
 
   private row(setting: Setting): HTMLElement {
-    const label = `$${setting.number} ${nameOf(setting)}`;
+    const label = `$${setting.number} ${setting.name}`;
     const input = el("input", { type: "number", step: "any", "aria-label": label });
     input.addEventListener("change", () => {
       if (input.value !== "") this.set(setting.number, Number(input.value));
     });
     this.inputs.set(setting.number, input);
     const row = el("tr", {}, el("th", { scope: "row", textContent: String(setting.number) }),
-      el("td", {}, nameOf(setting), el("small", { textContent: rangeOf(setting) })), el("td", {}, input));
+      el("td", {}, setting.name, el("small", { textContent: rangeOf(setting) })), el("td", {}, input));
     row.dataset.text = `${label} ${setting.unit}`.toLowerCase();
     return row;
   }

@@ -43,7 +43,7 @@ struct LongTick {
 /// The running block, and what has been handed over to the segment buffer.
 #[derive(Clone, Debug)]
 #[repr(C)]
-pub(super) struct SegmentFeed<const N: usize> {
+pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
     /// What has been handed over ends at rest.
     rest: bool,
@@ -59,7 +59,7 @@ pub(super) struct SegmentFeed<const N: usize> {
     pub(super) in_flight: SegmentsInFlight<N>,
 }
 
-impl<const N: usize> SegmentFeed<N> {
+impl<const N: usize> SegmentSource<N> {
     /// At rest with nothing to do.
     pub(super) const fn new(step_clock_hz: u32) -> Self {
         Self {
@@ -374,7 +374,7 @@ mod tests {
 
     #[test]
     fn a_hold_at_rest_is_held_at_once_and_only_resume_ends_it() {
-        let mut feed = SegmentFeed::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000);
         assert!(!feed.is_on() && !feed.is_held());
         feed.hold();
         assert!(feed.is_held() && !feed.wants_more());
@@ -389,7 +389,7 @@ mod tests {
 
     #[test]
     fn a_hold_in_motion_brakes_first() {
-        let mut feed = SegmentFeed::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000);
         feed.start();
         feed.rest = false;
         feed.hold();
@@ -403,7 +403,7 @@ mod tests {
 
     #[test]
     fn a_resume_without_blocks_starts_nothing() {
-        let mut feed = SegmentFeed::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000);
         feed.hold();
         feed.resume(false);
         assert!(!feed.is_on() && !feed.is_held());

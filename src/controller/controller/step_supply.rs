@@ -22,7 +22,7 @@ const LOW_WATER_US: u32 = 6_000;
 
 /// How the step queue is fed.
 #[derive(Clone, Debug)]
-pub(super) struct StepFeed {
+pub(super) struct StepSupply {
     /// The step queue has held [`WELL_FILLED_US`] since motion began.
     well_filled: bool,
     /// Motion has been started and not come to its end.
@@ -32,9 +32,9 @@ pub(super) struct StepFeed {
     observed: Observed,
 }
 
-impl StepFeed {
+impl StepSupply {
     /// At rest.
-    pub(super) const AT_REST: StepFeed = StepFeed {
+    pub(super) const AT_REST: StepSupply = StepSupply {
         well_filled: false,
         running: false,
         input_ended: false,
@@ -46,7 +46,7 @@ impl StepFeed {
         self.observed = observed;
     }
 
-    /// See [`StepFeed::observe`].
+    /// See [`StepSupply::observe`].
     #[inline]
     pub(super) fn observed(&self) -> &Observed {
         &self.observed
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn segments_come_first_at_a_start_and_at_low_water() {
-        let mut feed = StepFeed::AT_REST;
+        let mut feed = StepSupply::AT_REST;
         feed.start();
         assert!(feed.is_short(11_999));
         assert!(!feed.is_short(12_000));

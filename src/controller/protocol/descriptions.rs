@@ -1,0 +1,322 @@
+//! Settings, errors and alarms in words, for senders that show names instead of numbers: `$ES`, `$ESG`, `$ESH`, `$EG`, `$EA`,
+//! `$EE`, in the formats of grblHAL, whose senders ask for them.
+
+use super::report::END;
+use super::system::{Described, Format};
+use super::text::{Text, put, whole};
+use crate::axes::Axis;
+use crate::error::{Alarm, Error};
+use crate::settings::{Description, Entry, Kind, Row, SettingGroup, Settings};
+
+/// Whether the texts are there; a board whose flash is too small leaves them out.
+pub const DESCRIPTIONS: bool = cfg!(feature = "descriptions");
+
+/// How a sender shows a value: the numbers of grblHAL.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum DataType {
+    Switch = 0,
+    Bits = 1,
+    Choice = 3,
+    Axes = 4,
+    Integer = 5,
+    Decimal = 6,
+}
+
+impl DataType {
+    fn of(entry: &Entry, description: &Description) -> Self {
+        let labelled = !description.labels.is_empty();
+        match entry.kind {
+            Kind::Switch => DataType::Switch,
+            Kind::Axes => DataType::Axes,
+            Kind::Mask(_) => DataType::Bits,
+            Kind::Whole(..) if labelled && description.unit == "mask" => DataType::Bits,
+            Kind::Whole(..) if labelled => DataType::Choice,
+            Kind::Whole(..) => DataType::Integer,
+            Kind::Real | Kind::Speed | Kind::Place => DataType::Decimal,
+        }
+    }
+}
+
+/// One row of `$ES`, `$ESG` or `$ESH`.
+fn setting(out: &mut Text, row: &Row, format: Format) {
+    match format {
+        Format::Fields => fields(out, row),
+        Format::Commas => {
+            put(out, b"\"");
+            whole(out, u64::from(row.number));
+            put(out, b"\",\"");
+            name(out, row);
+            put(out, b"\",\"");
+            put(out, row.description.unit.as_bytes());
+            put(out, b"\",\"");
+            values(out, &row.entry, &row.description);
+            put(out, b"\"");
+            put(out, END);
+        }
+        Format::Tabs => {
+            whole(out, u64::from(row.number));
+            put(out, b"\t");
+            name(out, row);
+            put(out, b"\t");
+            put(out, row.description.unit.as_bytes());
+            put(out, b"\t\t\t");
+            values(out, &row.entry, &row.description);
+            put(out, END);
+        }
+    }
+}
+
+/// `[SETTING:number|group|name|unit|data type|format|least|greatest|needs a restart|may be empty]`.
+fn fields(out: &mut Text, row: &Row) {
+    let data_type = DataType::of(&row.entry, &row.description);
+    put(out, b"[SETTING:");
+    whole(out, u64::from(row.number));
+    put(out, b"|");
+    let axis = if row.description.group == SettingGroup::Axes {
+        row.axis.map_or(0, |axis| axis.index() as u64 + 1)
+    } else {
+        0
+    };
+    whole(out, row.description.group as u64 + axis);
+    put(out, b"|");
+    name(out, row);
+    put(out, b"|");
+    put(out, row.description.unit.as_bytes());
+    put(out, b"|");
+    whole(out, data_type as u64);
+    put(out, b"|");
+    put(
+        out,
+        match (data_type, row.entry.kind) {
+            (DataType::Switch, _) => b"",
+            (DataType::Bits | DataType::Choice, _) => row.description.labels.as_bytes(),
+            (DataType::Axes, _) => b"axes",
+            (DataType::Integer, _) => b"#####0",
+            (DataType::Decimal, Kind::Speed) => b"#####0",
+            (DataType::Decimal, Kind::Place) => b"-#####0.000",
+            (DataType::Decimal, _) => b"#####0.000",
+        },
+    );
+    put(out, b"|");
+    match row.entry.kind {
+        Kind::Whole(least, greatest) if data_type == DataType::Integer => {
+            whole(out, u64::from(least));
+            put(out, b"|");
+            whole(out, u64::from(greatest));
+        }
+        Kind::Real | Kind::Speed => put(out, b"0|"),
+        _ => put(out, b"|"),
+    }
+    put(out, b"|0|0]");
+    put(out, END);
+}
+
+/// The name; of a setting of an axis with that axis before it, of a homing cycle with its number behind it.
+pub fn name(out: &mut Text, row: &Row) {
+    let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
+    if let Some(axis) = axis {
+        put(out, &[axis.letter()]);
+        put(out, b"-axis ");
+        let mut bytes = row.description.name.bytes();
+        // An abbreviation begins with two capitals, and none does here.
+        put(out, &[bytes.next().unwrap_or_default().to_ascii_lowercase()]);
+        put(out, row.description.name.as_bytes().get(1..).unwrap_or(&[]));
+        return;
+    }
+    put(out, row.description.name.as_bytes());
+    if let Some(cycle) = row.axis {
+        put(out, b" ");
+        whole(out, cycle.index() as u64 + 1);
+    }
+}
+
+/// The values that a setting takes, in words.
+pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
+    match (entry.kind, DataType::of(entry, description)) {
+        (Kind::Switch, _) => put(out, b"0 or 1"),
+        (Kind::Axes, _) => put(out, b"sum of 1 X axis, 2 Y axis, 4 Z axis"),
+        (Kind::Mask(bits), _) => sum_of(out, description.labels, bits),
+        (_, DataType::Bits) => sum_of(out, description.labels, u32::MAX),
+        (_, DataType::Choice) => {
+            for (value, label) in description.labels.split(',').enumerate() {
+                put(out, if value > 0 { b", " } else { b"" });
+                whole(out, value as u64);
+                put(out, b" ");
+                put(out, label.as_bytes());
+            }
+        }
+        (Kind::Whole(least, greatest), _) => {
+            whole(out, u64::from(least));
+            put(out, b" to ");
+            whole(out, u64::from(greatest));
+        }
+        (Kind::Real | Kind::Speed, _) => put(out, b"0 and above"),
+        (Kind::Place, _) => put(out, b"any"),
+    }
+}
+
+fn sum_of(out: &mut Text, labels: &str, bits: u32) {
+    put(out, b"sum of ");
+    let mut first = true;
+    for (bit, label) in labels.split(',').enumerate().filter(|(bit, _)| bits >> bit & 1 != 0) {
+        put(out, if first { b"" } else { b", " });
+        first = false;
+        whole(out, 1 << bit);
+        put(out, b" ");
+        put(out, label.as_bytes());
+    }
+}
+
+/// How many lines a description has, on a machine with `N` axes.
+pub const fn lines<const N: usize>(what: Described) -> usize {
+    match what {
+        Described::Settings(_) => Settings::<N>::LINES,
+        Described::Groups => SettingGroup::ALL.len() + N,
+        Described::Errors => Error::ALL.len(),
+        Described::Alarms => Alarm::ALL.len(),
+    }
+}
+
+/// One of them.
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize) {
+    match what {
+        Described::Settings(format) => {
+            if let Some(row) = Settings::<N>::described(line) {
+                setting(out, &row, format);
+            }
+        }
+        Described::Groups => group(out, line),
+        Described::Errors => {
+            if let Some(error) = Error::ALL.get(line) {
+                code(out, b"[ERRORCODE:", error.code(), error.text());
+            }
+        }
+        Described::Alarms => {
+            if let Some(alarm) = Alarm::ALL.get(line) {
+                code(out, b"[ALARMCODE:", alarm.code(), alarm.text());
+            }
+        }
+    }
+}
+
+/// `[SETTINGGROUP:number|parent|name]`: the groups, then those of the axes.
+fn group(out: &mut Text, line: usize) {
+    let group = SettingGroup::ALL.get(line);
+    put(out, b"[SETTINGGROUP:");
+    whole(out, line as u64 + 1);
+    put(out, b"|");
+    whole(out, if group.is_some() { 0 } else { SettingGroup::Axes as u64 });
+    put(out, b"|");
+    match (group, line.checked_sub(SettingGroup::ALL.len()).and_then(|axis| Axis::ALL.get(axis))) {
+        (Some(group), _) => put(out, group.name().as_bytes()),
+        (None, Some(axis)) => put(out, &[axis.letter(), b' ', b'a', b'x', b'i', b's']),
+        (None, None) => {}
+    }
+    put(out, b"]");
+    put(out, END);
+}
+
+/// `[ERRORCODE:number||text]`, `[ALARMCODE:number||text]`.
+fn code(out: &mut Text, head: &[u8], number: u8, text: &str) {
+    put(out, head);
+    whole(out, u64::from(number));
+    put(out, b"||");
+    put(out, text.as_bytes());
+    put(out, b"]");
+    put(out, END);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(what: Described, wanted: usize) -> String {
+        let mut out = Text::new();
+        line::<3>(&mut out, what, wanted);
+        String::from_utf8(out.to_vec()).expect("text")
+    }
+
+    fn all(what: Described) -> Vec<String> {
+        (0..lines::<3>(what)).map(|wanted| text(what, wanted)).collect()
+    }
+
+    /// The line of a setting in a format.
+    fn of(number: u16, format: Format) -> String {
+        let found = (0..Settings::<3>::LINES)
+            .find(|line| Settings::<3>::described(*line).is_some_and(|row| row.number == number));
+        text(Described::Settings(format), found.expect("a setting"))
+    }
+
+    #[test]
+    fn settings_are_described_in_the_formats_of_grblhal() {
+        for (number, expected) in [
+            (0, "[SETTING:0|2|Step pulse|us|5|#####0|1|255|0|0]\r\n"),
+            (4, "[SETTING:4|2|Enable invert||0||||0|0]\r\n"),
+            (10, "[SETTING:10|1|Status report|mask|1|Machine position,Buffer state|||0|0]\r\n"),
+            (11, "[SETTING:11|6|Junction deviation|mm|6|#####0.000|0||0|0]\r\n"),
+            (30, "[SETTING:30|8|Maximum spindle speed|rpm|6|#####0|0||0|0]\r\n"),
+            (45, "[SETTING:45|7|Axes homed in cycle 2|mask|4|axes|||0|0]\r\n"),
+            (58, "[SETTING:58|9|Parking place|mm|6|-#####0.000|||0|0]\r\n"),
+            (112, "[SETTING:112|15|Z-axis maximum rate|mm/min|6|#####0.000|0||0|0]\r\n"),
+            (900, "[SETTING:900|1|Dialect||3|Grbl,Oxmill,Seed document|||0|0]\r\n"),
+        ] {
+            assert_eq!(of(number, Format::Fields), expected);
+        }
+        assert_eq!(of(101, Format::Commas), "\"101\",\"Y-axis resolution\",\"steps/mm\",\"0 and above\"\r\n");
+        assert_eq!(of(904, Format::Tabs), "904\tKinematics\t\t\t\t0 Cartesian, 1 CoreXY\r\n");
+    }
+
+    #[test]
+    fn groups_errors_and_alarms_have_a_line_each() {
+        let groups = all(Described::Groups);
+        assert_eq!(groups[0], "[SETTINGGROUP:1|0|General]\r\n");
+        assert_eq!(
+            groups[11..],
+            ["12|0|Axes", "13|12|X axis", "14|12|Y axis", "15|12|Z axis"]
+                .map(|rest| format!("[SETTINGGROUP:{rest}]\r\n"))
+        );
+        assert_eq!(all(Described::Errors)[0], "[ERRORCODE:1||a word must begin with a letter]\r\n");
+        assert!(
+            all(Described::Alarms)
+                .contains(&"[ALARMCODE:2||the target exceeds the machine's travel; the position is kept]\r\n".into())
+        );
+    }
+
+    /// What a program that reads them takes for granted: whole lines, no mark inside a text, groups that exist, a bit or a
+    /// choice for each label.
+    #[test]
+    fn every_line_can_be_read_back() {
+        for what in [Described::Groups, Described::Errors, Described::Alarms] {
+            for line in all(what) {
+                assert!(line.ends_with("]\r\n") && line.matches('|').count() == 2, "{line}");
+            }
+        }
+        for (wanted, line) in all(Described::Settings(Format::Fields)).iter().enumerate() {
+            let row = Settings::<3>::described(wanted).expect("a row");
+            let fields: Vec<&str> = line
+                .strip_prefix("[SETTING:")
+                .and_then(|l| l.strip_suffix("]\r\n"))
+                .expect("a line")
+                .split('|')
+                .collect();
+            assert_eq!((fields.len(), fields[0].parse()), (10, Ok(row.number)), "{line}");
+            assert!((1..=15).contains(&fields[1].parse::<u8>().expect("a group")), "{line}");
+            let labels = row.description.labels.split(',').count();
+            match row.entry.kind {
+                Kind::Mask(bits) => assert_eq!(1 << (labels - 1), (bits >> (labels - 1)) << (labels - 1), "{line}"),
+                Kind::Whole(0, most)
+                    if DataType::of(&row.entry, &row.description) == DataType::Choice && row.number != 42 =>
+                {
+                    assert_eq!(labels, most as usize + 1, "{line}");
+                }
+                _ => {}
+            }
+        }
+        for line in all(Described::Settings(Format::Commas)) {
+            assert_eq!(line.matches('"').count(), 8, "{line}");
+        }
+        for line in all(Described::Settings(Format::Tabs)) {
+            assert_eq!(line.matches('\t').count(), 5, "{line}");
+        }
+    }
+}

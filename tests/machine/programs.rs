@@ -1,0 +1,147 @@
+//! Plays `tests/programs/`: programs as CAM and hobby authors write them, with the positions that they reach and the errors
+//! of what is not built. Its README says what the lines mean.
+
+use super::rig::Rig;
+use std::path::Path;
+
+/// Virtual seconds within which an answer or the end of motion comes.
+const PATIENCE: f64 = 600.0;
+/// So far may a position be off, mm: a step, and the last digit of the report.
+const TOLERANCE: f64 = 0.0011;
+/// A machine of usual speed with fine steps, and work positions in the reports.
+const SETTINGS: [&str; 12] = [
+    "$0=2",
+    "$10=0",
+    "$100=1000",
+    "$101=1000",
+    "$102=1000",
+    "$110=5000",
+    "$111=5000",
+    "$112=3000",
+    "$120=500",
+    "$121=500",
+    "$122=300",
+    "$394=0",
+];
+
+/// A program on its machine.
+struct Player {
+    rig: Rig,
+    unread: String,
+}
+
+impl Player {
+    fn new(is_seed: bool) -> Player {
+        let mut player = Player { rig: Rig::new(), unread: String::new() };
+        player.rig.keep_trace = false;
+        player.rig.run_until(PATIENCE, |rig| rig.is_idle());
+        player.rig.take_output();
+        for setting in SETTINGS.iter().chain(is_seed.then_some(&"$900=2")) {
+            assert_eq!(player.ask(setting), "ok", "{setting}");
+        }
+        player
+    }
+
+    /// The answer to a line. Messages are passed over.
+    fn ask(&mut self, line: &str) -> String {
+        self.rig.send(format!("{line}\n").as_bytes());
+        self.wait(is_answer)
+    }
+
+    /// The first line for which the condition holds.
+    fn wait(&mut self, wanted: impl Fn(&str) -> bool) -> String {
+        loop {
+            while let Some(end) = self.unread.find('\n') {
+                let line: String = self.unread.drain(..=end).collect();
+                if wanted(line.trim_end()) {
+                    return line.trim_end().to_owned();
+                }
+            }
+            assert!(self.rig.run_until(PATIENCE, |rig| rig.output_len() > 0), "no answer");
+            self.unread += &self.rig.take_output();
+        }
+    }
+
+    /// The work position when nothing moves any more, mm.
+    fn position(&mut self) -> [f64; 3] {
+        assert!(self.rig.run_until(PATIENCE, |rig| rig.is_idle()), "the machine moves for ever");
+        self.rig.send(b"?");
+        let report = self.wait(|text| text.starts_with('<'));
+        oxmill_test_support::numbers(&report, "WPos").expect("a work position")
+    }
+}
+
+fn is_answer(text: &str) -> bool {
+    text == "ok" || text.starts_with("error:") || text.starts_with("ALARM:")
+}
+
+fn near(a: &[f64], b: &[f64]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < TOLERANCE)
+}
+
+/// Plays one program; what goes wrong, with its line.
+fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
+    let mut player = Player::new(reason.starts_with("seed: "));
+    let mut checks = 0;
+    for (i, (number, line)) in lines.iter().enumerate() {
+        let fail = |what: String| Err(format!("{number}: {line}: {what}"));
+        if let Some(expected) = line.strip_prefix("? ") {
+            let expected: Vec<f64> = expected.split(' ').map(|value| value.parse().expect("a number")).collect();
+            let found = player.position();
+            if !near(&expected, &found) {
+                return fail(format!("the position is {found:?}"));
+            }
+            checks += 1;
+        } else if *line == "~" {
+            player.rig.send(b"~");
+            if player.wait(is_answer) != "ok" {
+                return fail("the program does not continue".into());
+            }
+        } else if !line.starts_with("! ") {
+            let refused = lines.get(i + 1).and_then(|(_, next)| next.strip_prefix("! "));
+            let waits = lines.get(i + 1).is_some_and(|(_, next)| *next == "~");
+            let before = refused.map(|_| player.position());
+            if waits {
+                // The answer to a pause comes when it ends.
+                player.rig.send(format!("{line}\n").as_bytes());
+                player.rig.run_for(5.0);
+                continue;
+            }
+            let answer = player.ask(line);
+            let expected = refused.map_or("ok".to_owned(), |code| format!("error:{code}"));
+            if answer != expected {
+                return fail(format!("{answer} instead of {expected}"));
+            }
+            if before.is_some_and(|before| !near(&before, &player.position())) {
+                return fail("refused, and yet something moved".into());
+            }
+        }
+    }
+    if checks == 0 { Err("no position is checked".into()) } else { Ok(()) }
+}
+
+#[test]
+fn programs_of_many_authors_go_where_they_should() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/programs");
+    let mut files: Vec<_> = std::fs::read_dir(&folder)
+        .expect("the programs")
+        .map(|entry| entry.expect("a file").path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "txt"))
+        .collect();
+    files.sort();
+    let (mut programs, mut faults) = (0, String::new());
+    for path in files {
+        let text = std::fs::read_to_string(&path).expect("a text");
+        let lines: Vec<(usize, &str)> = text.lines().enumerate().map(|(i, line)| (i + 1, line)).collect();
+        for program in lines.split(|(_, line)| line.starts_with("== ")).skip(1) {
+            let head = program.first().map_or(lines.len(), |(number, _)| number - 1);
+            let reason = lines[head - 1].1.trim_start_matches("== ");
+            programs += 1;
+            if let Err(fault) = play(reason, program) {
+                faults += &format!("{}: {reason}: {fault}\n", path.file_name().expect("a name").to_string_lossy());
+            }
+        }
+    }
+    assert!(programs >= 60, "{programs} programs");
+    assert!(faults.is_empty(), "{faults}");
+}
