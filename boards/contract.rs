@@ -136,7 +136,10 @@ pub trait StepOutput<const N: usize> {
     /// Until when an event can be committed that is to follow on those before it by itself; `next` is its moment.
     fn joins_until(&self, next: u32) -> u32;
     /// Events are begun; `one_by_one`: each is to be followed by a call, and the next committed only then.
-    fn begin(&mut self, one_by_one: bool);
+    /// Gives the ticks by which all that is committed was put off: 0, unless it was too late for the first event.
+    fn begin(&mut self, one_by_one: bool) -> u32;
+    /// Whether the parts that count events disagree, or have failed, while events are put out.
+    fn fault(&self) -> bool;
     /// No event begins after this. A pulse that is out gets its full length.
     fn halt(&mut self) -> Undone<N>;
 

@@ -306,9 +306,14 @@ impl StepOutput<AXES> for StepPins {
         next
     }
 
-    fn begin(&mut self, _one_by_one: bool) {
+    fn begin(&mut self, _one_by_one: bool) -> u32 {
         self.begun = true;
         self.set(Self::EVENT, self.pending.map(|pending| pending.moment));
+        0
+    }
+
+    fn fault(&self) -> bool {
+        false
     }
 
     fn halt(&mut self) -> Undone<AXES> {

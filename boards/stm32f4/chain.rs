@@ -38,6 +38,12 @@ pub(super) const DEPTH: usize = RING - 1;
 const EDGE_COUNT: u32 = 1;
 /// More cycles than it takes from a match of TIM2 to the last word that comes of it, but for the end of the pulse.
 const SERVED_CYCLES: u32 = 48;
+/// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
+const LISTENS_TICKS: u32 = 48;
+/// More ticks than it takes to begin once more.
+const AGAIN_TICKS: u32 = 1_500;
+/// Ticks from a moment within which its request may be under way.
+const NEAR_TICKS: u32 = 48;
 /// Between two streams that are switched on.
 const APART_CYCLES: u32 = 12;
 
@@ -161,6 +167,9 @@ pub(super) fn cut<M: Map>() {
 }
 
 impl<M: Map, const P: usize> Chain<M, P> {
+    /// Places that stay free: that behind the last event, and the one of which only the first port's word may be out.
+    const SPARE: usize = if P > 1 { 2 } else { 1 };
+
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
         Chain { rings, ports, head: 0, pulse: 1, begun: false, one_by_one: false, pending: false, map: PhantomData }
     }
@@ -180,7 +189,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         let due = Due(read(M::TIM2 + SR));
         // Flags are cleared by writing 0; a 1 leaves them alone.
         write(M::TIM2 + SR, !due.0);
-        if self.one_by_one && due.has(Due::OUT) {
+        if !self.one_by_one {
+            // Events that follow by themselves raise the flag, too.
+            return Due(due.0 & !Due::OUT.0);
+        }
+        if due.has(Due::OUT) {
             self.pending = false;
         }
         due
@@ -213,7 +226,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// Places for words of the last port, or for what is to become words (see `translate`), and for moments.
     #[inline(always)]
     pub(super) fn free<'a>(&'a mut self, table: &'a [u32; 8]) -> Free<'a> {
-        let room = if self.one_by_one { 1 - usize::from(self.pending) } else { RING - 1 - self.ahead() };
+        let room = if self.one_by_one { 1 - usize::from(self.pending) } else { (RING - Self::SPARE).saturating_sub(self.ahead()) };
         let end = (self.head + room).min(RING);
         let words = self.rings.words.last_mut().and_then(|words| words.get_mut(self.head..end)).unwrap_or_default();
         let moments = self.rings.moments.get_mut(self.head..end).unwrap_or_default();
@@ -277,7 +290,27 @@ impl<M: Map, const P: usize> Chain<M, P> {
         if !self.begun || self.one_by_one { next } else { self.moment_before(1) }
     }
 
-    pub(super) fn begin(&mut self, one_by_one: bool) {
+    /// No request for a moment, and none before there is a moment again.
+    fn expect_no_moment(&mut self) {
+        write(M::TIM2 + DIER, CALLS);
+        write(M::TIM2 + CCR1, read(M::TIM2 + CNT).wrapping_sub(1));
+        write(M::TIM2 + SR, !Due::OUT.0);
+        compiler_fence(Ordering::SeqCst);
+    }
+
+    /// Waits until no request for a moment is under way, nor soon will be: moments are further apart than this takes.
+    fn await_served(&self) {
+        let moment = read(M::TIM2 + CCR1);
+        // A look takes a tick at least.
+        for _ in 0..3 * NEAR_TICKS {
+            if (read(M::TIM2 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
+                return;
+            }
+        }
+    }
+
+    /// Gives the ticks by which all events had to be put off, as the first was not to be had in time.
+    pub(super) fn begin(&mut self, one_by_one: bool) -> u32 {
         self.begun = true;
         self.one_by_one = one_by_one;
         self.pending = one_by_one;
@@ -290,15 +323,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         write(M::TIM1 + SMCR, IGNORED);
         write(M::TIM1 + CR1, ONE_PULSE);
-        // No match before the first moment is there.
-        write(M::TIM2 + DIER, CALLS);
-        write(M::TIM2 + CCR1, read(M::TIM2 + CNT).wrapping_sub(1));
-        write(M::TIM2 + SR, !Due::OUT.0);
-        compiler_fence(Ordering::SeqCst);
+        self.expect_no_moment();
         let mut requests = 0;
         for port in 0..P {
             let Streams { on, off, requests: own } = streams(port, P);
-            let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return };
+            let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return 0 };
             let pins = self.ports.get(port).copied().map_or(0, bsrr_of::<M>);
             let common = CIRCULAR | WORDS | VERY_HIGH | EDGES_CHANNEL;
             switch_on(M::DMA2, on, words.as_ptr() as usize, pins, common | PERIPHERAL_COUNTS);
@@ -310,17 +339,66 @@ impl<M: Map, const P: usize> Chain<M, P> {
             write(M::TIM1 + SMCR, STARTS);
             write(M::TIM2 + DIER, CALLS | Due::OUT.0);
             self.set_moment(self.moment_at(0));
-            return;
+            return 0;
         }
         let how = CIRCULAR | WORDS | VERY_HIGH | MOMENTS_CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS;
-        switch_on(M::DMA1, MOMENTS, M::TIM2 + CCR1, self.rings.moments.as_ptr() as usize, how);
+        let mut put_off = 0_u32;
+        loop {
+            switch_on(M::DMA1, MOMENTS, M::TIM2 + CCR1, self.rings.moments.as_ptr() as usize, how);
+            cortex_m::asm::delay(SERVED_CYCLES);
+            // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
+            write(M::TIM2 + DIER, CALLS | ASKS_FOR_MOMENT);
+            write(M::TIM2 + EGR, Due::OUT.0);
+            cortex_m::asm::delay(SERVED_CYCLES);
+            write(M::TIM1 + DIER, requests);
+            let left = self.moment_at(0).wrapping_sub(read(M::TIM2 + CNT));
+            if left as i32 > LISTENS_TICKS as i32 {
+                write(M::TIM1 + SMCR, STARTS);
+                return put_off;
+            }
+            // It has passed, or would before TIM1 listens: nothing has come out, and all of it comes later by as much.
+            self.await_served();
+            write(stream(M::DMA1, MOMENTS) + CR, 0);
+            self.expect_no_moment();
+            let by = AGAIN_TICKS.wrapping_sub(left);
+            for moment in &mut self.rings.moments {
+                *moment = moment.wrapping_add(by);
+            }
+            put_off = put_off.wrapping_add(by);
+        }
+    }
+
+    /// Whether the parts that count events disagree, or have failed. What differs while an event comes out is looked at again.
+    #[inline(always)]
+    pub(super) fn fault(&self) -> bool {
+        if !self.begun || self.one_by_one {
+            return false;
+        }
+        if (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0 || read(M::DMA1 + HISR) & MOMENT_ERRORS != 0 {
+            return true;
+        }
+        !self.counts_agree() && self.still_disagree()
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn still_disagree(&self) -> bool {
         cortex_m::asm::delay(SERVED_CYCLES);
-        // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
-        write(M::TIM2 + DIER, CALLS | ASKS_FOR_MOMENT);
-        write(M::TIM2 + EGR, Due::OUT.0);
-        cortex_m::asm::delay(SERVED_CYCLES);
-        write(M::TIM1 + DIER, requests);
-        write(M::TIM1 + SMCR, STARTS);
+        !self.counts_agree()
+    }
+
+    /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.
+    #[inline(always)]
+    fn counts_agree(&self) -> bool {
+        let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
+        let edges = left(streams(0, P).on);
+        let mut agree = edges.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING == 1;
+        for port in 0..P {
+            let Streams { on, off, .. } = streams(port, P);
+            agree &= port == 0 || left(on) == edges;
+            agree &= left(off).wrapping_sub(edges) % RING <= 1;
+        }
+        agree
     }
 
     /// No event begins after this. Gives how many were not out, and whether the counts disagree, and has `each` see the words of
@@ -346,8 +424,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// Ends what has been begun: where the event is that did not come out any more, and whether the counts disagree.
     fn silence(&mut self) -> (usize, bool) {
         write(M::TIM1 + SMCR, IGNORED);
+        // A request that came right before is served: one of TIM2 that is taken back half-way would stay.
+        self.await_served();
         write(M::TIM2 + DIER, CALLS);
-        // A request that came right before is served.
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();
         let mut fault = false;

@@ -353,9 +353,9 @@ impl Watchdog {
     pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
         let watchdog = IndependentWatchdog::new(device);
         watchdog.stop_on_debug(debug, true);
-        // So do the timers of the steps: none comes out while the processor cannot add to them.
+        // So does the step clock: none begins while the processor cannot add to them, and a pulse that is out ends. The beam
+        // stays as it is.
         debug.apb1_fz().modify(|_, w| w.dbg_tim2_stop().set_bit());
-        debug.apb2_fz().modify(|_, w| w.dbg_tim1_stop().set_bit());
         Watchdog(watchdog)
     }
 

@@ -219,8 +219,13 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     #[inline(never)]
-    fn begin(&mut self, one_by_one: bool) {
-        self.chain.begin(one_by_one);
+    fn begin(&mut self, one_by_one: bool) -> u32 {
+        self.chain.begin(one_by_one)
+    }
+
+    #[inline(always)]
+    fn fault(&self) -> bool {
+        self.chain.fault()
     }
 
     #[inline(never)]

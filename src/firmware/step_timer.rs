@@ -207,7 +207,10 @@ impl Step {
         self.receive();
         let now = self.output.now();
         match self.state {
-            State::Starting(begin) if begin.wrapping_sub(now) as i32 <= HORIZON_TICKS as i32 => self.prepare(begin),
+            State::Starting(begin) if begin.wrapping_sub(now) as i32 <= HORIZON_TICKS as i32 => {
+                self.free_from = begin;
+                self.prepare(begin);
+            }
             State::Starting(_) => self.call_again(),
             _ => {
                 while let Ok(wiring) = self.wiring.try_recv() {
@@ -242,7 +245,6 @@ impl Step {
     fn prepare(&mut self, moment: u32) {
         self.stepper.begin_at(moment);
         self.last = moment.wrapping_sub(self.timing.gap);
-        self.free_from = moment;
         self.one_by_one = StepPins::DEPTH == 1 || self.stepper.is_watching();
         self.state = State::Preparing(moment);
         self.begin(moment);
@@ -256,12 +258,15 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.output.ahead(), self.output.now());
-        let is_time = moment.wrapping_sub(now) as i32 <= (RUN_TICKS + BEGIN_TICKS) as i32;
+        let is_time = moment.wrapping_sub(now) as i32 <= (2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS) as i32;
         let is_far = self.last.wrapping_sub(moment) as i32 >= HORIZON_TICKS as i32 && ahead >= LEAST_EVENTS;
         let is_all = self.state == State::Ending;
         if ahead > 0 && (is_time || is_far || is_all || self.one_by_one) {
             self.state = if is_all { State::Ending } else { State::Running };
-            self.output.begin(self.one_by_one);
+            let by = self.output.begin(self.one_by_one);
+            if by != 0 {
+                self.put_off(by);
+            }
         } else if is_time && !is_all {
             // Not even one event can be made of what has come so far.
             self.prepare_later();
@@ -274,9 +279,26 @@ impl Step {
         self.state = State::Starting(self.output.now().wrapping_add(START_TICKS));
     }
 
+    /// What was committed comes later by so many ticks: so does all that follows.
+    #[cold]
+    fn put_off(&mut self, by: u32) {
+        self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
+        self.last = self.last.wrapping_add(by);
+        self.free_from = self.free_from.wrapping_add(by);
+        for (at, _) in self.beam.marks.iter_mut() {
+            *at = at.wrapping_add(by);
+        }
+        if let Some((at, _)) = self.beam.marks.front() {
+            self.output.mark_at(*at);
+        }
+    }
+
     /// Makes more events, if they can follow on those that are ahead.
     #[inline(always)]
     fn go_on(&mut self) {
+        if self.output.fault() {
+            return self.break_off();
+        }
         let now = self.output.now();
         let left = self.output.joins_until(self.stepper.moment()).wrapping_sub(now) as i32;
         if !self.one_by_one && (left < RUN_TICKS as i32 || self.stepper.is_watching()) {
@@ -286,6 +308,28 @@ impl Step {
             self.make(now);
         }
         self.call_again();
+    }
+
+    /// The outputs have failed in the middle of a motion: no more of it.
+    #[cold]
+    fn break_off(&mut self) {
+        let undone = self.output.halt();
+        self.miscounted(undone.net);
+        self.last = self.output.now();
+        self.state = State::Ending;
+        self.call_again();
+    }
+
+    /// What has come out is not what was made: the motion is over.
+    #[cold]
+    fn miscounted(&mut self, undone: [i32; AXES]) {
+        // What has not been told yet counts as one stop with it.
+        let event = self.unsent.underrun.unwrap_or_else(|| self.stepper.stop(undone));
+        if let StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position } = event {
+            self.unsent.underrun = Some(StepEvent::Miscounted { stops, position });
+        }
+        self.directions = UNKNOWN;
+        self.beam.off();
     }
 
     /// Makes events until enough of them are ahead of a moment.
@@ -457,14 +501,15 @@ impl Step {
             self.output.call_at(self.out_at());
             return;
         }
-        let Undone { events, fault, .. } = self.output.halt();
+        let Undone { events, net, fault } = self.output.halt();
         if events > 0 || fault {
-            self.unsent.underrun = Some(self.stepper.miscounted());
-            self.beam.off();
+            self.miscounted(net);
         }
         self.receive();
         if self.stepper.is_moving() {
-            self.prepare(self.output.now().wrapping_add(2 * RUN_TICKS + BEGIN_TICKS));
+            // Not before its time, and no step before the set-up of its directions is over.
+            let soon = self.output.now().wrapping_add(2 * RUN_TICKS + BEGIN_TICKS);
+            self.prepare(later(self.stepper.moment(), soon));
         } else {
             self.state = State::Rest;
             self.beam.marks.clear();
@@ -478,6 +523,10 @@ impl Step {
         let undone = self.output.halt();
         let mut net = undone.net;
         self.beam.off();
+        if undone.fault {
+            // Whatever the stop is for, the place is lost: a stop of its own, before it.
+            self.miscounted(core::mem::take(&mut net));
+        }
         let power = Power::wanted();
         if power.from_segments {
             Power { level: 0, ..power }.want();

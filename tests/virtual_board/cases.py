@@ -527,6 +527,72 @@ def masked_long(bench):
         raise Failure("the ring never ran dry: this proves nothing")
 
 
+def late_starts(bench):
+    """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
+    bench.boot()
+    board = bench.board
+    fast(bench, 10_000)
+
+    def start(late_s=None, masked_s=0.0):
+        # Until the next, and all there is to do at rest is done.
+        board.run(seconds=0.002)
+        scope, after = Scope(board), len(bench.host.text)
+        begin = board.now
+        bench.host.send("G91 G1 X0.02 F3000\n")
+        if late_s is not None:
+            board.run(seconds=late_s)
+            mask(board, masked_s)
+        board.run(seconds=0.006 - (late_s or 0))
+        bench.wait_state("Idle", 0.5)
+        if scope.counts() != [20, 0, 0]:
+            raise Failure(f"masked for {us(masked_s)}: the motor is at {scope.counts()}; {bytes(bench.host.text[after:])!r}")
+        if bench.host.has_said("ALARM", after):
+            raise Failure(f"masked for {us(masked_s)}: {bytes(bench.host.text[after:])!r}")
+        return (scope.steps()[0].at - begin) / bench.wiring.core_hz
+
+    usual = min(start() for _ in range(3))
+    later = 0
+    for masked_s in (20 * US, 100 * US):
+        for k in range(80):
+            later += start(usual - (k + 1) * 5 * US, masked_s) > usual + 3 * US
+    yield f"masked for 20 and 100 us from 5 to 400 us before the first step: {later} of 160 starts put off, no step lost"
+    if later < 5:
+        raise Failure("no start was late: this proves nothing")
+
+
+def miscounts(bench):
+    """A trigger that TIM1 misses, a request too many, an error of a stream: the motion ends soon, and ALARM:103 says why."""
+
+    def miss(tim1):
+        trigger = tim1.trigger
+
+        def once(at):
+            tim1.trigger = trigger
+
+        tim1.trigger = once
+
+    faults = {
+        "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
+        "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
+        "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
+        "an error of the moments": lambda board: board.dma[0].values.__setitem__(4, board.dma[0].values[4] | 1 << 9),
+    }
+    for what, inject in faults.items():
+        bench.boot()
+        board, scope = bench.board, Scope(bench.board)
+        moving(bench)
+        begin, after = board.now, len(bench.host.text)
+        inject(board)
+        bench.wait_text("ALARM:103", 0.1, after)
+        late = max(0, scope.steps()[-1].at - begin) / bench.wiring.core_hz
+        bench.at_rest(0.005)
+        if not bench.status().startswith("<Alarm"):
+            raise Failure(f"{what}: {bench.status()}")
+        yield f"{what}: ALARM:103, steps for another {us(late)}"
+        if late > 2e-3:
+            raise Failure(f"{what}: steps for another {us(late)}")
+
+
 def mask(board, seconds):
     """Interrupts are masked for a time, by whom does not matter."""
     before = board.state.primask
@@ -1375,6 +1441,8 @@ def all_cases(root):
         ("stops", stops),
         ("stops on the ring", ring_stops),
         ("masked for long", masked_long),
+        ("late starts", late_starts),
+        ("miscounts", miscounts),
         ("trips", trips),
         ("emergency stop", emergency_stop),
         ("switch noise", noise),

@@ -150,7 +150,12 @@ impl Stops {
         self.count(1);
         self.seen = stops;
         self.moving = true;
-        self.awaited.get_or_insert(StopReason::Alarm(alarm));
+        if alarm == Alarm::Miscounted {
+            // Neither homing nor a probe continues from a place that nobody knows.
+            self.wait_for(StopReason::Alarm(alarm));
+        } else {
+            self.awaited.get_or_insert(StopReason::Alarm(alarm));
+        }
     }
 
     /// The awaited stop, once every stop that was asked for has happened. The step task is opened again after it.
@@ -184,6 +189,25 @@ mod tests {
         assert!(!stops.is_idle() && stops.is_open());
         assert_eq!((stops.take_resume(), stops.take_resume()), (Some(1), None));
         assert!(stops.is_idle() && stops.finish().is_none());
+    }
+
+    #[test]
+    fn what_had_to_stop_does_not_continue_where_steps_were_miscounted() {
+        for (reason, wanted) in [
+            (StopReason::Switch, StopReason::Alarm(Alarm::Miscounted)),
+            (StopReason::Contact, StopReason::Alarm(Alarm::Miscounted)),
+            (StopReason::Alarm(Alarm::HardLimit), StopReason::Alarm(Alarm::HardLimit)),
+            (StopReason::Reset, StopReason::Reset),
+        ] {
+            let mut stops = Stops::NONE;
+            stops.order(reason);
+            assert!(stops.take_order());
+            stops.failed(1, Alarm::Miscounted);
+            assert!(stops.finish().is_none(), "{reason:?}: the stop that was asked for comes after it");
+            stops.happened(2, false, 0);
+            assert_eq!(stops.finish(), Some(Finished { reason: wanted, moving: true, line: 0 }));
+            assert!(stops.is_open());
+        }
     }
 
     #[test]

@@ -668,12 +668,6 @@ impl<const N: usize> Stepper<N> {
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
 
-    /// Stops at once, as what has come out does not agree with what was made; the report of it.
-    pub fn miscounted(&mut self) -> StepEvent<N> {
-        self.shut();
-        StepEvent::Miscounted { stops: self.stops, position: self.position() }
-    }
-
     /// The report that belongs to a [`Tick::underrun`].
     pub fn underrun_event(&self) -> StepEvent<N> {
         StepEvent::Underrun { stops: self.stops, position: self.position() }

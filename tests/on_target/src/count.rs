@@ -117,6 +117,8 @@ impl Registers {
     const CCR2: usize = boards::Memory::TIM2 + 0x38;
     /// NDTR of the stream of edges; NDTR and M0AR of that of moments.
     const EDGES_LEFT: usize = boards::Memory::DMA2 + 0x10 + 0x18 + 0x04;
+    /// NDTR of the stream that ends pulses.
+    const ENDS_LEFT: usize = boards::Memory::DMA2 + 0x10 + 4 * 0x18 + 0x04;
     const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x04;
     const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x0C;
 
@@ -164,6 +166,7 @@ impl Registers {
             self.out += 1;
         }
         self.write(Self::EDGES_LEFT, (Self::RING - self.out % Self::RING) as u32);
+        self.write(Self::ENDS_LEFT, (Self::RING - self.out % Self::RING) as u32);
         self.write(Self::MOMENTS_LEFT, (Self::RING - (self.out + 1) % Self::RING) as u32);
     }
 
