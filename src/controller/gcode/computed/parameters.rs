@@ -12,8 +12,7 @@ use super::expression::ParameterReference;
 use super::real::Real;
 use crate::error::Error;
 
-/// Bytes of parameters in force: 315 of those with a number, or 132 names of twenty letters. A probing macro of the size
-/// that LinuxCNC comes with takes some 2500.
+/// Bytes of parameters in force: 315 of those with a number, or 132 names of twenty letters.
 const CAPACITY: usize = 4096;
 /// Bytes of parameters that one line may set: 19 of those with a number.
 const OF_A_LINE: usize = 256;
