@@ -17,15 +17,9 @@ fn a_page_is_served_to_this_computer_only() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
     let html = "<meta charset=\"utf-8\"><meta content=\"connect-src 'none'\">";
     std::fs::write(&page, html).expect("a file can be written");
-    let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
-        .args(["serve", "--web", "0", "--page", page.to_str().expect("a path")])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("the program starts");
-    let mut line = String::new();
-    BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it listens");
-    let address = line.trim().strip_prefix("web http://").and_then(|rest| rest.strip_suffix('/')).expect("an address");
+    let options = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
+    let server = Server::started(&options, "web http://");
+    let address = server.address.trim_end_matches('/');
     let port = address.strip_prefix("127.0.0.1:").expect("the loopback");
     let ask = |target: &str, host: &str, more: &str| {
         let mut stream = TcpStream::connect(address).expect("it listens");
@@ -67,8 +61,6 @@ fn a_page_is_served_to_this_computer_only() {
     {
         assert!(socket(origin).starts_with("HTTP/1.1 403 "), "{origin}");
     }
-    program.kill().expect("it runs");
-    program.wait().expect("it ends");
 }
 
 /// A device, killed in the end.
@@ -80,8 +72,12 @@ struct Server {
 impl Server {
     /// At fifty times the speed of a clock: a move of a minute takes a second, and a client leaves in its midst.
     fn new(options: &[&str]) -> Server {
+        Server::started(&[&["serve", "--tcp", "127.0.0.1:0", "--speed", "50"], options].concat(), "tcp ")
+    }
+
+    /// Started, with the address that it tells behind a word.
+    fn started(options: &[&str], word: &str) -> Server {
         let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
-            .args(["serve", "--tcp", "127.0.0.1:0", "--speed", "50"])
             .args(options)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -89,7 +85,7 @@ impl Server {
             .expect("the program starts");
         let mut line = String::new();
         BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it listens");
-        let address = line.trim().strip_prefix("tcp ").expect("an address").to_owned();
+        let address = line.trim().strip_prefix(word).expect("an address").to_owned();
         Server { program, address }
     }
 

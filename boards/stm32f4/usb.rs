@@ -1,4 +1,5 @@
-//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes. What a closed port still sends is dropped.
+//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
+//! What a closed port still sends is dropped.
 //!
 //! ```text
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it

@@ -30,6 +30,8 @@ macro_rules! codes {
     };
 }
 
+pub(crate) use codes;
+
 codes! {
     /// Why a line was refused; answered as `error:N`.
     Error;

@@ -4,7 +4,7 @@
 //! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
 
 use crate::axes::{Arrangement, Axis, PerAxis};
-use crate::error::Error;
+use crate::error::{Error, codes};
 use crate::step_rates::StepRates;
 use crate::units::{Decimal, Duration, StepsPerMm};
 
@@ -68,60 +68,22 @@ pub struct Row {
     pub description: Description,
 }
 
-/// What a setting belongs to, for senders that show settings in groups.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-#[allow(missing_docs, reason = "SettingGroup::name says what each is")]
-pub enum SettingGroup {
-    General = 1,
-    Steppers,
-    ControlInputs,
-    Limits,
-    Probing,
-    Motion,
-    Homing,
-    Spindle,
-    Door,
-    GangedAxis,
-    Program,
+codes! {
+    /// What a setting belongs to, for senders that show settings in groups.
+    SettingGroup;
+    General = 1, "General";
+    Steppers = 2, "Stepper motors";
+    ControlInputs = 3, "Control inputs";
+    Limits = 4, "Limits";
+    Probing = 5, "Probing";
+    Motion = 6, "Motion";
+    Homing = 7, "Homing";
+    Spindle = 8, "Spindle and laser";
+    Door = 9, "Safety door and parking";
+    GangedAxis = 10, "Axis with two motors";
+    Program = 11, "Program";
     /// The groups of the axes, X to C, have the numbers that follow this one's.
-    Axes,
-}
-
-impl SettingGroup {
-    /// All of them, in the order of their numbers.
-    pub const ALL: [SettingGroup; 12] = [
-        SettingGroup::General,
-        SettingGroup::Steppers,
-        SettingGroup::ControlInputs,
-        SettingGroup::Limits,
-        SettingGroup::Probing,
-        SettingGroup::Motion,
-        SettingGroup::Homing,
-        SettingGroup::Spindle,
-        SettingGroup::Door,
-        SettingGroup::GangedAxis,
-        SettingGroup::Program,
-        SettingGroup::Axes,
-    ];
-
-    /// The heading.
-    pub const fn name(self) -> &'static str {
-        match self {
-            SettingGroup::General => "General",
-            SettingGroup::Steppers => "Stepper motors",
-            SettingGroup::ControlInputs => "Control inputs",
-            SettingGroup::Limits => "Limits",
-            SettingGroup::Probing => "Probing",
-            SettingGroup::Motion => "Motion",
-            SettingGroup::Homing => "Homing",
-            SettingGroup::Spindle => "Spindle and laser",
-            SettingGroup::Door => "Safety door and parking",
-            SettingGroup::GangedAxis => "Axis with two motors",
-            SettingGroup::Program => "Program",
-            SettingGroup::Axes => "Axes",
-        }
-    }
+    Axes = 12, "Axes";
 }
 
 /// A table of settings: each row has its key, and its number, name, unit, group, labels, check, default, and whether Grbl
@@ -261,7 +223,7 @@ table! {
     AxisKey {
         // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
         // `homing_cycle`.
-        HomingCycle: 44, "Axes homed in cycle", "mask", Homing, "", Kind::Axes, 0.0, false;
+        HomingCycle: 44, "Axes homed in cycle", "mask", Homing, AXIS_LABELS, Kind::Axes, 0.0, false;
         Resolution: 100, "Resolution", "steps/mm", Axes, "", Kind::Real, 250.0, true;
         MaxRate: 110, "Maximum rate", "mm/min", Axes, "", Kind::Real, 500.0, true;
         Acceleration: 120, "Acceleration", "mm/s2", Axes, "", Kind::Real, 10.0, true;

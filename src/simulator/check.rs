@@ -287,10 +287,8 @@ mod tests {
         assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
     }
 
-    /// No M6 here waits for the moves before it, so the tool of a move is not the one that the controller reads of meanwhile.
-    #[test]
-    fn the_time_is_told_by_tool_and_by_kind() {
-        let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
+    /// What a job takes where the spindle needs 1.5 s to turn and 0.75 s to stand.
+    fn with_spindle_delays(text: &'static str) -> Summary {
         let mut simulator = Simulator::new(crate::Options::default());
         crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
         crate::power_up::apply_setting(&mut simulator, "539=0.75").unwrap();
@@ -298,6 +296,14 @@ mod tests {
         while !check.advance(1000) {}
         let summary = check.summary("a.nc", 0.0);
         assert!(summary.is_good(), "{summary}");
+        summary
+    }
+
+    /// No M6 here waits for the moves before it, so the tool of a move is not the one that the controller reads of meanwhile.
+    #[test]
+    fn the_time_is_told_by_tool_and_by_kind() {
+        let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
+        let summary = with_spindle_delays(text);
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-4, "{a} {b}: {:?}", summary.tools);
         let [none, one, two] = summary.tools[..] else { panic!("{:?}", summary.tools) };
         assert_eq!([none.tool, one.tool, two.tool], [0, 1, 2]);
@@ -325,13 +331,7 @@ mod tests {
     #[test]
     fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
         let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";
-        let mut simulator = Simulator::new(crate::Options::default());
-        crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
-        crate::power_up::apply_setting(&mut simulator, "539=0.75").unwrap();
-        let mut check = Check::new(simulator, JobText::new(text.as_bytes()));
-        while !check.advance(1000) {}
-        let summary = check.summary("a.nc", 0.0);
-        assert!(summary.is_good(), "{summary}");
+        let summary = with_spindle_delays(text);
         assert!((summary.dwell_s - 0.75).abs() < 1e-4, "{summary}");
         assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
     }

@@ -143,7 +143,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Retracts the tool: the first move of parking, or straight to switching off where there is no parking: with an untrusted position, or
+    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position, or
     /// where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job

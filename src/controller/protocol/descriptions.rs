@@ -62,23 +62,13 @@ fn setting(out: &mut Text, row: &Row, format: Format) {
         Format::Fields => return fields(out, row),
         Format::Commas => {
             put(out, b"\"");
-            whole(out, u64::from(row.number));
-            put(out, b"\",\"");
-            name(out, row);
-            put(out, b"\",\"");
-            put(out, row.description.unit.as_bytes());
-            put(out, b"\",\"");
+            columns(out, row, b"\",\"");
             values(out, &row.entry, &row.description);
             put(out, b"\"");
         }
         Format::Tabs => {
             let data_type = DataType::of(&row.entry, &row.description);
-            whole(out, u64::from(row.number));
-            put(out, b"\t");
-            name(out, row);
-            put(out, b"\t");
-            put(out, row.description.unit.as_bytes());
-            put(out, b"\t");
+            columns(out, row, b"\t");
             put(out, data_type.word());
             put(out, b"\t");
             put(out, data_format(row, data_type));
@@ -89,6 +79,16 @@ fn setting(out: &mut Text, row: &Row, format: Format) {
         }
     }
     put(out, END);
+}
+
+/// Number, name and unit, each with the separator behind it.
+fn columns(out: &mut Text, row: &Row, between: &[u8]) {
+    whole(out, u64::from(row.number));
+    put(out, between);
+    name(out, row);
+    put(out, between);
+    put(out, row.description.unit.as_bytes());
+    put(out, between);
 }
 
 /// `[SETTING:number|group|name|unit|data type|format|least|greatest|needs a restart|may be empty]`.
@@ -165,9 +165,8 @@ pub fn name(out: &mut Text, row: &Row) {
 pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     match (entry.kind, DataType::of(entry, description)) {
         (Kind::Switch, _) => put(out, b"0 or 1"),
-        (Kind::Axes, _) => put(out, b"sum of 1 X axis, 2 Y axis, 4 Z axis"),
         (Kind::Mask(bits), _) => sum_of(out, description.labels, bits),
-        (_, DataType::Bits) => sum_of(out, description.labels, u32::MAX),
+        (Kind::Axes, _) | (_, DataType::Bits) => sum_of(out, description.labels, u32::MAX),
         (_, DataType::Choice) => {
             for (value, label) in description.labels.split(',').enumerate() {
                 put(out, if value > 0 { b", " } else { b"" });
@@ -245,7 +244,7 @@ fn group(out: &mut Text, line: usize) {
     whole(out, if group.is_some() { 0 } else { SettingGroup::Axes as u64 });
     put(out, b"|");
     match (group, line.checked_sub(SettingGroup::ALL.len()).and_then(|axis| Axis::ALL.get(axis))) {
-        (Some(group), _) => put(out, group.name().as_bytes()),
+        (Some(group), _) => put(out, group.text().as_bytes()),
         (None, Some(axis)) => put(out, &[axis.letter(), b' ', b'a', b'x', b'i', b's']),
         (None, None) => {}
     }
