@@ -13,8 +13,8 @@
 use crate::error::Error;
 use crate::gcode::remark::split_remark;
 
-/// Bytes of held text, with one more for each line.
-const TEXT: usize = 2048;
+/// Bytes of held text, with one more for each line: a probing macro of 150 lines and the loop that calls it.
+const TEXT: usize = 6144;
 /// Bytes of it that only the first line of something may take, so that its end is known even if it does not fit.
 pub(super) const SPARE: usize = 64;
 /// Conditions, loops and calls that may be under way within each other.
@@ -230,9 +230,21 @@ impl FlowControl {
         }
     }
 
-    /// Forgets all.
+    /// Forgets all. One by one: a new one would be copied here, text and all.
     pub fn reset(&mut self) {
-        *self = Self::new();
+        self.text.clear();
+        self.frames.clear();
+        self.labels.clear();
+        self.state = State::Streaming;
+        self.skipping = false;
+        self.next = 0;
+        self.below = 0;
+        self.passes = 0;
+        self.skipped = 0;
+        self.line = 0;
+        self.recorded_from = 0;
+        self.after_end = false;
+        self.cut = None;
     }
 
     /// The program has ended: all but the block that it ended in is forgotten.
