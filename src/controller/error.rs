@@ -93,6 +93,9 @@ codes! {
     NothingSaved = 123, "there is no state that M72 could restore";
     ExtendedLeftOut = 124, "this board has no room for canned cycles, the tool table and words of state";
     DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
+    NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
+    RotationActs = 127, "the coordinates that the line sets are rotated by G68";
+    RotationLeftOut = 128, "this board has no room for rotated coordinates";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

@@ -78,8 +78,10 @@ pub fn for_error(error: Error) -> &'static str {
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
         Error::NothingSaved => "Save the state with M70 before M72.",
+        Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
+        Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
-        Error::ExtendedLeftOut | Error::ExpressionsLeftOut => {
+        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",

@@ -106,7 +106,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let status = report::Status {
             state: self.mode.name(self.motion.is_at_rest(), self.step_supply.is_running(), self.inputs.signals().door),
             machine: self.machine_position(),
-            offset: self.interpreter.work_offset(),
+            offset: self.interpreter.work_zero(self.dialect()),
             show_machine: mask & 1 != 0,
             buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.step_supply.observed().rx_free)),
             line: (line > 0 && !grbl).then_some(line),

@@ -207,13 +207,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
     fn apply(&mut self, checking: bool) -> Duration {
+        let dialect = self.dialect();
         let checked = &self.line.checked;
         let mut delay = Duration::from_ticks(0);
-        let before = checked.work_offset_changed.then(|| self.interpreter.work_offset());
+        let before = checked.work_offset_changed.then(|| self.interpreter.work_zero(dialect));
         let held = self.interpreter.modal().overrides_held;
         let freed = checked.removes_tool().and_then(|number| self.interpreter.tools().find(number));
         self.interpreter.commit(checked);
-        if before.is_some_and(|before| self.interpreter.work_offset() != before) {
+        if before.is_some_and(|before| self.interpreter.work_zero(dialect) != before) {
             self.replies.offset_changed();
         }
         match (checked.store, freed) {

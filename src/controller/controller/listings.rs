@@ -2,7 +2,7 @@
 
 use super::Controller;
 use super::task::{Listing, Task};
-use crate::gcode::{CoordinateSystem, Dialect, EXPRESSIONS, StoredOffset, TOOLS};
+use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
 use crate::protocol::report::{self, ParserState};
@@ -74,6 +74,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     && tool.is_stored()
                 {
                     self.say(|out| report::tool(out, tool.number, &tool.offset, inches));
+                }
+            }
+            entry if self.dialect() != Dialect::Grbl && ROTATION => {
+                let Some(system) = CoordinateSystem::ALL.get(entry - TOOLS - 5) else { return false };
+                let angle = offsets.angle(*system);
+                if angle != Angle::ZERO {
+                    self.say(|out| report::rotation(out, system.word(), angle.degrees().to_f32()));
                 }
             }
             _ => return false,
@@ -149,6 +156,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 modal.distance.word(),
                 modal.feed_mode.word(),
             ],
+            rotation: self.interpreter.rotation().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,
             parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,

@@ -1,7 +1,7 @@
 //! What outlives the power: records that are read at power-up, written when something changes, and their damage.
 
 use crate::axes::{Axis, PerAxis};
-use crate::gcode::{Interpreter, StoredOffset, Tool};
+use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};
 use crate::messages::{Record, STORE_DAMAGED, Store};
 use crate::protocol::system::Restore;
 use crate::settings::{Key, Settings};
@@ -100,6 +100,9 @@ impl Records {
                     && let Some(offset) = StoredOffset::all().nth(usize::from(record.key - KEY_OFFSETS))
                 {
                     interpreter.set_stored(offset, position);
+                    if let StoredOffset::System(system) = offset {
+                        interpreter.set_angle(system, angle_of(&record.value));
+                    }
                 }
             }
             KEY_STARTUP..KEY_BUILD_INFO => {
@@ -183,6 +186,13 @@ impl Records {
         };
         for value in position.iter() {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
+        }
+        if let StoredOffset::System(system) = offset {
+            // Behind the places, and shorter than one: whoever does not know it takes it for none.
+            let angle = interpreter.offsets().angle(system);
+            if angle != Angle::ZERO {
+                let _ = bytes.extend_from_slice(&angle.0.to_le_bytes());
+            }
         }
         if let Some(key) = key {
             self.save(key, &bytes);
@@ -289,9 +299,18 @@ fn position_of<const N: usize>(bytes: &[u8]) -> Option<PerAxis<Coordinate, N>> {
     position.iter().all(|c| c.in_range()).then_some(position)
 }
 
+/// The angle of a record; none if there is none, or if it makes no sense.
+fn angle_of(bytes: &[u8]) -> Angle {
+    let angle =
+        bytes.chunks_exact(8).remainder().try_into().map_or(Angle::ZERO, |bytes| Angle(i32::from_le_bytes(bytes)));
+    if Angle::of(angle.degrees()) == angle { angle } else { Angle::ZERO }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gcode::CoordinateSystem;
+    use crate::units::Decimal;
 
     fn at(seconds: u64) -> Instant {
         Instant::from_ticks(0) + Duration::secs(seconds)
@@ -338,6 +357,32 @@ mod tests {
         let value = heapless::Vec::from_slice(&i64::MAX.to_le_bytes()).unwrap();
         records.restore(&Record { key: KEY_OFFSETS, value }, &mut settings, &mut interpreter);
         assert_eq!(interpreter.offsets().stored(StoredOffset::all().next().unwrap()), PerAxis::default());
+    }
+
+    /// Older records have no angle, and whoever wrote those takes newer ones for records without.
+    #[test]
+    fn rotations_come_back() {
+        let mut records = Records::new(true);
+        let (_, mut settings, mut interpreter) = restarted(&mut records);
+        let system = CoordinateSystem::G55;
+        let which = StoredOffset::System(system);
+        let position = PerAxis([Coordinate::mm(1), Coordinate::mm(-2), Coordinate::mm(3)]);
+        interpreter.set_stored(which, position);
+        let angle = Angle::of(Decimal::from_int(-30));
+        for (set, length) in [(Angle::ZERO, 24), (angle, 28)] {
+            interpreter.set_angle(system, set);
+            records.save_offset(which, &interpreter);
+            let Some(Store::Put(record)) = records.stores.front().cloned() else { panic!("no record") };
+            assert_eq!(record.value.len(), length);
+            assert_eq!(position_of(&record.value), Some(position));
+            let (_, _, after) = restarted(&mut records);
+            assert_eq!((after.offsets().stored(which), after.offsets().angle(system)), (position, set));
+        }
+        // What makes no sense is none.
+        let mut value = heapless::Vec::from_slice(&[0; 24]).unwrap();
+        value.extend_from_slice(&i32::MAX.to_le_bytes()).unwrap();
+        records.restore(&Record { key: KEY_OFFSETS + 1, value }, &mut settings, &mut interpreter);
+        assert_eq!(interpreter.offsets().angle(system), Angle::ZERO);
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Where the machine is in the active coordinate system.
     pub fn work_position(&self) -> PerAxis<Coordinate, N> {
-        self.machine_position().zip(&self.interpreter.work_offset(), |m, o| m - o)
+        self.machine_position().zip(&self.interpreter.work_zero(self.dialect()), |m, o| m - o)
     }
 
     /// N word of the move under way, 0 = none.

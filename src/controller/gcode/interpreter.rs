@@ -3,6 +3,7 @@
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::Modal;
+use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::{BeforeCheck, Interpreter, Saved};
 use super::{Dialect, jog, tools};
@@ -19,6 +20,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_acts = false;
         self.saved = None;
+        self.rotation = None;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
@@ -38,6 +40,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         self.saved = None;
+        self.rotation = None;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
         self.abandon_program();
@@ -101,6 +104,15 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
             self.set_stored(which, value);
+        }
+        if let (Some(StoredOffset::System(system)), Some(angle)) = (checked.store, checked.angle) {
+            self.offsets.set_angle(system, angle);
+        }
+        if let Some(rotation) = checked.rotation {
+            self.rotation = rotation;
+        }
+        if checked.reached.is_some() {
+            self.reached = checked.reached;
         }
         if let Some(number) = checked.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));

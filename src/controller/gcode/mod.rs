@@ -26,6 +26,7 @@ mod modal;
 mod offsets;
 mod parse;
 mod remark;
+mod rotation;
 mod state;
 mod tools;
 mod values;
@@ -40,10 +41,11 @@ pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
 pub use modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
-    PathControl, Plane, PlaneAxes, ProbeMode, Units,
+    PathControl, Plane, PlaneAxes, ProbeMode, ROTATION, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
+pub use rotation::{Angle, Rotation};
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
 

@@ -1,6 +1,8 @@
-//! Where the program's coordinates lie in the machine: work position = machine position - (WCS + G92 + TLO).
+//! Where the program's coordinates lie in the machine: work position = machine position - (WCS + G92 + TLO), but for
+//! rotations (`rotation`).
 
 use super::modal::CoordinateSystem;
+use super::rotation::Angle;
 use crate::axes::{Axis, PerAxis};
 use crate::units::Coordinate;
 
@@ -31,6 +33,8 @@ impl StoredOffset {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Offsets<const N: usize> {
     systems: [PerAxis<Coordinate, N>; CoordinateSystem::ALL.len()],
+    /// By how much each system is turned about its origin.
+    angles: [Angle; CoordinateSystem::ALL.len()],
     g28: PerAxis<Coordinate, N>,
     g30: PerAxis<Coordinate, N>,
     /// G92, forgotten at reset.
@@ -55,6 +59,7 @@ impl<const N: usize> Offsets<N> {
         let zero = PerAxis::all(Coordinate::ZERO);
         Self {
             systems: [zero; CoordinateSystem::ALL.len()],
+            angles: [Angle::ZERO; CoordinateSystem::ALL.len()],
             g28: zero,
             g30: zero,
             g92: zero,
@@ -91,6 +96,17 @@ impl<const N: usize> Offsets<N> {
     /// The origin of a coordinate system.
     pub fn system(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         self.systems.get(system as usize).copied().unwrap_or(PerAxis::all(Coordinate::ZERO))
+    }
+
+    /// By how much a coordinate system is turned about its origin.
+    pub fn angle(&self, system: CoordinateSystem) -> Angle {
+        self.angles.get(system as usize).copied().unwrap_or(Angle::ZERO)
+    }
+
+    pub(super) fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
+        if let Some(slot) = self.angles.get_mut(system as usize) {
+            *slot = angle;
+        }
     }
 
     /// Sets every stored place to zero.

@@ -28,6 +28,8 @@ pub(super) struct Extended {
     pub path: Option<PathControl>,
     /// G64.
     pub is_path_tolerance: bool,
+    /// G68 (`true`), G69.
+    pub rotation: Option<bool>,
     /// M6.
     pub tool_change: bool,
     /// M48 to M53, by number.
@@ -159,6 +161,7 @@ impl<const N: usize> Parsed<N> {
                 self.extended.path = Some(path);
                 self.extended.is_path_tolerance = code.whole == 64;
             }
+            GWord::Rotation(on) => self.extended.rotation = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }
         Ok(())

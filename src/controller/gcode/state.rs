@@ -4,6 +4,7 @@ use super::computed::Computed;
 use super::cycle::CycleWords;
 use super::modal::{EXTENDED, Modal, MotionMode};
 use super::offsets::{Offsets, StoredOffset};
+use super::rotation::{Reached, Rotation};
 use super::tools::{self, Tool, ToolTable};
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -25,6 +26,10 @@ pub struct Interpreter<const N: usize> {
     pub(super) computed: Computed<N>,
     /// M70.
     pub(super) saved: Option<Saved<N>>,
+    /// G68.
+    pub(super) rotation: Option<Rotation>,
+    /// The last place that was given in rotated coordinates.
+    pub(super) reached: Option<Reached>,
 }
 
 /// What check mode leaves to the machine.
@@ -61,6 +66,8 @@ impl<const N: usize> Interpreter<N> {
             before_check: None,
             computed: Computed::new(),
             saved: None,
+            rotation: None,
+            reached: None,
         }
     }
 

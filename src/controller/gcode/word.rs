@@ -4,7 +4,7 @@ use super::Dialect;
 use super::code::Code;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
-    Units,
+    ROTATION, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
@@ -152,11 +152,10 @@ pub(super) enum Group {
 }
 
 impl Group {
-    /// Of G50, G69 or G97.
+    /// Of G50 or G97.
     fn of_what_is_so(whole: u8) -> Group {
         match whole {
             50 => Group::Scaling,
-            69 => Group::Rotation,
             _ => Group::SpindleMode,
         }
     }
@@ -264,7 +263,9 @@ pub(super) enum GWord {
     CoordinateSystem(CoordinateSystem),
     /// G61, G61.1, G64.
     Path(PathControl),
-    /// Says what is so in any case: G50 (no scaling), G69 (no rotation), G97 (S in revolutions per minute).
+    /// G68, or G69 without a rotation.
+    Rotation(bool),
+    /// Says what is so in any case: G50 (no scaling), G97 (S in revolutions per minute).
     AsItIs(Group),
 }
 
@@ -277,7 +278,7 @@ impl GWord {
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
-            (52, 0) if dialect != Dialect::Grbl => Claim::NonModal,
+            (52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
             (73 | 81..=83 | 85 | 86 | 88 | 89, 0) if dialect != Dialect::Grbl => Claim::Motion,
             _ => Claim::Nobody,
@@ -349,7 +350,10 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (50 | 69 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
+            (68, 0) if more && !ROTATION => return Err(Error::RotationLeftOut),
+            (68, 0) if more => GWord::Rotation(true),
+            (69, 0) if more => GWord::Rotation(false),
+            (50 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),
@@ -383,6 +387,7 @@ impl GWord {
             GWord::ToolLength(_) => Group::ToolLength,
             GWord::CoordinateSystem(_) => Group::CoordinateSystem,
             GWord::Path(_) => Group::PathControl,
+            GWord::Rotation(_) => Group::Rotation,
             GWord::AsItIs(group) => group,
         }
     }

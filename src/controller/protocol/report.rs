@@ -321,6 +321,15 @@ pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coo
     put(out, b"]\r\n");
 }
 
+/// `[ROT:G54,30.000]`: a coordinate system is turned by so many degrees.
+pub fn rotation(out: &mut Text, name: &str, degrees: f32) {
+    put(out, b"[ROT:");
+    put(out, name.as_bytes());
+    put(out, b",");
+    real(out, degrees, 3);
+    put(out, b"]\r\n");
+}
+
 /// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes too.
 pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, inches: bool) {
     put(out, b"[TLO:");
@@ -356,6 +365,8 @@ pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, suc
 pub struct ParserState {
     /// The words of motion, coordinate system, plane, units, distance mode and feed mode.
     pub words: [&'static str; 6],
+    /// G68 acts.
+    pub rotation: bool,
     /// Spindle.
     pub spindle: SpindleDirection,
     /// Coolant.
@@ -378,6 +389,9 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
             put(out, b" ");
         }
         put(out, word.as_bytes());
+    }
+    if state.rotation {
+        put(out, b" G68");
     }
     put(
         out,

@@ -32,6 +32,14 @@ fn cycles_tools_and_words_of_state() {
     refuses(&state, Error::ExtendedLeftOut);
 }
 
+#[cfg(not(feature = "rotation"))]
+#[test]
+fn rotations() {
+    refuses(&["G68 X1 R1", "G68 R1", "G10 L2 P1 R1", "G10 L2 P1 X1 R1"], Error::RotationLeftOut);
+    refuses(&["G68.1 X1 R1"], Error::NotSupported);
+    assert_eq!(Program::new(Dialect::Oxmill).error("G69"), 0);
+}
+
 #[cfg(not(feature = "expressions"))]
 #[test]
 fn expressions_and_parameters() {

@@ -36,6 +36,7 @@ impl<const N: usize> Check<'_, N> {
         if Axis::of_machine::<N>().skip(3).any(|axis| self.line.axes.has(axis)) {
             return Err(Error::AxisWordsUnused);
         }
+        self.needs_plane(axes)?;
         let words = self.cycle_words(kind, axes)?;
         let place = self.state.position;
         let mut hole = self.target();

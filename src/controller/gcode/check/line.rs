@@ -4,8 +4,9 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Checked, Feed};
-use crate::gcode::modal::{Distance, FeedMode, MotionMode, Units};
+use crate::gcode::modal::{Distance, FeedMode, MotionMode, ROTATION, Units};
 use crate::gcode::parse::Parsed;
+use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
 use crate::gcode::word::{Claim, Letters, NonModal};
@@ -31,6 +32,8 @@ pub(super) struct Check<'a, const N: usize> {
     pub(super) claim: Claim,
     /// Value words that no step has asked for yet.
     pub(super) unused: Letters,
+    /// How the line's coordinates are rotated.
+    pub(super) rotated: Option<RotatedPlane>,
     /// The result so far; its modal state is the one that the line's own words have set.
     pub(super) checked: &'a mut Checked<N>,
 }
@@ -77,7 +80,7 @@ impl<'a, const N: usize> Check<'a, N> {
             Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
             claim => claim,
         };
-        Self { state, line, dialect, purpose, claim, unused: line.values, checked }
+        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, checked }
     }
 
     /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
@@ -93,8 +96,11 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// Where the line's axis words lead to, in machine coordinates.
-    pub(super) fn target(&self) -> PerAxis<Coordinate, N> {
+    pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
+        if ROTATION && let Some(rotated) = self.rotated.filter(|_| !machine) {
+            return self.rotated_target(rotated);
+        }
         let incremental = self.checked.modal.distance == Distance::Incremental;
         self.with_axis_words(self.state.position, |axis, value| {
             if machine {

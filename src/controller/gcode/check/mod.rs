@@ -5,6 +5,7 @@ mod cycle_words;
 mod line;
 mod motion_words;
 mod offset_words;
+mod rotation_words;
 mod state_words;
 mod tool_words;
 
@@ -51,6 +52,7 @@ pub(super) fn check<const N: usize>(
     }
     check.dwell()?;
     check.tool_length()?;
+    check.rotation()?;
     check.non_modal()?;
     check.motion()?;
     check.unused_words()?;
@@ -184,11 +186,13 @@ impl<const N: usize> Check<'_, N> {
         );
         if checked.flow == Flow::End {
             checked.modal.end_program();
+            checked.rotation = Some(None);
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
         let system_changed = match (checked.store, &checked.stored) {
             (Some(StoredOffset::System(system)), Some(value)) if system == after => {
-                *value != self.state.offsets.system(system)
+                let angle = self.state.offsets.angle(system);
+                *value != self.state.offsets.system(system) || checked.angle.is_some_and(|new| new != angle)
             }
             _ => false,
         };

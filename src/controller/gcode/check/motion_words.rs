@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::arc::{self, Vector};
 use crate::gcode::checked::{ArcMove, Feed, Motion};
-use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode};
+use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, ROTATION};
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Claim, Letters};
 use crate::units::{Coordinate, Decimal};
@@ -74,6 +74,7 @@ impl<const N: usize> Check<'_, N> {
         if !self.line.axes.has(axes.first) && !self.line.axes.has(axes.second) && !is_circle {
             return Err(Error::NoPlaneAxisForArc);
         }
+        self.needs_plane(axes)?;
         let start = self.state.position;
         let mut target = self.target();
         let mut chord = Vector::new(
@@ -125,8 +126,12 @@ impl<const N: usize> Check<'_, N> {
                 Axis::Y => self.line.value.j,
                 _ => self.line.value.k,
             });
-            if absolute { value + self.work_offset(axis) - self.position(axis) } else { value }
+            if absolute { value - self.program_coordinate(axis) } else { value }
         };
+        if ROTATION && let Some(rotated) = self.rotated {
+            let [first, second] = rotated.angle.turn([centre_along(axes.first), centre_along(axes.second)]);
+            return Vector::new(first, second).checked();
+        }
         Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
     }
 

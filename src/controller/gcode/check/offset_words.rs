@@ -5,8 +5,9 @@ use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Feed, Motion};
-use crate::gcode::modal::{CoordinateSystem, MotionMode};
+use crate::gcode::modal::{CoordinateSystem, MotionMode, ROTATION};
 use crate::gcode::offsets::StoredOffset;
+use crate::gcode::rotation::Angle;
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Letters, NonModal};
 use crate::units::{Coordinate, Decimal};
@@ -60,7 +61,8 @@ impl<const N: usize> Check<'_, N> {
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
         let of_tool = self.dialect != Dialect::Grbl && line.value.l == Decimal::from_int(1);
-        if line.axes.is_empty() && !of_tool {
+        let rotates = self.dialect != Dialect::Grbl && line.values.has(b'R');
+        if line.axes.is_empty() && !of_tool && !rotates {
             return Err(Error::NoAxisWords);
         }
         if !line.values.has(b'P') && !line.values.has(b'L') {
@@ -73,7 +75,7 @@ impl<const N: usize> Check<'_, N> {
                 return Err(Error::ValueWordMissing);
             }
             match whole(line.value.l)? {
-                2 if line.values.has(b'R') => return Err(Error::NotSupported),
+                2 if rotates && !ROTATION => return Err(Error::RotationLeftOut),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
                 _ => return Err(Error::UnsupportedCommand),
@@ -84,8 +86,11 @@ impl<const N: usize> Check<'_, N> {
             whole(line.value.p)?;
         }
         let from_position = match line.value.l.truncate() {
-            2 if line.values.has(b'R') => return Err(Error::UnsupportedCommand),
-            2 => false,
+            2 if line.values.has(b'R') && !rotates => return Err(Error::UnsupportedCommand),
+            2 => {
+                self.checked.angle = self.take(b'R').then(|| Angle::of(line.value.r));
+                false
+            }
             20 => true,
             _ => return Err(Error::UnsupportedCommand),
         };
@@ -93,6 +98,9 @@ impl<const N: usize> Check<'_, N> {
         let which = StoredOffset::System(system);
         let present = self.state.offsets.stored(which);
         self.checked.store = Some(which);
+        if from_position && self.moves_rotated_origin(system)? {
+            return Ok(());
+        }
         self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
             if from_position {
                 self.position(axis) - along(&self.state.offsets.g92, axis) - self.tool_offset(axis) - value
@@ -122,8 +130,13 @@ impl<const N: usize> Check<'_, N> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
         }
+        self.needs_no_rotation()?;
         let origin = self.state.offsets.system(self.checked.modal.coordinate_system);
+        let rotated = self.rotated.filter(|_| ROTATION);
         self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
+            if rotated.is_some() {
+                return self.program_coordinate(axis) + along(&self.state.offsets.g92, axis) - value;
+            }
             self.position(axis) - along(&origin, axis) - self.tool_offset(axis) - value
         });
         self.checked.after.keeps_g92 = true;
@@ -138,9 +151,10 @@ impl<const N: usize> Check<'_, N> {
             (None, stored)
         } else {
             let axes = self.line.axes;
-            let target =
+            let mut target =
                 PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
             let via = self.target();
+            self.go_in_rotated_plane(&stored, &via, &mut target);
             reachable(&via)?;
             (Some(via), target)
         };

@@ -95,6 +95,9 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         let present = known.unwrap_or(PerAxis::all(Coordinate::ZERO));
+        if l != 1 && self.sets_rotated_tool(l, &present)? {
+            return Ok(());
+        }
         self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
             if l == 1 { value } else { self.position(axis) - along(&origin, axis) - value }
         }));

@@ -20,7 +20,7 @@ const SELECTORS: &[u8] = b"DGHLMNOPT";
 impl<const N: usize> Interpreter<N> {
     /// What the last probing move has found, in machine coordinates: #5061 and on, #5070.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
-        self.computed.probed = place.zip(&self.work_offset(), |place, offset| place - offset);
+        self.computed.probed = self.to_program(place);
         self.computed.probe_succeeded = succeeded;
     }
 
@@ -133,7 +133,10 @@ impl<const N: usize> Interpreter<N> {
             5221..=5390 => {
                 let (system, index) = ((number - 5221) / 20, (number - 5221) % 20);
                 let system = CoordinateSystem::ALL.get(usize::try_from(system).ok()?)?;
-                in_mm(&self.offsets.system(*system), index).unwrap_or(Real::ZERO)
+                match index {
+                    9 => Real::from_decimal(self.offsets.angle(*system).degrees()),
+                    _ => in_mm(&self.offsets.system(*system), index).unwrap_or(Real::ZERO),
+                }
             }
             5400 => tool(self.spindle_tool),
             5401..=5409 => in_mm(&self.offsets.tool_length, number - 5401).unwrap_or(Real::ZERO),
@@ -181,7 +184,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     fn work_position(&self) -> PerAxis<Coordinate, N> {
-        self.position.zip(&self.work_offset(), |position, offset| position - offset)
+        self.to_program(&self.position)
     }
 
     /// F in the program's unit.

@@ -1,0 +1,212 @@
+//! Rotated coordinates: G68 and G69, and where lines lead that name places by rotated axes.
+
+use super::line::{Check, Purpose};
+use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::gcode::modal::{CoordinateSystem, Distance, PlaneAxes, ROTATION};
+use crate::gcode::offsets::{Offsets, StoredOffset};
+use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
+use crate::gcode::values::along;
+use crate::units::Coordinate;
+
+impl<const N: usize> Check<'_, N> {
+    /// How the line's coordinates are rotated. Nothing is where Grbl is spoken, which could not end it.
+    #[inline]
+    pub(super) fn rotation(&mut self) -> Result<(), Error> {
+        let system = self.checked.modal.coordinate_system;
+        let is_plain = self.state.rotation.is_none()
+            && self.line.extended.rotation.is_none()
+            && self.state.offsets.angle(system) == Angle::ZERO;
+        if !ROTATION || is_plain || self.dialect == Dialect::Grbl {
+            return Ok(());
+        }
+        self.rotated_line()
+    }
+
+    #[inline(never)]
+    fn rotated_line(&mut self) -> Result<(), Error> {
+        match self.line.extended.rotation {
+            Some(true) => {
+                self.rotated = self.plane_with(None)?;
+                let rotation = self.new_rotation()?;
+                self.checked.rotation = Some(Some(rotation));
+                self.plane_with(Some(&rotation)).map(|_| ())
+            }
+            Some(false) => {
+                self.checked.rotation = Some(None);
+                self.rotated = self.plane_with(None)?;
+                Ok(())
+            }
+            None => {
+                self.rotated = self.plane_with(self.state.rotation.as_ref())?;
+                Ok(())
+            }
+        }
+    }
+
+    fn plane_with(&self, rotation: Option<&Rotation>) -> Result<Option<RotatedPlane>, Error> {
+        let system = self.checked.modal.coordinate_system;
+        self.state.offsets.rotated_plane(system, &self.checked.tool_length, rotation)
+    }
+
+    /// G68: R is the angle; an axis of the plane that is not named has the centre where the tool is. Distance mode plays no
+    /// part.
+    fn new_rotation(&mut self) -> Result<Rotation, Error> {
+        let plane = self.checked.modal.plane;
+        let axes = plane.axes();
+        if Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && axis != axes.first && axis != axes.second) {
+            return Err(Error::AxisWordsUnused);
+        }
+        if !self.take(b'R') {
+            return Err(Error::ValueWordMissing);
+        }
+        let centre = [axes.first, axes.second]
+            .map(|axis| if self.line.axes.has(axis) { self.axis_length(axis) } else { self.program_coordinate(axis) });
+        Ok(Rotation { plane, angle: Angle::of(self.line.value.r), centre })
+    }
+
+    /// Where the program is along an axis, in its own coordinates.
+    pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
+        if ROTATION && let Some(rotated) = self.rotated {
+            let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
+            if axis == rotated.axes.first {
+                return first;
+            }
+            if axis == rotated.axes.second {
+                return second;
+            }
+        }
+        self.position(axis) - self.work_offset(axis)
+    }
+
+    /// Where the axis words lead to. An axis that is not named stays where it is in the program's coordinates. Distances of
+    /// jogs are along the axes of the machine, as the buttons and the reports show them.
+    pub(super) fn rotated_target(&mut self, rotated: RotatedPlane) -> PerAxis<Coordinate, N> {
+        let incremental = self.checked.modal.distance == Distance::Incremental;
+        let in_plane = |axis: Axis| axis == rotated.axes.first || axis == rotated.axes.second;
+        let along_machine = incremental && self.purpose == Purpose::Jog;
+        let mut target = self.with_axis_words(self.state.position, |axis, value| {
+            if incremental { value + self.position(axis) } else { value + self.work_offset(axis) }
+        });
+        if along_machine || !Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && in_plane(axis)) {
+            return target;
+        }
+        let before = self.state.in_program(rotated, rotated.part_of(&self.state.position));
+        let mut program = before;
+        for (axis, coordinate) in [rotated.axes.first, rotated.axes.second].into_iter().zip(&mut program) {
+            if self.line.axes.has(axis) {
+                let value = self.axis_length(axis);
+                *coordinate = if incremental { *coordinate + value } else { value };
+            }
+        }
+        // Where it already is nothing is rounded: a full circle comes back to its start.
+        let machine =
+            if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
+        rotated.put(&mut target, machine);
+        self.checked.reached = Some(Reached { rotated, program, machine });
+        target
+    }
+
+    /// Arcs and cycles lie in a plane of the machine's axes.
+    pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
+        match self.rotated {
+            Some(rotated) if ROTATION && rotated.axes != axes => Err(Error::NotInRotatedPlane),
+            _ => Ok(()),
+        }
+    }
+
+    /// What the present position is called cannot be set along axes that G68 has rotated.
+    pub(super) fn needs_no_rotation(&self) -> Result<(), Error> {
+        let ends = self.line.extended.rotation == Some(false);
+        match self.state.rotation {
+            Some(rotation) if ROTATION && self.rotated.is_some() && !ends => {
+                let axes = rotation.plane.axes();
+                let named = self.line.axes.has(axes.first) || self.line.axes.has(axes.second);
+                if named { Err(Error::RotationActs) } else { Ok(()) }
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Program coordinates of where the tool is, with those of the named axes replaced; `None` if none of the plane is named.
+    fn named_in(&self, rotated: RotatedPlane) -> Option<[Coordinate; 2]> {
+        let axes = [rotated.axes.first, rotated.axes.second];
+        if !axes.into_iter().any(|axis| self.line.axes.has(axis)) {
+            return None;
+        }
+        let mut place = self.state.in_program(rotated, rotated.part_of(&self.state.position));
+        for (axis, coordinate) in axes.into_iter().zip(&mut place) {
+            if self.line.axes.has(axis) {
+                *coordinate = self.axis_length(axis);
+            }
+        }
+        Some(place)
+    }
+
+    /// G10 L20 of a system that is rotated: both its axes move so that the tool is where the line says. Whether it was one.
+    pub(super) fn moves_rotated_origin(&mut self, system: CoordinateSystem) -> Result<bool, Error> {
+        if !ROTATION || self.dialect == Dialect::Grbl {
+            return Ok(false);
+        }
+        self.needs_no_rotation()?;
+        let offsets = &self.state.offsets;
+        let Some(rotated) = offsets.rotated_plane(system, &self.checked.tool_length, None)? else { return Ok(false) };
+        let origin = offsets.system(system);
+        let mut moved = self.with_axis_words(origin, |axis, value| {
+            self.position(axis) - along(&offsets.g92, axis) - self.tool_offset(axis) - value
+        });
+        let stays = rotated.part_of(&origin);
+        rotated.put(&mut moved, self.moved_by(rotated, stays));
+        self.checked.stored = Some(moved);
+        Ok(true)
+    }
+
+    /// An offset in the machine, moved so that the tool is where the line says.
+    fn moved_by(&self, rotated: RotatedPlane, offset: [Coordinate; 2]) -> [Coordinate; 2] {
+        match self.named_in(rotated) {
+            Some(place) => {
+                let missing = difference(rotated.part_of(&self.state.position), rotated.to_machine(place));
+                difference(offset, missing.map(|part| Coordinate(part.0.saturating_neg())))
+            }
+            None => offset,
+        }
+    }
+
+    /// G10 L10 and L11 in a system that is rotated. Whether it was one.
+    pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
+        self.needs_no_rotation()?;
+        let mut offsets: Offsets<N> = self.state.offsets;
+        let mut system = self.checked.modal.coordinate_system;
+        if l == 11 {
+            system = CoordinateSystem::G59_3;
+            offsets.g92 = PerAxis::all(Coordinate::ZERO);
+        }
+        let Some(rotated) = offsets.rotated_plane(system, present, None)? else { return Ok(false) };
+        let origin = offsets.stored(StoredOffset::System(system));
+        let mut tool = self.with_axis_words(*present, |axis, value| {
+            self.position(axis) - along(&origin, axis) - along(&offsets.g92, axis) - value
+        });
+        rotated.put(&mut tool, self.moved_by(rotated, rotated.part_of(present)));
+        self.checked.stored = Some(tool);
+        Ok(true)
+    }
+
+    /// G28 and G30 that name one axis of the rotated plane: the other one stays in the program's coordinates.
+    pub(super) fn go_in_rotated_plane(
+        &self,
+        stored: &PerAxis<Coordinate, N>,
+        via: &PerAxis<Coordinate, N>,
+        target: &mut PerAxis<Coordinate, N>,
+    ) {
+        let Some(rotated) = self.rotated.filter(|_| ROTATION) else { return };
+        let (has_first, has_second) = (self.line.axes.has(rotated.axes.first), self.line.axes.has(rotated.axes.second));
+        if has_first == has_second {
+            return;
+        }
+        let [stored_first, stored_second] = rotated.to_program(rotated.part_of(stored));
+        let [first, second] = rotated.to_program(rotated.part_of(via));
+        let place = if has_first { [stored_first, second] } else { [first, stored_second] };
+        rotated.put(target, rotated.to_machine(place));
+    }
+}

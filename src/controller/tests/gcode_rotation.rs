@@ -1,0 +1,266 @@
+//! G10 L2 R, G68 and G69: rotated coordinates.
+
+#![cfg(all(feature = "extended-gcode", feature = "rotation"))]
+
+mod program;
+
+use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, Motion};
+use oxmill_controller::units::{DECIMAL_ONE, Decimal};
+use program::{Program, in_mm};
+
+/// Half of the root of 3.
+const H: f64 = 0.866_025_403_784_438_6;
+
+fn ready(setup: &str) -> Program {
+    let mut program = Program::new(Dialect::Oxmill);
+    program.run_all("G21 G90 F300");
+    program.run_all(setup);
+    program
+}
+
+/// Lines, and the machine positions that they lead to.
+fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
+    let mut program = ready(setup);
+    for (line, place) in lines {
+        program.run(line);
+        let machine = program.machine();
+        assert!(machine.iter().zip(place).all(|(a, b)| (a - b).abs() < 2.1e-7), "{line}: {machine:?}, not {place:?}");
+    }
+    program
+}
+
+fn written(program: &Program) -> [f64; 3] {
+    in_mm(&program.interpreter.to_program(program.interpreter.position()))
+}
+
+/// About its origin; an axis that is not named stays where the program has it.
+#[test]
+fn a_rotated_system() {
+    let program = play(
+        "G10 L2 P1 X10 Y5 R30",
+        &[
+            ("G0 X10 Y0", [10.0 + 10.0 * H, 10.0, 0.0]),
+            ("G1 Y10 Z1", [5.0 + 10.0 * H, 10.0 + 10.0 * H, 1.0]),
+            ("G91 X-10", [5.0, 5.0 + 10.0 * H, 1.0]),
+            ("G90 G53 X1 Y1", [1.0, 1.0, 1.0]),
+            ("Z3", [1.0, 1.0, 3.0]),
+            ("G55 X1 Y2", [1.0, 2.0, 3.0]),
+            ("G54 X10 Y0", [10.0 + 10.0 * H, 10.0, 3.0]),
+            ("G10 L2 P1 R0", [10.0 + 10.0 * H, 10.0, 3.0]),
+            ("X10 Y0", [20.0, 5.0, 3.0]),
+            ("G10 L2 P0 X0 Y0 R-90", [20.0, 5.0, 3.0]),
+            ("X10 Y1", [1.0, -10.0, 3.0]),
+        ],
+    );
+    assert_eq!(written(&program), [10.0, 1.0, 3.0]);
+    let angle = program.interpreter.offsets().angle(CoordinateSystem::G54);
+    assert_eq!(angle.degrees(), Decimal::from_int(-90));
+}
+
+/// G92 lies along the axes of the system, the tool and the origin along those of the machine.
+#[test]
+fn offsets_of_a_rotated_system() {
+    let program = play(
+        "G10 L2 P1 X10 Y5 R90",
+        &[
+            ("G92 X10 Y-5", [0.0, 0.0, 0.0]),
+            ("G0 X20 Y-5", [0.0, 10.0, 0.0]),
+            ("G43.1 X1 Z2", [0.0, 10.0, 0.0]),
+            ("G0 X20 Y-5 Z0", [1.0, 10.0, 2.0]),
+            ("G92.1", [1.0, 10.0, 2.0]),
+            ("G49 X0 Y0", [10.0, 5.0, 2.0]),
+            ("G10 L20 P1 X1", [10.0, 5.0, 2.0]),
+            ("X0", [10.0, 4.0, 2.0]),
+        ],
+    );
+    assert_eq!(in_mm(&program.interpreter.offsets().system(CoordinateSystem::G54)), [10.0, 4.0, 0.0]);
+    // The zero of the reports is a place.
+    let zero = |program: &Program| in_mm(&program.interpreter.work_zero(Dialect::Oxmill));
+    assert_eq!(zero(&program), [10.0, 4.0, 0.0]);
+    let mut program = program;
+    program.run("G52 X3");
+    assert_eq!(zero(&program), [10.0, 7.0, 0.0]);
+    assert_eq!(in_mm(&program.interpreter.work_zero(Dialect::Grbl)), [13.0, 4.0, 0.0]);
+}
+
+/// Of 200,000 increments none is rounded for good.
+#[test]
+fn increments_do_not_drift() {
+    let mut program = ready("G10 L2 P1 X1.2345678 Y-3 R33.3\nG0 X0 Y0\nG91");
+    for _ in 0..100_000 {
+        program.run("G1 X0.001 Y-.0003");
+    }
+    let reached = program.machine();
+    assert_eq!(written(&program), [100.0, -30.0, 0.0]);
+    program.run("G90 G0 X1");
+    program.run("X100 Y-30");
+    assert_eq!(program.machine(), reached);
+}
+
+#[test]
+fn arcs() {
+    let mut program = ready("G10 L2 P1 X10 R30\nG0 X10 Y0");
+    for line in ["G2 I5", "G2 X10 Y0 I5", "G3 X10 I0 J7 P2", "G90.1 G3 I3 J4", "G91.1 G91 G2 I5", "G91 G2 X0 I5"] {
+        let start = program.machine();
+        match program.run(line).motion {
+            Motion::Arc(arc) => assert_eq!((arc.start, in_mm(&arc.target)), (arc.target, start), "{line}"),
+            motion => panic!("{line}: {motion:?}"),
+        }
+    }
+    let Motion::Arc(arc) = program.run("G90 G2 X15 Y5 I5").motion else { panic!("no arc") };
+    let centre = [arc.i, arc.j].map(|way| way.0 as f64 / DECIMAL_ONE as f64);
+    assert!((centre[0] - 5.0 * H).abs() < 1e-6 && (centre[1] - 2.5).abs() < 1e-6, "{centre:?}");
+    for line in ["G18 G2 X20 Z5 R10", "G19 G2 Y20 Z5 R10", "G18 G81 X1 Z1 Y-1 R1"] {
+        assert_eq!(program.error(line), 126, "{line}");
+    }
+    // From a place that has no exact coordinates in the program.
+    program.run("G53 G0 X1.2345679 Y7");
+    let Motion::Arc(arc) = program.run("G3 I1").motion else { panic!("no arc") };
+    assert_eq!(arc.start, arc.target);
+}
+
+#[test]
+fn cycles_and_places() {
+    let mut program = play(
+        "G10 L2 P1 R90\nG0 X1 Y0 Z5\nG28.1",
+        &[
+            ("G81 X3 Y4 Z-1 R2", [-4.0, 3.0, 5.0]),
+            ("G91 X1 L3", [-4.0, 6.0, 7.0]),
+            ("G80", [-4.0, 6.0, 7.0]),
+            ("G90 G28 X0 Y0", [0.0, 1.0, 7.0]),
+            ("G1 X7 Y7", [-7.0, 7.0, 7.0]),
+            // One axis only: it is the program's.
+            ("G28 X7", [-7.0, 1.0, 7.0]),
+        ],
+    );
+    program.run("G38.3 X9 F100");
+    assert_eq!(program.machine(), [-7.0, 9.0, 7.0]);
+}
+
+/// About a point; what it turns is what the program writes, not what the reports show.
+#[test]
+fn a_rotated_program() {
+    let mut program = play(
+        "G10 L2 P1 X100",
+        &[
+            ("G68 X10 Y10 R90", [0.0, 0.0, 0.0]),
+            ("G0 X20 Y10", [110.0, 20.0, 0.0]),
+            ("G91 Y1", [109.0, 20.0, 0.0]),
+            // The centre is where the tool is along an axis that is not named, and absolute in any case.
+            ("G68 X0 R180", [109.0, 20.0, 0.0]),
+            ("G90 X1 Y21", [99.0, 19.0, 0.0]),
+            ("G69 X1 Y1", [101.0, 1.0, 0.0]),
+            ("G68 X0 Y0 R90", [101.0, 1.0, 0.0]),
+            ("G53 X3 Y4", [3.0, 4.0, 0.0]),
+            ("G55 X3", [3.0, 3.0, 0.0]),
+            ("G54 X3 Y0", [100.0, 3.0, 0.0]),
+            // Both together.
+            ("G10 L2 P1 R-90", [100.0, 3.0, 0.0]),
+            ("X3 Y4", [103.0, 4.0, 0.0]),
+        ],
+    );
+    assert!(program.interpreter.rotation().is_some());
+    assert_eq!(in_mm(&program.interpreter.work_zero(Dialect::Oxmill)), [100.0, 0.0, 0.0]);
+    for line in ["G92 X0", "G10 L20 P1 Y0", "G10 L20 P2 X1"] {
+        assert_eq!(program.error(line), 127, "{line}");
+    }
+    for line in ["G92 Z0", "G10 L20 P1 Z0", "G52 X1", "G69 G92 X0", "G10 L2 P2 X1"] {
+        assert_eq!(program.error(line), 0, "{line}");
+    }
+    program.run("M2");
+    assert!(program.interpreter.rotation().is_none());
+    program.run("G68 R1");
+    program.interpreter.reset();
+    assert!(program.interpreter.rotation().is_none());
+    // The angle of a system stays.
+    assert_eq!(program.interpreter.offsets().angle(CoordinateSystem::G54), Angle(-90 * DECIMAL_ONE as i32));
+}
+
+#[test]
+fn other_planes() {
+    let mut program = play(
+        "",
+        &[
+            ("G18 G68 X0 Z0 R90", [0.0, 0.0, 0.0]),
+            ("G0 X1 Y2 Z3", [3.0, 2.0, -1.0]),
+            ("G2 X1 Z5 K1", [5.0, 2.0, -1.0]),
+            ("G19 G68 Y2 Z0 R-90", [5.0, 2.0, -1.0]),
+            ("G0 Y3 Z7", [5.0, 9.0, -1.0]),
+        ],
+    );
+    for line in ["G17 G2 I1", "G17 G81 X1 Z-1 R1"] {
+        assert_eq!(program.error(line), 126, "{line}");
+    }
+    // A system is rotated in the plane of X and Y: not both.
+    program.run("G10 L2 P2 R1");
+    assert_eq!((program.error("G55 X1"), program.error("G69 G55 X1")), (126, 0));
+    program.run("G69 G55");
+    assert_eq!((program.error("G18 G68 R1"), program.error("G17 G68 R1")), (126, 0));
+}
+
+#[test]
+fn errors() {
+    let program = ready("G0 X1");
+    for (line, code) in [
+        ("G68", 28),
+        ("G68 X1 Y1", 28),
+        ("G68 X1 Z1 R1", 31),
+        ("G68 X1 R1 P1", 36),
+        ("G68 G0 X1 R1", 24),
+        ("G68 G69 R1", 21),
+        ("G68.1 X1 R1", 121),
+        ("G10 L20 P1 X1 R1", 36),
+        ("G10 L2 R1", 0),
+        ("G10 L2 P1", 26),
+        ("G10 L1 P1 X1 R1", 36),
+        ("G10 L2 P1 X50001 R1", 33),
+    ] {
+        assert_eq!(program.error(line), code, "{line}");
+    }
+    let jog = |line: &str| program.interpreter.check_jog(line.as_bytes(), Dialect::Oxmill).map(|_| ());
+    assert_eq!(jog("G68X1R1F100").map_err(|error| error.code()), Err(16));
+}
+
+/// Distances go along the machine's axes, coordinates to where the program says.
+#[test]
+fn jogs() {
+    let program = ready("G10 L2 P1 X10 R90\nG0 X5 Y0");
+    let jog = |line: &str| {
+        let jog = program.interpreter.check_jog(line.as_bytes(), Dialect::Oxmill);
+        in_mm(jog.expect("a jog").position())
+    };
+    assert_eq!(program.machine(), [10.0, 5.0, 0.0]);
+    assert_eq!(jog("G91X1F100"), [11.0, 5.0, 0.0]);
+    assert_eq!(jog("X0Y0F100"), [10.0, 0.0, 0.0]);
+    assert_eq!(jog("X7F100"), [10.0, 7.0, 0.0]);
+    assert_eq!(jog("G53X7F100"), [7.0, 5.0, 0.0]);
+}
+
+/// Grbl could not end a rotation, so none acts there.
+#[test]
+fn grbl_has_no_rotation() {
+    let mut program = ready("G10 L2 P1 X10 R90\nG68 X0 Y0 R30");
+    program.interpreter.change_dialect();
+    program.dialect = Dialect::Grbl;
+    assert_eq!(["G68 X0 Y0 R1", "G69", "G10 L2 P1 X1 R1"].map(|line| program.error(line)), [20; 3]);
+    program.run("G0 X1 Y2");
+    assert_eq!(program.machine(), [11.0, 2.0, 0.0]);
+    program.run("G92 X0");
+    program.run("G10 L20 P1 Y0");
+    program.run("G0 X1 Y1");
+    assert_eq!(program.machine(), [12.0, 3.0, 0.0]);
+    program.dialect = Dialect::Oxmill;
+    program.run("G92.1");
+    program.run("G0 X1 Y2");
+    assert_eq!(program.machine(), [8.0, 3.0, 0.0]);
+}
+
+#[cfg(feature = "expressions")]
+#[test]
+fn parameters() {
+    let program = play(
+        "G10 L2 P1 X10 R30\nG10 L2 P3 R400\nG0 X10 Y0",
+        &[("G10 L2 P2 X#5420 Y#5230 Z#5270", [10.0 + 10.0 * H, 5.0, 0.0]), ("G55 G0 X0 Y0 Z0", [10.0, 30.0, 40.0])],
+    );
+    assert_eq!(program.error("#5230=1"), 200);
+}
