@@ -12,6 +12,8 @@ struct Reader {
     /// First, second and third axis of the plane.
     plane: [usize; 3],
     system: [f64; 3],
+    /// Of the system, degrees.
+    rotation: f64,
     g92: [f64; 3],
     tool: [f64; 3],
     /// Where the machine is, without offsets.
@@ -66,6 +68,7 @@ impl Reader {
                 }
             }
             "SET_G5X_OFFSET" => self.system = place(self.lengths(arguments)?.get(1..)?)?,
+            "SET_XY_ROTATION" => self.rotation = arguments.parse().ok()?,
             "SET_G92_OFFSET" => self.g92 = place(&self.lengths(arguments)?)?,
             "USE_TOOL_LENGTH_OFFSET" => self.tool = place(&self.lengths(arguments)?)?,
             "STRAIGHT_TRAVERSE" => {
@@ -84,7 +87,10 @@ impl Reader {
     }
 
     fn machine(&self, work: [f64; 3]) -> [f64; 3] {
-        std::array::from_fn(|a| work[a] + self.system[a] + self.g92[a] + self.tool[a])
+        let [x, y, z]: [f64; 3] = std::array::from_fn(|a| work[a] + self.g92[a]);
+        let (sine, cosine) = self.rotation.to_radians().sin_cos();
+        let turned = [x * cosine - y * sine, x * sine + y * cosine, z];
+        std::array::from_fn(|a| turned[a] + self.system[a] + self.tool[a])
     }
 
     fn go(&mut self, to: [f64; 3], event: Event) {

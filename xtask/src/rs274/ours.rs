@@ -3,7 +3,7 @@
 use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{CycleStep, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.
@@ -28,9 +28,18 @@ impl Mill {
 
     /// Where the program is, in the active system, mm.
     pub fn work(&self) -> [f64; 3] {
-        let offset = mm(&self.interpreter.work_offset());
-        let machine = mm(self.interpreter.position());
-        std::array::from_fn(|a| machine[a] - offset[a])
+        mm(&self.interpreter.to_program(self.interpreter.position()))
+    }
+
+    /// Whether G92 or G52 shifts the coordinates.
+    pub fn has_g92(&self) -> bool {
+        self.interpreter.offsets().g92 != PerAxis::default()
+    }
+
+    /// Whether it does, and some system is rotated.
+    pub fn is_rotated_under_g92(&self) -> bool {
+        let offsets = self.interpreter.offsets();
+        self.has_g92() && CoordinateSystem::ALL.into_iter().any(|system| offsets.angle(system) != Angle::ZERO)
     }
 
     /// Carries a line out, which has no blanks within words.
@@ -50,11 +59,12 @@ impl Mill {
             }
             Motion::Probe { target, .. } => self.go(&target, false, &mut events),
             Motion::Arc(arc) => {
-                let (start, end) = (self.relative(&arc.start), self.relative(&arc.target));
-                let centre = [
-                    start[arc.axes.first.index()] + arc.i.0 as f64 / 1e7,
-                    start[arc.axes.second.index()] + arc.j.0 as f64 / 1e7,
-                ];
+                let mut centre = arc.start;
+                for (axis, way) in [(arc.axes.first, arc.i), (arc.axes.second, arc.j)] {
+                    centre.0[axis.index()] = centre.0[axis.index()] + way;
+                }
+                let (centre, end) = (self.relative(&centre), self.relative(&arc.target));
+                let centre = [centre[arc.axes.first.index()], centre[arc.axes.second.index()]];
                 let turns = i64::from(arc.turns) + 1;
                 events.push(Event::Arc(end, centre, if arc.clockwise { -turns } else { turns }));
                 self.place = mm(&arc.target);
@@ -74,7 +84,7 @@ impl Mill {
     }
 
     fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
-        mm(&place.zip(&self.interpreter.work_offset(), |place, offset| place - offset))
+        mm(&self.interpreter.to_program(place))
     }
 
     fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {

@@ -2,21 +2,22 @@
 //!
 //! Lines that Oxmill refuses are left out, but for the last line of a batch, which may be one: `rs274` has to refuse it too.
 //! Left out is what the book names as a difference: G88; a change of offsets, of the plane or of G98 and G99 within a series of
-//! cycles; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
+//! cycles; another rotation under G92, of which LinuxCNC loses its place; arcs and cycles outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
 //! offset.
 
 use super::Outcome;
 use super::ours::Mill;
+use oxmill_controller::error::Error;
 
 /// What every program begins with, so that nothing of the one before is left.
 const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61",
     "G54 G92.1 F300 S1000",
-    "G10 L2 P1 X0 Y0 Z0",
-    "G10 L2 P2 X0 Y0 Z0",
-    "G10 L2 P6 X0 Y0 Z0",
-    "G10 L2 P9 X0 Y0 Z0",
+    "G10 L2 P1 X0 Y0 Z0 R0",
+    "G10 L2 P2 X0 Y0 Z0 R0",
+    "G10 L2 P6 X0 Y0 Z0 R0",
+    "G10 L2 P9 X0 Y0 Z0 R0",
     "G10 L1 P1 X0 Y0 Z0",
     "G10 L1 P2 X0 Y0 Z0",
     "G10 L1 P7 X0 Y0 Z0",
@@ -142,10 +143,19 @@ impl Writer {
                 self.refused = None;
                 true
             }
+            // `rs274` lets them through.
+            Err(Error::NotInRotatedPlane) => false,
             Err(_) => {
                 self.refused = Some(line);
                 false
             }
+        }
+    }
+
+    /// Another rotation may follow: G92 must not act.
+    fn before_rotation(&mut self) {
+        if self.mill.is_rotated_under_g92() {
+            self.put("G92.1".into());
         }
     }
 
@@ -199,7 +209,11 @@ impl Writer {
 
     /// A modal word that a motion may have before it.
     fn modal(&mut self) -> String {
-        match self.below(20) {
+        let which = self.below(20);
+        if which < 3 {
+            self.before_rotation();
+        }
+        match which {
             0 => "G54 ".into(),
             1 => "G55 ".into(),
             2 => "G59.3 ".into(),
@@ -315,7 +329,17 @@ impl Writer {
     fn offsets(&mut self) {
         let axes = self.axes();
         let system = self.one_of(&["P1", "P2", "P6", "P9", "P0"]);
-        let line = match self.below(9) {
+        let angle = self.one_of(&["30", "-45", "90", "12.5", "180", "271.25", "-0.37", "0"]);
+        let which = self.below(12);
+        if matches!(which, 0 | 9..) {
+            self.before_rotation();
+        }
+        if which >= 9 && self.mill.has_g92() {
+            self.put("G92.1".into());
+        }
+        let line = match which {
+            9 => format!("G10 L2 {system} R{angle}"),
+            10 | 11 => format!("G10 L2 {system}{axes} R{angle}"),
             0 => self.one_of(&["G54", "G55", "G59", "G59.3"]).into(),
             1 => format!("G10 L2 {system}{axes}"),
             2 => format!("G10 L20 {system}{axes}"),
@@ -371,6 +395,7 @@ impl Writer {
 
     fn keep(&mut self) {
         self.put("G49".into());
+        self.before_rotation();
         let now = (self.inches, self.incremental, self.plane);
         if self.percent(50) {
             if self.put("M70".into()) {
