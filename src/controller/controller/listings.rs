@@ -80,7 +80,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let Some(system) = CoordinateSystem::ALL.get(entry - TOOLS - 5) else { return false };
                 let angle = offsets.angle(*system);
                 if angle != Angle::ZERO {
-                    self.say(|out| report::rotation(out, system.word(), angle.degrees().to_f32()));
+                    self.say(|out| report::rotation(out, system.word(), angle.degrees()));
                 }
             }
             _ => return false,

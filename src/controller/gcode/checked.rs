@@ -3,7 +3,7 @@
 use super::cycle::Cycle;
 use super::modal::{Modal, PlaneAxes};
 use super::offsets::StoredOffset;
-use super::rotation::{Angle, Reached, Rotation};
+use super::rotation::RotationChange;
 use super::state::Interpreter;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -46,11 +46,7 @@ pub struct Checked<const N: usize> {
     pub(super) after: Afterwards,
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
-    /// The angle of the coordinate system that is stored.
-    pub(super) angle: Option<Angle>,
-    /// G68 or G69.
-    pub(super) rotation: Option<Option<Rotation>>,
-    pub(super) reached: Option<Reached>,
+    pub(super) rotated: RotationChange,
 }
 
 /// What a line leaves behind that Grbl does not know.
@@ -137,9 +133,7 @@ impl<const N: usize> Checked<N> {
         },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
-        angle: None,
-        rotation: None,
-        reached: None,
+        rotated: RotationChange::NONE,
     };
 
     /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
@@ -148,7 +142,7 @@ impl<const N: usize> Checked<N> {
         self.uses_machine_place = false;
         self.motion = Motion::None;
         self.position = state.position;
-        self.reached = None;
+        self.rotated.reached = None;
         self.only_moves(state);
     }
 
@@ -171,8 +165,8 @@ impl<const N: usize> Checked<N> {
         self.after.keeping = Keeping::Leave;
         self.after.spindle_tool = state.spindle_tool;
         self.stored = None;
-        self.angle = None;
-        self.rotation = None;
+        self.rotated.angle = None;
+        self.rotated.rotation = None;
     }
 }
 

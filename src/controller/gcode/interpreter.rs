@@ -105,14 +105,14 @@ impl<const N: usize> Interpreter<N> {
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
             self.set_stored(which, value);
         }
-        if let (Some(StoredOffset::System(system)), Some(angle)) = (checked.store, checked.angle) {
+        if let (Some(StoredOffset::System(system)), Some(angle)) = (checked.store, checked.rotated.angle) {
             self.offsets.set_angle(system, angle);
         }
-        if let Some(rotation) = checked.rotation {
+        if let Some(rotation) = checked.rotated.rotation {
             self.rotation = rotation;
         }
-        if checked.reached.is_some() {
-            self.reached = checked.reached;
+        if checked.rotated.reached.is_some() {
+            self.reached = checked.rotated.reached;
         }
         if let Some(number) = checked.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));

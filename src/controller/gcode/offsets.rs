@@ -1,9 +1,10 @@
 //! Where the program's coordinates lie in the machine: work position = machine position - (WCS + G92 + TLO), but for
 //! rotations (`rotation`).
 
-use super::modal::CoordinateSystem;
-use super::rotation::Angle;
+use super::modal::{CoordinateSystem, Plane, ROTATION};
+use super::rotation::{Angle, RotatedPlane, Rotation, difference, sum};
 use crate::axes::{Axis, PerAxis};
+use crate::error::Error;
 use crate::units::Coordinate;
 
 /// The axis that the tool length offset acts along in Grbl.
@@ -128,5 +129,54 @@ impl<const N: usize> Offsets<N> {
     /// What lies between machine and work position while `system` is active.
     pub fn total(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         self.system(system).zip(&self.g92_and_tool_length(), |origin, offset| origin + offset)
+    }
+}
+
+impl<const N: usize> Offsets<N> {
+    /// How a coordinate system is rotated with a tool and a G68; `None` if it is not. The two rotations have one plane.
+    #[inline]
+    pub(super) fn rotated_plane(
+        &self,
+        system: CoordinateSystem,
+        tool_length: &PerAxis<Coordinate, N>,
+        rotation: Option<&Rotation>,
+    ) -> Result<Option<RotatedPlane>, Error> {
+        if !ROTATION || rotation.is_none() && self.angle(system) == Angle::ZERO {
+            return Ok(None);
+        }
+        self.rotated(system, tool_length, rotation).map(Some)
+    }
+
+    #[inline(never)]
+    fn rotated(
+        &self,
+        system: CoordinateSystem,
+        tool_length: &PerAxis<Coordinate, N>,
+        rotation: Option<&Rotation>,
+    ) -> Result<RotatedPlane, Error> {
+        let of_system = self.angle(system);
+        let rotation = rotation.copied().unwrap_or(Rotation {
+            plane: Plane::Xy,
+            angle: Angle::ZERO,
+            centre: [Coordinate::ZERO; 2],
+        });
+        if of_system != Angle::ZERO && rotation.plane != Plane::Xy {
+            return Err(Error::NotInRotatedPlane);
+        }
+        let axes = rotation.plane.axes();
+        let mut plane = RotatedPlane { axes, angle: of_system.plus(rotation.angle), zero: [Coordinate::ZERO; 2] };
+        let origin = sum(plane.part_of(&self.system(system)), plane.part_of(tool_length));
+        let turned = difference(rotation.centre, rotation.angle.turn(rotation.centre));
+        plane.zero = sum(origin, of_system.turn(sum(turned, plane.part_of(&self.g92))));
+        Ok(plane)
+    }
+
+    /// The place of the machine where the coordinates of a system are zero: G92 turns with the system.
+    pub(super) fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
+        let mut zero = self.total(system);
+        if let Ok(Some(rotated)) = self.rotated_plane(system, &self.tool_length, None) {
+            rotated.put(&mut zero, rotated.zero);
+        }
+        zero
     }
 }

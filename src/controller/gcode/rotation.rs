@@ -12,13 +12,9 @@
 //! machine's. A turn by a multiple of 90 degrees is exact, any other one to the nearest 0.1 nm. Which place a program has
 //! reached is kept as the program wrote it, so that roundings do not add up over a million increments.
 
-use super::Dialect;
-use super::modal::{CoordinateSystem, Plane, PlaneAxes, ROTATION};
-use super::offsets::Offsets;
-use super::state::Interpreter;
+use super::modal::{Plane, PlaneAxes};
 use super::values::along;
 use crate::axes::PerAxis;
-use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
 /// An angle in units of a [`Decimal`] of a degree, above -180 degrees up to 180 degrees.
@@ -45,7 +41,7 @@ impl Angle {
         Decimal(self.0 as i64)
     }
 
-    fn plus(self, other: Angle) -> Angle {
+    pub(super) fn plus(self, other: Angle) -> Angle {
         Angle::of(Decimal(self.degrees().0 + other.degrees().0))
     }
 
@@ -108,7 +104,7 @@ pub(super) struct RotatedPlane {
     pub(super) axes: PlaneAxes,
     pub(super) angle: Angle,
     /// Where the program's zero is in the machine.
-    zero: [Coordinate; 2],
+    pub(super) zero: [Coordinate; 2],
 }
 
 impl RotatedPlane {
@@ -132,7 +128,7 @@ impl RotatedPlane {
     }
 }
 
-fn sum(a: [Coordinate; 2], b: [Coordinate; 2]) -> [Coordinate; 2] {
+pub(super) fn sum(a: [Coordinate; 2], b: [Coordinate; 2]) -> [Coordinate; 2] {
     let ([a, b], [c, d]) = (a, b);
     [a + c, b + d]
 }
@@ -142,101 +138,27 @@ pub(super) fn difference(a: [Coordinate; 2], b: [Coordinate; 2]) -> [Coordinate;
     [a - c, b - d]
 }
 
+/// What a line changes of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct RotationChange {
+    /// The angle of the coordinate system that is stored.
+    pub(super) angle: Option<Angle>,
+    /// G68 or G69.
+    pub(super) rotation: Option<Option<Rotation>>,
+    pub(super) reached: Option<Reached>,
+}
+
+impl RotationChange {
+    /// Nothing.
+    pub(super) const NONE: RotationChange = RotationChange { angle: None, rotation: None, reached: None };
+}
+
 /// A place that a program has reached, as it wrote it and as it is in the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Reached {
     pub(super) rotated: RotatedPlane,
     pub(super) program: [Coordinate; 2],
     pub(super) machine: [Coordinate; 2],
-}
-
-impl<const N: usize> Offsets<N> {
-    /// How a coordinate system is rotated with a tool and a G68; `None` if it is not. The two rotations have one plane.
-    #[inline]
-    pub(super) fn rotated_plane(
-        &self,
-        system: CoordinateSystem,
-        tool_length: &PerAxis<Coordinate, N>,
-        rotation: Option<&Rotation>,
-    ) -> Result<Option<RotatedPlane>, Error> {
-        if !ROTATION || rotation.is_none() && self.angle(system) == Angle::ZERO {
-            return Ok(None);
-        }
-        self.rotated(system, tool_length, rotation).map(Some)
-    }
-
-    #[inline(never)]
-    fn rotated(
-        &self,
-        system: CoordinateSystem,
-        tool_length: &PerAxis<Coordinate, N>,
-        rotation: Option<&Rotation>,
-    ) -> Result<RotatedPlane, Error> {
-        let of_system = self.angle(system);
-        let rotation = rotation.copied().unwrap_or(Rotation {
-            plane: Plane::Xy,
-            angle: Angle::ZERO,
-            centre: [Coordinate::ZERO; 2],
-        });
-        if of_system != Angle::ZERO && rotation.plane != Plane::Xy {
-            return Err(Error::NotInRotatedPlane);
-        }
-        let axes = rotation.plane.axes();
-        let mut plane = RotatedPlane { axes, angle: of_system.plus(rotation.angle), zero: [Coordinate::ZERO; 2] };
-        let origin = sum(plane.part_of(&self.system(system)), plane.part_of(tool_length));
-        let turned = difference(rotation.centre, rotation.angle.turn(rotation.centre));
-        plane.zero = sum(origin, of_system.turn(sum(turned, plane.part_of(&self.g92))));
-        Ok(plane)
-    }
-
-    /// The place of the machine where the coordinates of a system are zero: G92 turns with the system.
-    fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
-        let mut zero = self.total(system);
-        if let Ok(Some(rotated)) = self.rotated_plane(system, &self.tool_length, None) {
-            rotated.put(&mut zero, rotated.zero);
-        }
-        zero
-    }
-}
-
-impl<const N: usize> Interpreter<N> {
-    /// What reports take for the offset of the work coordinates: where their zero is in the machine, but for G68. A distance
-    /// from there is along the axes of the machine. Rotations do not act in the dialect of Grbl.
-    pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
-        match dialect {
-            Dialect::Grbl => self.work_offset(),
-            _ => self.offsets.zero_of(self.modal.coordinate_system),
-        }
-    }
-
-    /// The rotation by G68.
-    pub fn rotation(&self) -> Option<&Rotation> {
-        self.rotation.as_ref()
-    }
-
-    /// A coordinate system is rotated.
-    pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
-        self.offsets.set_angle(system, angle);
-    }
-
-    /// The coordinates that a program has for a place of the machine.
-    pub fn to_program(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<Coordinate, N> {
-        let offsets = &self.offsets;
-        let mut program = place.zip(&self.work_offset(), |place, offset| place - offset);
-        let rotated = offsets.rotated_plane(self.modal.coordinate_system, &offsets.tool_length, self.rotation.as_ref());
-        if let Ok(Some(rotated)) = rotated {
-            rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
-        }
-        program
-    }
-
-    /// The same in a rotated plane: as the program wrote it, if it is the place that it has reached.
-    pub(super) fn in_program(&self, rotated: RotatedPlane, machine: [Coordinate; 2]) -> [Coordinate; 2] {
-        match self.reached {
-            Some(reached) if reached.rotated == rotated && reached.machine == machine => reached.program,
-            _ => rotated.to_program(machine),
-        }
-    }
 }
 
 #[cfg(test)]

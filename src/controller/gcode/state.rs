@@ -1,10 +1,11 @@
 //! What the interpreter knows: the modal state, offsets, tools and the position that a program has reached.
 
+use super::Dialect;
 use super::computed::Computed;
 use super::cycle::CycleWords;
-use super::modal::{EXTENDED, Modal, MotionMode};
+use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode};
 use super::offsets::{Offsets, StoredOffset};
-use super::rotation::{Reached, Rotation};
+use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::tools::{self, Tool, ToolTable};
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -152,5 +153,45 @@ impl<const N: usize> Interpreter<N> {
     /// What lies between machine and work position now: active coordinate system + G92 + tool length offset.
     pub fn work_offset(&self) -> PerAxis<Coordinate, N> {
         self.offsets.total(self.modal.coordinate_system)
+    }
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// What reports take for the offset of the work coordinates: where their zero is in the machine, but for G68. A distance
+    /// from there is along the axes of the machine. Rotations do not act in the dialect of Grbl.
+    pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
+        match dialect {
+            Dialect::Grbl => self.work_offset(),
+            _ => self.offsets.zero_of(self.modal.coordinate_system),
+        }
+    }
+
+    /// The rotation by G68.
+    pub fn rotation(&self) -> Option<&Rotation> {
+        self.rotation.as_ref()
+    }
+
+    /// A coordinate system is rotated.
+    pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
+        self.offsets.set_angle(system, angle);
+    }
+
+    /// The coordinates that a program has for a place of the machine.
+    pub fn to_program(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<Coordinate, N> {
+        let offsets = &self.offsets;
+        let mut program = place.zip(&self.work_offset(), |place, offset| place - offset);
+        let rotated = offsets.rotated_plane(self.modal.coordinate_system, &offsets.tool_length, self.rotation.as_ref());
+        if let Ok(Some(rotated)) = rotated {
+            rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
+        }
+        program
+    }
+
+    /// The same in a rotated plane: as the program wrote it, if it is the place that it has reached.
+    pub(super) fn in_program(&self, rotated: RotatedPlane, machine: [Coordinate; 2]) -> [Coordinate; 2] {
+        match self.reached {
+            Some(reached) if reached.rotated == rotated && reached.machine == machine => reached.program,
+            _ => rotated.to_program(machine),
+        }
     }
 }

@@ -350,9 +350,7 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (68, 0) if more && !ROTATION => return Err(Error::RotationLeftOut),
-            (68, 0) if more => GWord::Rotation(true),
-            (69, 0) if more => GWord::Rotation(false),
+            (68 | 69, 0) if more => return Self::rotation(code.whole == 68),
             (50 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
@@ -370,6 +368,11 @@ impl GWord {
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),
         })
+    }
+
+    /// G68 and G69; without a rotation the latter says what is so.
+    fn rotation(on: bool) -> Result<GWord, Error> {
+        if on && !ROTATION { Err(Error::RotationLeftOut) } else { Ok(GWord::Rotation(on)) }
     }
 
     /// The modal group of the word.

@@ -9,7 +9,7 @@ use crate::messages::{
     Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
 };
 use crate::settings::{Entry, Kind};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, Decimal};
 
 /// Version of the Grbl interface that is spoken.
 pub const GRBL_VERSION: &str = "1.1h";
@@ -322,11 +322,12 @@ pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coo
 }
 
 /// `[ROT:G54,30.000]`: a coordinate system is turned by so many degrees.
-pub fn rotation(out: &mut Text, name: &str, degrees: f32) {
+pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"[ROT:");
     put(out, name.as_bytes());
     put(out, b",");
-    real(out, degrees, 3);
+    // Printed like millimetres.
+    length(out, Coordinate::from_mm(degrees), false);
     put(out, b"]\r\n");
 }
 

@@ -186,13 +186,13 @@ impl<const N: usize> Check<'_, N> {
         );
         if checked.flow == Flow::End {
             checked.modal.end_program();
-            checked.rotation = Some(None);
+            checked.rotated.rotation = Some(None);
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
         let system_changed = match (checked.store, &checked.stored) {
             (Some(StoredOffset::System(system)), Some(value)) if system == after => {
                 let angle = self.state.offsets.angle(system);
-                *value != self.state.offsets.system(system) || checked.angle.is_some_and(|new| new != angle)
+                *value != self.state.offsets.system(system) || checked.rotated.angle.is_some_and(|new| new != angle)
             }
             _ => false,
         };

@@ -88,7 +88,7 @@ impl<const N: usize> Check<'_, N> {
         let from_position = match line.value.l.truncate() {
             2 if line.values.has(b'R') && !rotates => return Err(Error::UnsupportedCommand),
             2 => {
-                self.checked.angle = self.take(b'R').then(|| Angle::of(line.value.r));
+                self.checked.rotated.angle = self.take(b'R').then(|| Angle::of(line.value.r));
                 false
             }
             20 => true,
