@@ -122,6 +122,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.changed(number, soft_limits);
         if self.dialect() != dialect {
             self.interpreter.change_dialect();
+            // Rotations act in one dialect only, and G92 with them.
+            self.replies.offset_changed();
             self.apply_overrides();
         }
         self.task = Task::Storing(Answer::Setting(number));

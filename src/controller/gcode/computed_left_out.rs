@@ -65,8 +65,10 @@ impl<const N: usize> Interpreter<N> {
         false
     }
 
-    /// There are no conditions.
-    pub fn abandon_program(&mut self) {}
+    /// The rest of the program is not run: G68 ends, which no other program expects. There are no conditions.
+    pub fn abandon_program(&mut self) {
+        self.rotation = None;
+    }
 
     /// Where parameters exist, they show it.
     pub fn set_probed(&mut self, _: &PerAxis<Coordinate, N>, _: bool) {}

@@ -40,7 +40,6 @@ impl<const N: usize> Interpreter<N> {
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         self.saved = None;
-        self.rotation = None;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
         self.abandon_program();

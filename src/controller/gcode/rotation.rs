@@ -76,6 +76,9 @@ impl Angle {
 
     /// A vector turned by the angle.
     pub(super) fn turn(self, [first, second]: [Coordinate; 2]) -> [Coordinate; 2] {
+        if self == Angle::ZERO {
+            return [first, second];
+        }
         let (cosine, sine) = self.cosine_and_sine();
         let sum = |a: Coordinate, b: i64, c: Coordinate, d: i64| {
             let sum = i128::from(a.0) * i128::from(b) + i128::from(c.0) * i128::from(d);

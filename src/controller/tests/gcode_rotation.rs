@@ -196,6 +196,25 @@ fn other_planes() {
     assert_eq!((program.error("G55 X1"), program.error("G69 G55 X1")), (126, 0));
     program.run("G69 G55");
     assert_eq!((program.error("G18 G68 R1"), program.error("G17 G68 R1")), (126, 0));
+    // The active system gets no angle while G68 rotates in another plane: no line could be run after it.
+    program.run("G54 G18 G68 X0 Z0 R10");
+    for (line, error) in
+        [("G10 L2 P1 R30", 126), ("G10 L2 P0 R30", 126), ("G10 L2 P1 R0", 0), ("G10 L2 P2 R30", 0), ("M5", 0)]
+    {
+        assert_eq!(program.error(line), error, "{line}");
+    }
+    // No angle is no rotation.
+    program.run("G18 G68 X0 Z0 R360");
+    assert_eq!(program.error("G17 G2 I1"), 0);
+}
+
+/// The next program does not expect it.
+#[test]
+fn a_program_that_is_given_up_leaves_no_rotation() {
+    let mut program = ready("G68 X0 Y0 R90");
+    program.interpreter.abandon_program();
+    program.run("G0 X1");
+    assert_eq!(program.machine(), [1.0, 0.0, 0.0]);
 }
 
 #[test]

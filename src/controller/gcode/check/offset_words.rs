@@ -89,6 +89,7 @@ impl<const N: usize> Check<'_, N> {
             2 if line.values.has(b'R') && !rotates => return Err(Error::UnsupportedCommand),
             2 => {
                 self.checked.rotated.angle = self.take(b'R').then(|| Angle::of(line.value.r));
+                self.keeps_planes(system)?;
                 false
             }
             20 => true,

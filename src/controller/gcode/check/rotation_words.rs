@@ -4,7 +4,7 @@ use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::modal::{CoordinateSystem, Distance, PlaneAxes, ROTATION};
+use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION};
 use crate::gcode::offsets::{Offsets, StoredOffset};
 use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
@@ -31,8 +31,10 @@ impl<const N: usize> Check<'_, N> {
             Some(true) => {
                 self.rotated = self.plane_with(None)?;
                 let rotation = self.new_rotation()?;
-                self.checked.rotated.rotation = Some(Some(rotation));
-                self.plane_with(Some(&rotation)).map(|_| ())
+                // By no angle nothing is rotated, in whatever plane.
+                let rotation = Some(rotation).filter(|rotation| rotation.angle != Angle::ZERO);
+                self.checked.rotated.rotation = Some(rotation);
+                self.plane_with(rotation.as_ref()).map(|_| ())
             }
             Some(false) => {
                 self.checked.rotated.rotation = Some(None);
@@ -144,6 +146,18 @@ impl<const N: usize> Check<'_, N> {
                 let axes = rotation.plane.axes();
                 let named = self.line.axes.has(axes.first) || self.line.axes.has(axes.second);
                 if named { Err(Error::RotationActs) } else { Ok(()) }
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The active system does not get an angle while G68 rotates in another plane: every line after it would be refused.
+    pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
+        let turned = self.checked.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
+        let ends = self.line.extended.rotation == Some(false);
+        match self.state.rotation {
+            Some(rotation) if turned && !ends && system == self.checked.modal.coordinate_system => {
+                if rotation.plane == Plane::Xy { Ok(()) } else { Err(Error::NotInRotatedPlane) }
             }
             _ => Ok(()),
         }

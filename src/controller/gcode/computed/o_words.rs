@@ -168,8 +168,9 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
-    /// is held.
+    /// is held. G68 ends, which no other program expects.
     pub fn abandon_program(&mut self) {
+        self.rotation = None;
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
     }
