@@ -244,6 +244,14 @@ pub enum StepEvent<const N: usize> {
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },
+    /// The outputs have not put out what they were told to: the position is not what the count says. Pulses have stopped;
+    /// counts as a stop.
+    Miscounted {
+        /// As in [`StepEvent::Stopped`].
+        stops: u16,
+        /// As in [`StepEvent::Stopped`].
+        position: PerAxis<i32, N>,
+    },
 }
 
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.

@@ -12,21 +12,6 @@ const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];
 /// The suite that needs wires on a board: docs/bench.md.
 const LOOPBACK: &str = "loopback";
 
-/// Those of them that a board has room for.
-fn suites(board: &str) -> &'static [&'static str] {
-    match board {
-        "nucleo_f401re" => SUITES.split_first().map_or(&[], |(_, others)| others),
-        _ => &SUITES,
-    }
-}
-
-/// Says what a board has no room for.
-fn tell_left_out(board: &str) {
-    for suite in SUITES.iter().filter(|suite| !suites(board).contains(suite)) {
-        println!("suite `{suite}` needs a stack of 88 KiB, for which {board} has no room: it is not run there");
-    }
-}
-
 fn cargo_test(board: &str, suites: &[&str]) -> Command {
     let mut cargo = cargo();
     cargo.args(["test", "--profile", boards::profile(board), "--package", "oxmill-on-target", "--target", TARGET]);
@@ -50,15 +35,13 @@ pub fn build(board: &str) -> Result<(), Failure> {
         return run(cargo_test(board, &SUITES).arg("--no-run"));
     }
     chip(board)?;
-    tell_left_out(board);
-    run(cargo_test(board, suites(board)).args(["--test", LOOPBACK, "--no-run"]))
+    run(cargo_test(board, &SUITES).args(["--test", LOOPBACK, "--no-run"]))
 }
 
 /// The suites on a board, without the one that needs wires.
 pub fn on_board(board: &str) -> Result<(), Failure> {
     require_probe()?;
-    run(cargo_test(board, suites(board)).env(RUNNER, runner(board)?))?;
-    tell_left_out(board);
+    run(cargo_test(board, &SUITES).env(RUNNER, runner(board)?))?;
     println!("suite `{LOOPBACK}` needs wires and was not run: `cargo xtask bench-board {board}`, docs/bench.md");
     Ok(())
 }
@@ -67,8 +50,7 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
 pub fn bench(board: &str) -> Result<(), Failure> {
     let runner = runner(board)?;
     require_probe()?;
-    let others = run(cargo_test(board, suites(board)).env(RUNNER, &runner));
-    tell_left_out(board);
+    let suites = run(cargo_test(board, &SUITES).env(RUNNER, &runner));
     let mut running = cargo_test(board, &[LOOPBACK])
         .env(RUNNER, &runner)
         .stdout(Stdio::piped())
@@ -85,7 +67,7 @@ pub fn bench(board: &str) -> Result<(), Failure> {
         println!("\n{board}\n\n| rate, settings | figure | measured | bound | |\n|---|---|---|---|---|");
         println!("{}\n", table.join("\n"));
     }
-    others.map_err(|why| format!("{why}: a suite has failed, see above"))?;
+    suites.map_err(|why| format!("{why}: a suite has failed, see above"))?;
     if status.success() { Ok(()) } else { Err("the loop-back has failed, see above".into()) }
 }
 
@@ -120,7 +102,7 @@ fn runner(board: &str) -> Result<String, Failure> {
 fn chip(board: &str) -> Result<&'static str, Failure> {
     match board {
         "blackpill_f411" => Ok("STM32F411CEUx"),
-        "blackpill_f401" => Err("the suites need a stack of 80 KiB and more, and blackpill_f401 has 64 of RAM".into()),
+        "blackpill_f401" => Err("the suites need a stack of 80 KiB, and blackpill_f401 has 64 of RAM".into()),
         "nucleo_f446re" => Ok("STM32F446RETx"),
         "nucleo_f411re" => Ok("STM32F411RETx"),
         "nucleo_f401re" => Ok("STM32F401RETx"),
