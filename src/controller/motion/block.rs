@@ -91,7 +91,7 @@ impl CurveLoad {
 
     #[inline]
     pub(super) fn is_none(self) -> bool {
-        self == Self::NONE
+        self.speed2 == Self::NONE.speed2
     }
 
     /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
@@ -140,7 +140,7 @@ impl CurveLoad {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    #[inline(never)]
+    #[inline]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
@@ -212,6 +212,12 @@ impl<const N: usize> Block<N> {
     #[inline]
     pub(super) fn acceleration_at(&self, speed2: f32) -> f32 {
         self.curve.left(self.acceleration, speed2)
+    }
+
+    /// Greatest entry speed² from which it can be braked to an exit speed².
+    #[inline]
+    pub(super) fn entry_before(&self, exit2: f32) -> f32 {
+        lesser(self.max_entry2, exit2 + 2.0 * self.acceleration_at(exit2) * self.length)
     }
 
     /// What bounds changes of speed in the block.
