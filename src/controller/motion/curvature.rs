@@ -22,7 +22,7 @@
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
 use super::block::CurveLoad;
-use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, radius_of, turn2};
+use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
@@ -144,10 +144,17 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
-    #[inline(never)]
+    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`. Most
+    /// turns are none at all: no call for them.
+    #[inline(always)]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
+        let noise = old.noise + self.noise;
+        if is_noise(all2, noise) { None } else { self.limit_of_turn(old, all2, between, fast2, rule) }
+    }
+
+    #[inline(never)]
+    fn limit_of_turn(&self, old: &Self, all2: f32, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let (turn2, sine) = certain(all2, old.noise + self.noise)?;
         let radius = (between + old.half() + self.half()) * radius_of(turn2, sine);
         let bend2 = rule.in_plane(&old.direction, &self.direction, all2) * rule.curve_share * radius;
