@@ -282,12 +282,14 @@ impl<const N: usize> AnyMotion<N> {
         self.next_message()
     }
 
-    /// The same without a new observation.
+    /// The same without a new observation. Asked before each output: no call for nothing.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
-        if !self.source.wants_more() {
-            return None;
-        }
+        if self.source.wants_more() { self.wanted_message() } else { None }
+    }
+
+    #[inline(never)]
+    fn wanted_message(&mut self) -> Option<ToStep> {
         self.queue.continue_long_move();
         let message = self.source.next_message(&mut self.queue.planner, self.queue.overrides, &self.queue.backlash)?;
         if self.queue.is_empty() {
