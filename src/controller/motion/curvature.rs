@@ -221,7 +221,7 @@ impl<const N: usize> History<N> {
     /// two single pieces is known already ([`Chain::corner2`]).
     #[inline(never)]
     fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
-        let [first, second, third, _] = &self.0;
+        let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
@@ -263,7 +263,12 @@ impl<const N: usize> History<N> {
             let speed2 = greater(bend.speed2(), square);
             found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
         }
-        self.0 = [new, *first, *second, *third];
+        let [first, second, third, fourth] = &mut self.0;
+        // One after the other: an array of them would be made elsewhere first.
+        *fourth = *third;
+        *third = *second;
+        *second = *first;
+        *first = new;
     }
 }
 

@@ -191,9 +191,12 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The motors at the end of what has been handed over.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
-        if !self.running.is_active() {
-            return self.block_start;
-        }
+        if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
+    }
+
+    /// The same within a block.
+    #[inline(always)]
+    fn motors_in_block(&self, backlash: &Backlash<N>) -> Motors<N> {
         let steps = self.running.steps_from(&self.block_start.steps);
         if backlash.is_on() {
             return backlash.followed(&self.block_start, steps);
@@ -242,26 +245,41 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The next segment of the running block.
     fn segment(&mut self, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
-        let far_fixed = u64::from(self.pacer.whole(self.clocks_per_ms() * FAR_MS));
         let braking = self.state == FeedState::Braking;
-        let (cut, time) = if let Some(LongTick { cut, time }) = self.long_tick {
-            if braking {
-                return self.rest_here(backlash);
-            }
-            if time > far_fixed {
-                return self.wait(cut, time, backlash);
-            }
-            self.long_tick = None;
-            (cut, time as u32)
-        } else {
-            let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
-            let time = self.pacer.fixed(cut.seconds);
-            if cut.ticks == 1 && time > far_fixed {
-                return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
-            }
-            (cut, u32::try_from(time).unwrap_or(u32::MAX))
-        };
-        self.emit(&cut, time, planner, backlash)
+        if let Some(long) = self.long_tick {
+            return self.segment_of(long, braking, planner, backlash);
+        }
+        let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
+        let time = self.pacer.fixed(cut.seconds);
+        if cut.ticks == 1 && time > self.far() {
+            return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
+        }
+        self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
+    }
+
+    /// The next part of the time until a tick that is far away, or that tick.
+    #[inline(never)]
+    fn segment_of(
+        &mut self,
+        LongTick { cut, time }: LongTick,
+        braking: bool,
+        planner: &mut Planner<N, [Block<N>]>,
+        backlash: &Backlash<N>,
+    ) -> Segment {
+        if braking {
+            return self.rest_here(backlash);
+        }
+        if time > self.far() {
+            return self.wait(cut, time, backlash);
+        }
+        self.long_tick = None;
+        self.emit(&cut, time as u32, planner, backlash)
+    }
+
+    /// Time of a tick that is far away, in fixed point.
+    #[inline]
+    fn far(&self) -> u64 {
+        u64::from(self.pacer.whole(self.clocks_per_ms() * FAR_MS))
     }
 
     #[inline]
@@ -330,7 +348,7 @@ impl<const N: usize> SegmentSource<N> {
                 self.state = FeedState::Held;
             }
         }
-        let motors = self.motors(backlash);
+        let motors = self.motors_in_block(backlash);
         let ticks = cut.ticks as u16;
         let segment = self.hand_over(cut, &motors, flags, intervals.interval, intervals.ramp, ticks, intervals.clocks);
         if ends {
