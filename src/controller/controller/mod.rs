@@ -281,7 +281,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Reply(chunk));
         }
-        if self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
+        if self.may_advance() && self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
             self.pins.disturb();
             return Some(Output::Worked);
         }

@@ -416,7 +416,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Time of what has been handed over and not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
-        self.source.in_flight.queued() / (self.source.step_clock_hz() / 1_000_000).max(1)
+        self.source.queued_us()
     }
 
     /// Machine position in steps at the end of the segment begun last.

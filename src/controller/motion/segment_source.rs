@@ -40,6 +40,11 @@ struct LongTick {
     time: u64,
 }
 
+/// For a clock slower than a microsecond. `Ord::max` is not for constants.
+const fn at_least_one(clocks: u32) -> u32 {
+    if clocks == 0 { 1 } else { clocks }
+}
+
 /// The running block, and what has been handed over to the segment buffer.
 #[derive(Clone, Debug)]
 #[repr(C)]
@@ -55,6 +60,9 @@ pub(super) struct SegmentSource<const N: usize> {
     last_rest: Motors<N>,
     long_tick: Option<LongTick>,
     step_clock_hz: u32,
+    /// The same for shorter times, without a division.
+    clocks_per_ms: u32,
+    clocks_per_us: u32,
     pacer: Pacer,
     pub(super) in_flight: SegmentsInFlight<N>,
 }
@@ -71,6 +79,8 @@ impl<const N: usize> SegmentSource<N> {
             last_rest: Motors::ZERO,
             long_tick: None,
             step_clock_hz,
+            clocks_per_ms: step_clock_hz / 1000,
+            clocks_per_us: at_least_one(step_clock_hz / 1_000_000),
             pacer: Pacer::new(step_clock_hz),
             in_flight: SegmentsInFlight::new(PerAxis::all(0)),
         }
@@ -79,12 +89,20 @@ impl<const N: usize> SegmentSource<N> {
     /// Takes over the step clock.
     pub(super) fn configure(&mut self, step_clock_hz: u32) {
         self.step_clock_hz = step_clock_hz.max(10_000);
+        self.clocks_per_ms = self.step_clock_hz / 1000;
+        self.clocks_per_us = at_least_one(self.step_clock_hz / 1_000_000);
         self.pacer = Pacer::new(self.step_clock_hz);
     }
 
     /// Ticks of the step timer per second.
     pub(super) fn step_clock_hz(&self) -> u32 {
         self.step_clock_hz
+    }
+
+    /// Time of what has been handed over and not begun, in microseconds.
+    #[inline]
+    pub(super) fn queued_us(&self) -> u32 {
+        self.in_flight.queued() / self.clocks_per_us
     }
 
     /// The running block is forgotten; the machine rests with the motors here.
@@ -151,7 +169,7 @@ impl<const N: usize> SegmentSource<N> {
     /// Whether a message is wanted: something is handed over, and there is not enough of it in the segment buffer.
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
-        self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms() * QUEUED_TIME_MS
+        self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
     }
 
     /// The state of motion on the path, and how much of the first block is left, mm.
@@ -279,12 +297,7 @@ impl<const N: usize> SegmentSource<N> {
     /// Time of a tick that is far away, in fixed point.
     #[inline]
     fn far(&self) -> u64 {
-        u64::from(self.pacer.whole(self.clocks_per_ms() * FAR_MS))
-    }
-
-    #[inline]
-    fn clocks_per_ms(&self) -> u32 {
-        self.step_clock_hz / 1000
+        u64::from(self.pacer.whole(self.clocks_per_ms * FAR_MS))
     }
 
     /// The next piece of the running block; `None` for a stop at this very position.
@@ -300,7 +313,7 @@ impl<const N: usize> SegmentSource<N> {
     /// A part of the time until a tick that is far away.
     #[inline(never)]
     fn wait(&mut self, cut: Cut, time: u64, backlash: &Backlash<N>) -> Segment {
-        let wait = self.clocks_per_ms() * WAIT_MS;
+        let wait = self.clocks_per_ms * WAIT_MS;
         let wait_fixed = self.pacer.whole(wait);
         self.long_tick = Some(LongTick { cut, time: time - u64::from(wait_fixed) });
         self.rest = false;
@@ -315,7 +328,7 @@ impl<const N: usize> SegmentSource<N> {
         self.motion.stop();
         self.rest = true;
         self.state = FeedState::Held;
-        let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
+        let clocks = self.clocks_per_us * REST_US;
         let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0, acceleration: 0.0 };
         let interval = self.pacer.whole(clocks);
         let motors = self.motors(backlash);
