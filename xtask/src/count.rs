@@ -73,17 +73,17 @@ const ROWS: [Row; 20] = [
     row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (650, 1_110))
         .beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_130, 3_770))
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_140, 3_780))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (20, 28))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_400)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_880, 5_110)),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (180, 238)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_720, 2_670))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (11_420, 19_190))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (11_450, 19_210))
         .beside("2800 / 4400", "4100 / 6500"),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),

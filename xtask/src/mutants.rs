@@ -45,8 +45,8 @@ const MUTANTS: &[Mutant] = &[
         name: "no-reverse-pass",
         edits: &[Edit {
             file: "src/controller/motion/block.rs",
-            find: "lesser(self.max_entry2, exit2 + 2.0 * self.acceleration_at(exit2) * self.length)",
-            replace: "lesser(self.max_entry2, exit2 + f32::INFINITY)",
+            find: "lesser(self.max_entry2, exit2 + 2.0 * left * self.length)",
+            replace: "lesser(self.max_entry2, left + f32::INFINITY)",
         }],
     },
     Mutant {

@@ -140,8 +140,14 @@ impl CurveLoad {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    #[inline]
+    /// Once in the image, but for the walk over the queue.
+    #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
+        self.left_of(along, speed2)
+    }
+
+    #[inline(always)]
+    fn left_of(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
@@ -217,7 +223,9 @@ impl<const N: usize> Block<N> {
     /// Greatest entry speed² from which it can be braked to an exit speed².
     #[inline]
     pub(super) fn entry_before(&self, exit2: f32) -> f32 {
-        lesser(self.max_entry2, exit2 + 2.0 * self.acceleration_at(exit2) * self.length)
+        let along = self.acceleration;
+        let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
+        lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
     }
 
     /// What bounds changes of speed in the block.
