@@ -312,6 +312,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
+        // What follows may end motion and begin a delay.
+        self.pins.disturb();
         let wanted = self.wants_line();
         self.settle();
         if !wanted && self.wants_line() {
