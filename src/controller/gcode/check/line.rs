@@ -4,12 +4,12 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Checked, Feed};
-use crate::gcode::modal::{Distance, FeedMode, MotionMode, ROTATION, Units};
+use crate::gcode::modal::{FeedMode, MotionMode, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
-use crate::gcode::word::{Claim, Letters, NonModal};
+use crate::gcode::word::{Claim, Letters};
 use crate::units::{Coordinate, Decimal, per_second};
 
 /// Letters of an arc's centre.
@@ -93,24 +93,6 @@ impl<'a, const N: usize> Check<'a, N> {
         let has = self.unused.has(letter);
         self.unused.remove(Letters::of(&[letter]));
         has
-    }
-
-    /// Where the line's axis words lead to, in machine coordinates.
-    pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
-        let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
-        if ROTATION && let Some(rotated) = self.rotated.filter(|_| !machine) {
-            return self.rotated_target(rotated);
-        }
-        let incremental = self.checked.modal.distance == Distance::Incremental;
-        self.with_axis_words(self.state.position, |axis, value| {
-            if machine {
-                value
-            } else if incremental {
-                value + self.position(axis)
-            } else {
-                value + self.work_offset(axis)
-            }
-        })
     }
 
     /// `others`, with the axes that have a word replaced by what `place` makes of it.

@@ -1,4 +1,4 @@
-//! Rotated coordinates: G68 and G69, and where axis words lead to while they or G10 L2 R act.
+//! Where axis words lead to, by straight axes and by rotated ones; G68 and G69.
 
 use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};
@@ -8,6 +8,7 @@ use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION
 use crate::gcode::offsets::{Offsets, StoredOffset};
 use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
+use crate::gcode::word::NonModal;
 use crate::units::Coordinate;
 
 impl<const N: usize> Check<'_, N> {
@@ -82,10 +83,28 @@ impl<const N: usize> Check<'_, N> {
         self.position(axis) - self.work_offset(axis)
     }
 
-    /// Where the line's axis words lead to in rotated coordinates. An axis that is not named stays where it is in the program's coordinates. Distances of
+    /// Where the line's axis words lead to, in machine coordinates.
+    pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
+        let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
+        if ROTATION && let Some(rotated) = self.rotated.filter(|_| !machine) {
+            return self.rotated_target(rotated);
+        }
+        let incremental = self.checked.modal.distance == Distance::Incremental;
+        self.with_axis_words(self.state.position, |axis, value| {
+            if machine {
+                value
+            } else if incremental {
+                value + self.position(axis)
+            } else {
+                value + self.work_offset(axis)
+            }
+        })
+    }
+
+    /// The same in rotated coordinates. An axis that is not named stays where it is in the program's coordinates. Distances of
     /// jogs are along the axes of the machine, as the buttons and the reports show them.
     #[inline(never)]
-    pub(super) fn rotated_target(&mut self, rotated: RotatedPlane) -> PerAxis<Coordinate, N> {
+    fn rotated_target(&mut self, rotated: RotatedPlane) -> PerAxis<Coordinate, N> {
         let incremental = self.checked.modal.distance == Distance::Incremental;
         let in_plane = |axis: Axis| axis == rotated.axes.first || axis == rotated.axes.second;
         let along_machine = incremental && self.purpose == Purpose::Jog;
