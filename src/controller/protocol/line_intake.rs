@@ -117,6 +117,9 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
+            // It may be among those that a button or a hold has counted since.
+            self.drop_bytes = self.drop_bytes.saturating_sub(1);
+            self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
         }
         if self.drop_bytes > 0 || self.drop_rest {
@@ -300,10 +303,15 @@ mod tests {
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
+        // The other way round: bytes of a reset before it are among those that it counts.
+        intake.reset();
+        intake.drop_received(4);
+        assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);
+        assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
         // Bytes that went with their host are not dropped from the next host's.
         intake.drop_received(6);
         intake.observe(0);
-        assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
+        assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
     }
 
     /// Leaves the line in place, as the controller does while a jog waits.
