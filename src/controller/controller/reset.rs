@@ -3,6 +3,7 @@
 use super::Controller;
 use super::task::Task;
 use crate::error::Alarm;
+use crate::gcode::Dialect;
 use crate::machine::accessories::Accessories;
 use crate::machine::state::Mode;
 use crate::messages::{Coolant, GangedMotors, SpindleDirection};
@@ -32,7 +33,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Alarm::EmergencyStop => "Emergency stop is active",
                 _ => "Driver fault is active",
             };
-            self.say(|out| report::message(out, still));
+            if self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, still));
+            }
         }
         if let Mode::Alarm(_) = self.mode {
             self.tell_lock();
