@@ -1,0 +1,317 @@
+//! What a host and an operator do: the actions of a conversation, at random, and how a recorded conversation writes them.
+
+use proptest::prelude::*;
+
+/// A line of a host, each of a kind that the protocol answers in its own way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Line {
+    Empty,
+    /// Beyond the 79 characters of Grbl; otherwise a word that is repeated.
+    TooLong,
+    /// A straight move in absolute coordinates, mm: axis and target. `true`: at the feed of [`FEED`], else a rapid.
+    Move(usize, i8, bool),
+    /// To a place that soft limits forbid.
+    Outside,
+    /// Words that G-code does not know or cannot read, and the error that says so.
+    Wrong(&'static str, u8),
+    Dwell,
+    Pause,
+    ProgramEnd,
+    Spindle(bool),
+    Flood(bool),
+    /// A jog by so many mm of an axis.
+    Jog(usize, i8),
+    /// A jog to a place that soft limits forbid; a long one without them.
+    JogOutside,
+    /// A jog that is refused for what it says.
+    WrongJog(&'static str, u8),
+    Help,
+    Listing,
+    Parameters,
+    ParserState,
+    BuildInfo,
+    StartupLines,
+    ClearStartup,
+    Setting,
+    WrongSetting,
+    Unlock,
+    Home,
+    Check,
+    Sleep,
+    Restore,
+}
+
+/// Feed of moves and jogs, mm/min.
+pub const FEED: f64 = 600.0;
+/// Time of the dwell, s.
+pub const DWELL: f64 = 0.5;
+/// Where [`Line::Outside`] leads, mm.
+pub const OUTSIDE: f64 = 5.0;
+/// How far [`Line::JogOutside`] leads, mm.
+pub const JOG_OUTSIDE: f64 = 25.0;
+/// Spindle speed of the lines that turn it on, rpm.
+pub const SPINDLE: f64 = 500.0;
+const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
+
+impl Line {
+    pub fn text(self) -> String {
+        match self {
+            Line::Move(axis, to, true) => format!("G90 G1 {}{to} F{FEED}", LETTERS[axis]),
+            Line::Move(axis, to, false) => format!("G90 G0 {}{to}", LETTERS[axis]),
+            Line::Outside => format!("G90 G1 X{OUTSIDE} F{FEED}"),
+            Line::Jog(axis, by) => format!("$J=G91 {}{by} F{FEED}", LETTERS[axis]),
+            Line::JogOutside => format!("$J=G91 X{JOG_OUTSIDE} F{FEED}"),
+            Line::Wrong(text, _) | Line::WrongJog(text, _) => text.into(),
+            Line::TooLong => format!("G1{}", "X1".repeat(42)),
+            Line::Dwell => format!("G4 P{DWELL}"),
+            Line::Spindle(true) => format!("M3 S{SPINDLE}"),
+            Line::Empty => String::new(),
+            Line::Pause => "M0".into(),
+            Line::ProgramEnd => "M2".into(),
+            Line::Spindle(false) => "M5".into(),
+            Line::Flood(true) => "M8".into(),
+            Line::Flood(false) => "M9".into(),
+            Line::Help => "$".into(),
+            Line::Listing => "$$".into(),
+            Line::Parameters => "$#".into(),
+            Line::ParserState => "$G".into(),
+            Line::BuildInfo => "$I".into(),
+            Line::StartupLines => "$N".into(),
+            Line::ClearStartup => "$N0=".into(),
+            Line::Setting => "$1=25".into(),
+            Line::WrongSetting => "$1=5x".into(),
+            Line::Unlock => "$X".into(),
+            Line::Home => "$H".into(),
+            Line::Check => "$C".into(),
+            Line::Sleep => "$SLP".into(),
+            Line::Restore => "$RST=#".into(),
+        }
+    }
+}
+
+/// An input, by its place in the report of pins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pin {
+    Limit(usize),
+    Door,
+    Reset,
+    Hold,
+    Start,
+    EmergencyStop,
+    DriverFault,
+}
+
+/// All inputs in the order in which a report names them, with its letter and the name in the simulator's pin protocol.
+pub const PINS: [(Pin, char, &str); 9] = [
+    (Pin::Limit(0), 'X', "limit x"),
+    (Pin::Limit(1), 'Y', "limit y"),
+    (Pin::Limit(2), 'Z', "limit z"),
+    (Pin::Door, 'D', "door"),
+    (Pin::Reset, 'R', "reset"),
+    (Pin::Hold, 'H', "hold"),
+    (Pin::Start, 'S', "start"),
+    (Pin::EmergencyStop, 'E', "estop"),
+    (Pin::DriverFault, 'F', "fault"),
+];
+
+impl Pin {
+    /// Its place in [`PINS`].
+    pub fn index(self) -> usize {
+        PINS.iter().position(|(pin, ..)| *pin == self).expect("all pins are listed")
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    Line(Line),
+    /// A realtime command.
+    Byte(u8),
+    Pin(Pin, bool),
+    /// Virtual time, s.
+    Pass(f64),
+}
+
+pub const RESET: u8 = 0x18;
+pub const STOP: u8 = 0x19;
+pub const HOLD: u8 = b'!';
+pub const START: u8 = b'~';
+pub const DOOR: u8 = 0x84;
+pub const JOG_CANCEL: u8 = 0x85;
+pub const FEED_100: u8 = 0x90;
+pub const FEED_UP: u8 = 0x91;
+pub const FEED_DOWN: u8 = 0x92;
+pub const RAPID_100: u8 = 0x95;
+pub const RAPID_50: u8 = 0x96;
+pub const RAPID_25: u8 = 0x97;
+pub const SPINDLE_100: u8 = 0x99;
+pub const SPINDLE_UP: u8 = 0x9A;
+pub const SPINDLE_DOWN: u8 = 0x9B;
+pub const SPINDLE_STOP: u8 = 0x9E;
+
+impl Action {
+    /// As a line of `tests/conversations/`.
+    pub fn text(&self) -> String {
+        match self {
+            Action::Line(line) => format!("-> {}", line.text()),
+            Action::Byte(byte) if byte.is_ascii_graphic() => format!("=> {}", char::from(*byte)),
+            Action::Byte(byte) => format!("=> \\x{byte:02x}"),
+            Action::Pin(pin, on) => format!("pin {} {}", PINS[pin.index()].2, u8::from(*on)),
+            Action::Pass(seconds) => format!(".. {seconds}"),
+        }
+    }
+}
+
+/// The settings that make a difference to what may be done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// `$900=0`.
+    pub grbl: bool,
+    /// `$21`.
+    pub hard_limits: bool,
+    /// `$22`.
+    pub homing: bool,
+    /// `$20`, which needs `homing`; machine coordinates are believed from power-up then (`$902=0`).
+    pub soft_limits: bool,
+}
+
+impl Setup {
+    /// The lines that make it.
+    pub fn settings(self) -> Vec<String> {
+        let mut lines: Vec<String> = Vec::new();
+        for axis in 0..3 {
+            lines.push(format!("$11{axis}={RATE}"));
+            lines.push(format!("$12{axis}={ACCELERATION}"));
+            lines.push(format!("$13{axis}={TRAVEL}"));
+        }
+        lines.extend(["$24=600", "$25=2000", "$26=50"].map(str::to_string));
+        lines.push("$902=0".into());
+        let switches =
+            [(self.homing, "$22=1"), (self.soft_limits, "$20=1"), (self.hard_limits, "$21=1"), (self.grbl, "$900=0")];
+        lines.extend(switches.iter().filter(|(on, _)| *on).map(|(_, line)| (*line).to_string()));
+        lines
+    }
+}
+
+/// Rate of all axes, mm/min.
+pub const RATE: f64 = 6000.0;
+/// Acceleration of all axes, mm/s².
+pub const ACCELERATION: f64 = 500.0;
+/// Travel of all axes, mm.
+pub const TRAVEL: f64 = 20.0;
+
+fn line() -> impl Strategy<Value = Line> {
+    prop_oneof![
+        8 => (0..3_usize, prop::sample::select(vec![0_i8, -2, -4, -15]), any::<bool>())
+            .prop_map(|(axis, to, feed)| Line::Move(axis, to, feed)),
+        4 => (0..3_usize, prop::sample::select(vec![-3_i8, -1, 1])).prop_map(|(axis, by)| Line::Jog(axis, by)),
+        1 => Just(Line::Outside),
+        1 => Just(Line::JogOutside),
+        1 => prop::sample::select(vec![Line::Wrong("G999", 20), Line::Wrong("G1 X", 2), Line::Wrong("=1", 1),
+            Line::Wrong("M3.5", 23), Line::Wrong("G1 G0", 24)]),
+        1 => prop::sample::select(vec![Line::WrongJog("$J=X1", 22), Line::WrongJog("$J=G0 X1 F100", 16),
+            Line::WrongJog("$J=X1 F100 S5", 36)]),
+        2 => Just(Line::Dwell),
+        2 => Just(Line::Pause),
+        1 => Just(Line::ProgramEnd),
+        2 => any::<bool>().prop_map(Line::Spindle),
+        2 => any::<bool>().prop_map(Line::Flood),
+        4 => Just(Line::Unlock),
+        3 => Just(Line::Home),
+        2 => Just(Line::Check),
+        1 => Just(Line::Sleep),
+        4 => prop::sample::select(vec![Line::Empty, Line::TooLong, Line::Help, Line::Listing, Line::Parameters,
+            Line::ParserState, Line::BuildInfo, Line::StartupLines, Line::ClearStartup, Line::Setting,
+            Line::WrongSetting, Line::Restore]),
+    ]
+}
+
+fn one() -> impl Strategy<Value = Action> {
+    let bytes = vec![
+        FEED_100,
+        FEED_UP,
+        FEED_DOWN,
+        RAPID_100,
+        RAPID_50,
+        RAPID_25,
+        SPINDLE_100,
+        SPINDLE_UP,
+        SPINDLE_DOWN,
+        SPINDLE_STOP,
+        SPINDLE_STOP,
+        JOG_CANCEL,
+        JOG_CANCEL,
+        STOP,
+    ];
+    let pins = PINS.map(|(pin, ..)| pin).to_vec();
+    prop_oneof![
+        12 => line().prop_map(Action::Line),
+        3 => prop::sample::select(bytes).prop_map(Action::Byte),
+        6 => prop::sample::select(vec![HOLD, START, START, DOOR, RESET]).prop_map(Action::Byte),
+        4 => (prop::sample::select(pins), any::<bool>()).prop_map(|(pin, on)| Action::Pin(pin, on)),
+        2 => any::<bool>().prop_map(|on| Action::Pin(Pin::Door, on)),
+        8 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Pass),
+    ]
+}
+
+/// Times that pass, s. No sum of a few of them is that of a dwell or a delay, so that nothing ends in the very moment of a
+/// report.
+const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
+
+/// A homing cycle by hand: each switch is touched twice, first Z, then X and Y.
+fn homed_by_hand() -> Vec<Action> {
+    let mut actions = vec![Action::Line(Line::Home), Action::Pass(0.2011)];
+    for limits in [[2].as_slice(), &[2], &[0, 1], &[0, 1]] {
+        actions.extend(limits.iter().map(|axis| Action::Pin(Pin::Limit(*axis), true)));
+        actions.push(Action::Pass(0.0203));
+        actions.extend(limits.iter().map(|axis| Action::Pin(Pin::Limit(*axis), false)));
+        actions.push(Action::Pass(0.3517));
+    }
+    actions
+}
+
+/// Actions that follow each other; seldom one of them is left out.
+fn sequence(actions: Vec<Action>) -> impl Strategy<Value = Vec<Action>> {
+    prop::collection::vec(prop::bool::weighted(0.985), actions.len()).prop_map(move |kept| {
+        actions.iter().zip(kept).filter(|(_, kept)| *kept).map(|(action, _)| action.clone()).collect()
+    })
+}
+
+/// A jog, or what makes one wait; what ends it, and another jog.
+fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
+    let first = prop::sample::select(vec![Line::JogOutside, Line::Jog(1, -3), Line::Dwell, Line::Move(2, -15, true)]);
+    let ends = prop::sample::select(vec![HOLD, JOG_CANCEL, JOG_CANCEL, DOOR, STOP, RESET]);
+    (first, any::<[bool; 3]>(), ends).prop_map(|(first, [waits, passes, follows], end)| {
+        let jog = || Action::Line(Line::Jog(0, -1));
+        let mut actions = vec![Action::Line(first)];
+        actions.extend(waits.then(jog));
+        actions.extend(passes.then_some(Action::Pass(PASSES[2])));
+        actions.push(Action::Byte(end));
+        actions.extend(follows.then(jog));
+        actions.push(Action::Pass(PASSES[3]));
+        actions
+    })
+}
+
+fn some() -> impl Strategy<Value = Vec<Action>> {
+    prop_oneof![
+        40 => one().prop_map(|action| vec![action]),
+        2 => sequence(vec![Action::Byte(RESET), Action::Line(Line::Unlock)]),
+        1 => sequence(homed_by_hand()),
+        // Jogs that meet what ends jogs, and lines that wait.
+        3 => ended_jog().prop_flat_map(sequence),
+        // Part of a homing cycle.
+        1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
+    ]
+}
+
+/// A conversation: how the machine is set up, and what is done with it.
+pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
+    let setup = any::<[bool; 4]>().prop_map(|[grbl, hard_limits, homing, soft_limits]| Setup {
+        grbl,
+        hard_limits,
+        homing,
+        soft_limits: soft_limits && homing,
+    });
+    let actions = prop::collection::vec(some(), 1..30).prop_map(|parts| parts.concat());
+    (setup, actions)
+}

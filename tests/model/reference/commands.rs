@@ -1,0 +1,133 @@
+//! Realtime commands and inputs.
+
+use super::super::action::{self, Pin};
+use super::{Mode, Model, SLACK, Span, Work};
+
+impl Model {
+    pub(super) fn command(&mut self, byte: u8, also: &mut Vec<Model>) {
+        match byte {
+            action::RESET => self.reset(also),
+            action::STOP => self.stop(also),
+            action::HOLD => self.hold(),
+            action::START => self.start(also),
+            action::DOOR => self.door_opens(also),
+            action::JOG_CANCEL => {
+                self.end_jogs(true);
+                if self.mode == Mode::Jog {
+                    self.brake();
+                }
+            }
+            // Oxmill: only where the hold has come to rest.
+            action::SPINDLE_STOP if self.mode == Mode::Hold && self.spindle && self.braking.is_none() => {
+                if self.spindle_stopped {
+                    self.restore_spindle();
+                } else {
+                    self.spindle_stopped = true;
+                }
+            }
+            // Oxmill: also in an alarm that only a reset ends.
+            _ => self.override_speed(byte),
+        }
+    }
+
+    pub(super) fn override_speed(&mut self, byte: u8) {
+        let [feed, rapid, spindle] = &mut self.overrides;
+        let before = [*feed, *rapid];
+        match byte {
+            action::FEED_100 => *feed = 100,
+            action::FEED_UP => *feed = (*feed + 10).min(200),
+            action::FEED_DOWN => *feed = (*feed - 10).max(10),
+            action::RAPID_100 => *rapid = 100,
+            action::RAPID_50 => *rapid = 50,
+            action::RAPID_25 => *rapid = 25,
+            action::SPINDLE_100 => *spindle = 100,
+            action::SPINDLE_UP => *spindle = (*spindle + 10).min(200),
+            action::SPINDLE_DOWN => *spindle = (*spindle - 10).max(10),
+            _ => {}
+        }
+        let ratio = |i: usize| f64::from(before[i]) / f64::from(self.overrides[i]);
+        self.slow_down(ratio(0).min(ratio(1)).min(1.0), ratio(0).max(ratio(1)).max(1.0));
+    }
+
+    /// What is left of a motion takes longer by a factor between these.
+    pub(super) fn slow_down(&mut self, least: f64, most: f64) {
+        let Some(motion) = self.motion.as_mut().filter(|_| self.mode != Mode::Jog && least != most) else { return };
+        let now = if motion.held { Span::at(0.0) } else { self.now };
+        let ramp = 2.0 * motion.speed / action::ACCELERATION;
+        let left = Span { from: motion.time.from - now.to, to: motion.time.to - now.from };
+        motion.time = now.plus(Span { from: (left.from * least - ramp).max(0.0), to: left.to * most + ramp + SLACK });
+        motion.speed *= most.max(1.0 / least);
+    }
+
+    /// 0x19. Oxmill: brakes, forgets the job, keeps position and modal state; to Grbl's dialect it is nothing.
+    pub(super) fn stop(&mut self, also: &mut Vec<Model>) {
+        if self.setup.grbl {
+            return;
+        }
+        self.drop_lines();
+        match self.mode {
+            Mode::Free | Mode::Jog | Mode::Hold => {
+                self.brake();
+                self.mode = Mode::Stop;
+                if self.braking.is_none() {
+                    self.rest(also);
+                }
+            }
+            Mode::Home(_) => self.fail_homing(6, also),
+            Mode::Door { .. } => {
+                // Answered behind the door.
+                self.work = self.work.take().map(|_| Work::Pause);
+                if self.braking.is_some() {
+                    self.forgets = true;
+                } else {
+                    self.forget_motion();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn pin(&mut self, pin: Pin, on: bool, also: &mut Vec<Model>) {
+        self.pins[pin.index()] = on;
+        if !on {
+            return;
+        }
+        match pin {
+            Pin::Door => self.door_opens(also),
+            Pin::Reset => self.reset(also),
+            Pin::Hold => self.hold(),
+            Pin::Start => self.start(also),
+            Pin::EmergencyStop => self.emergency(101, "Emergency stop", also),
+            Pin::DriverFault => self.emergency(102, "Driver fault", also),
+            Pin::Limit(axis) => {
+                if matches!(self.mode, Mode::Home(_)) {
+                    self.switch_touched(axis);
+                } else if self.setup.hard_limits && !matches!(self.mode, Mode::Alarm | Mode::Critical) {
+                    self.emergency(1, "Limit switch", also);
+                }
+            }
+        }
+    }
+
+    /// An input stops everything at once.
+    pub(super) fn emergency(&mut self, alarm: u8, text: &str, also: &mut Vec<Model>) {
+        if let Some(mut unmoved) = self.unmoved() {
+            unmoved.emergency(alarm, text, also);
+            also.push(unmoved);
+        }
+        self.trusted &= alarm != 102;
+        self.stop_dead();
+        self.say(format!("ALARM:{alarm}"));
+        // Oxmill: a homing cycle is answered at once, any other line when the reset comes.
+        if self.work == Some(Work::Homing) {
+            self.work = None;
+            self.say("ok");
+        }
+        // Oxmill: it says which input and where, if not in Grbl's dialect.
+        if !self.setup.grbl {
+            self.say(format!("[MSG:{text}*"));
+        }
+        self.say("[MSG:Reset to continue]");
+        self.wait_for_reset();
+    }
+}

@@ -1,0 +1,293 @@
+//! Holds, doors, alarms and resets: what brakes, what is forgotten, and what continues.
+
+use super::super::action::{self, Line, Pin};
+use super::{Mode, Model, RESTORE, SLACK, Span, Work};
+
+impl Model {
+    /// A motion is stopped. Without one nothing brakes.
+    pub(super) fn brake(&mut self) {
+        let now = self.now;
+        if let Some(motion) = self.motion.as_mut().filter(|motion| !motion.held) {
+            let ramp = motion.speed / action::ACCELERATION;
+            motion.held = true;
+            let rests = !motion.stepped || motion.time.from <= now.to;
+            self.braking = Some(now.plus(Span { from: if rests { 0.0 } else { 0.0005 }, to: ramp + SLACK }));
+            motion.time = Span {
+                from: (motion.time.from - now.to - ramp - SLACK).max(0.0),
+                to: motion.time.to - now.from + ramp + SLACK,
+            };
+            self.place = [None; 3];
+        }
+        if let Some(Work::Dwell { time, held: held @ false }) = &mut self.work {
+            *held = true;
+            *time = Span { from: (time.from - now.to).max(0.0), to: time.to - now.from };
+        }
+    }
+
+    /// What is queued will not be carried out.
+    pub(super) fn forget_motion(&mut self) {
+        self.forgets = false;
+        if self.motion.take().is_some_and(|motion| !motion.held) {
+            self.place = [None; 3];
+        }
+    }
+
+    /// A motion that was stopped has come to rest.
+    pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
+        if self.work == Some(Work::Forbidden) {
+            self.forget_motion();
+            if self.mode == Mode::Free {
+                return self.lock_for(2);
+            }
+        }
+        match self.mode {
+            Mode::Jog | Mode::Stop => {
+                self.forget_motion();
+                self.restore_spindle();
+                let jogs = self.mode == Mode::Jog;
+                self.mode = Mode::Free;
+                match self.work.take() {
+                    Some(Work::LaterJog(line)) if jogs => self.line(line, also),
+                    Some(_) => self.say("ok"),
+                    None => {}
+                }
+                self.read(also);
+            }
+            Mode::Door { .. } => {
+                if self.forgets {
+                    self.forget_motion();
+                }
+                self.outputs_off = true;
+                self.spindle_stopped = false;
+            }
+            _ => {}
+        }
+    }
+
+    /// The end of a hold or a door.
+    pub(super) fn go_on(&mut self, also: &mut Vec<Model>) {
+        let now = self.now;
+        if self.motion.as_ref().is_some_and(|motion| motion.time.from <= 0.0) {
+            // It may have come to its end while it braked.
+            let mut ended = self.clone();
+            ended.place = ended.target();
+            ended.motion = None;
+            if let Some(Work::Drain(line)) = ended.work.take_if(|work| matches!(work, Work::Drain(_))) {
+                ended.mode = Mode::Free;
+                ended.outputs_off = false;
+                ended.carry_out(line);
+                ended.read(also);
+            } else {
+                ended.go_on(also);
+            }
+            also.push(ended);
+        }
+        self.mode = Mode::Free;
+        self.outputs_off = false;
+        if let Some(motion) = &mut self.motion {
+            motion.held = false;
+            motion.stepped = false;
+            motion.time = now.plus(motion.time);
+        }
+        match &mut self.work {
+            Some(Work::Forbidden) => return self.lock_for(2),
+            Some(Work::Dwell { time, held }) => {
+                *held = false;
+                *time = now.plus(*time);
+            }
+            Some(Work::Pause) => {
+                self.work = None;
+                self.say("ok");
+            }
+            Some(Work::LaterJog(line)) => {
+                let line = *line;
+                self.work = None;
+                self.line(line, also);
+            }
+            _ => {}
+        }
+        self.read(also);
+    }
+
+    /// Alarm, after which only a reset is heard.
+    pub(super) fn lock_for(&mut self, alarm: u8) {
+        self.say(format!("ALARM:{alarm}"));
+        self.say("[MSG:Reset to continue]");
+        self.wait_for_reset();
+    }
+
+    pub(super) fn wait_for_reset(&mut self) {
+        self.mode = Mode::Critical;
+        self.work = self.work.take().map(|_| Work::Owed);
+        self.switch_off();
+    }
+
+    /// The machine stops in mid-motion.
+    pub(super) fn stop_dead(&mut self) {
+        if self.moves() {
+            self.place = [None; 3];
+            self.trusted = false;
+        }
+        self.braking = None;
+        self.motion = None;
+        self.forgets = false;
+    }
+
+    pub(super) fn switch_off(&mut self) {
+        self.spindle = false;
+        self.spindle_stopped = false;
+        self.flood = false;
+        self.outputs_off = false;
+    }
+
+    /// The same with a motion that has not begun to move the machine, if that may be.
+    pub(super) fn unmoved(&self) -> Option<Model> {
+        let may_be = self.moves() && self.motion.as_ref().is_some_and(|motion| !motion.stepped);
+        may_be.then(|| Model { motion: None, braking: None, place: [None; 3], ..self.clone() })
+    }
+
+    /// Everything begins again; the position is kept.
+    pub(super) fn reset(&mut self, also: &mut Vec<Model>) {
+        if let Some(mut unmoved) = self.unmoved() {
+            unmoved.reset(also);
+            also.push(unmoved);
+        }
+        let alarm = match self.mode {
+            Mode::Home(_) => Some(6),
+            Mode::Critical => None,
+            _ => self.moves().then_some(3),
+        };
+        self.drop_lines();
+        self.end_all(alarm);
+        self.initialise(alarm.is_some() || matches!(self.mode, Mode::Alarm | Mode::Critical | Mode::Sleep), also);
+    }
+
+    pub(super) fn drop_lines(&mut self) {
+        self.waiting.clear();
+        self.cancelled = 0;
+    }
+
+    /// Homing has failed: as a reset. Oxmill: lines that wait are answered, in the alarm that this ends in.
+    pub(super) fn fail_homing(&mut self, alarm: u8, also: &mut Vec<Model>) {
+        self.end_all(Some(alarm));
+        self.initialise(true, also);
+        self.read(also);
+    }
+
+    pub(super) fn end_all(&mut self, alarm: Option<u8>) {
+        if let Some(alarm) = alarm {
+            self.say(format!("ALARM:{alarm}"));
+        }
+        self.stop_dead();
+        if self.work.take().is_some() {
+            self.say("ok");
+        }
+    }
+
+    /// What every reset ends with.
+    pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
+        self.switch_off();
+        self.overrides = [100; 3];
+        self.mode = Mode::Free;
+        self.checked = None;
+        self.say("");
+        self.say("Grbl 1.1h ['$' for help]");
+        if self.setup.hard_limits && self.pins[..3].contains(&true) {
+            self.say("[MSG:Check Limits]");
+            locked = true;
+        }
+        // Oxmill: an emergency stop and a driver at fault lock for as long as they are active.
+        for (pin, alarm, text) in [(Pin::EmergencyStop, 101, "Emergency stop"), (Pin::DriverFault, 102, "Driver fault")]
+        {
+            if self.on(pin) {
+                self.say(format!("ALARM:{alarm}"));
+                if !self.setup.grbl {
+                    self.say(format!("[MSG:{text} is active]"));
+                }
+                locked = true;
+            }
+        }
+        if locked {
+            self.mode = Mode::Alarm;
+            self.say("[MSG:'$H'|'$X' to unlock]");
+        } else if self.on(Pin::Door) {
+            self.door_opens(also);
+        }
+    }
+
+    /// Oxmill: what ends a jog also ends those that have been received and not begun, wherever they wait. They are
+    /// answered as if they had been carried out; so are those behind a hold, as long as it brakes.
+    pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
+        self.cancelled = self.waiting.len();
+        self.keeps_later_jogs = keeps_later_jogs;
+        if matches!(self.work, Some(Work::LaterJog(Line::Jog(..) | Line::JogOutside))) {
+            self.work = Some(Work::Pause);
+        }
+    }
+
+    pub(super) fn hold(&mut self) {
+        match self.mode {
+            Mode::Free => {
+                self.brake();
+                self.mode = Mode::Hold;
+            }
+            Mode::Jog => {
+                self.end_jogs(false);
+                self.brake();
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn door_opens(&mut self, also: &mut Vec<Model>) {
+        if self.mode == Mode::Jog {
+            self.end_jogs(false);
+        }
+        match self.mode {
+            Mode::Free | Mode::Jog | Mode::Hold | Mode::Stop => {
+                self.brake();
+                self.forgets = matches!(self.mode, Mode::Jog | Mode::Stop);
+                if self.mode == Mode::Stop {
+                    self.work = self.work.take().map(|_| Work::Pause);
+                }
+                if self.forgets && self.braking.is_none() {
+                    self.motion = None;
+                }
+            }
+            Mode::Door { .. } => {}
+            Mode::Home(_) => return self.fail_homing(7, also),
+            Mode::Alarm | Mode::Critical | Mode::Check | Mode::Sleep => return,
+        }
+        self.mode = Mode::Door { restoring: None };
+        self.outputs_off |= self.braking.is_none();
+        self.spindle_stopped &= self.braking.is_some();
+        self.say("[MSG:Check Door]");
+    }
+
+    pub(super) fn start(&mut self, also: &mut Vec<Model>) {
+        match self.mode {
+            Mode::Hold if self.braking.is_none() => {
+                self.restore_spindle();
+                self.go_on(also);
+            }
+            Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
+                let seconds =
+                    RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
+                self.outputs_off = false;
+                if seconds > 0.0 {
+                    self.mode = Mode::Door { restoring: Some(self.now.plus(Span::length(seconds, 0.0))) };
+                } else {
+                    self.go_on(also);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn restore_spindle(&mut self) {
+        if self.spindle_stopped {
+            self.spindle_stopped = false;
+            self.say("[MSG:Restoring spindle]");
+        }
+    }
+}

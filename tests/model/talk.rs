@@ -1,0 +1,199 @@
+//! A conversation with the real controller and the reference side by side.
+
+use super::action::{Action, PINS, Setup};
+use super::reference::{MANY, Model};
+use oxmill_simulator::{Options, Simulator};
+use oxmill_test_support::numbers;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::time::Duration;
+
+thread_local! {
+    /// Machines as they are when they have been set up: a copy is cheaper than another start.
+    static STARTED: RefCell<Vec<(Setup, Talk)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// The controller in the simulator, and the conversation so far in the format of `tests/conversations`.
+#[derive(Clone)]
+struct Talk {
+    mill: Simulator,
+    text: String,
+}
+
+/// What the machine has shown of an action.
+struct Seen {
+    said: Vec<String>,
+    report: String,
+    stepped: bool,
+}
+
+impl Talk {
+    fn started(setup: Setup) -> Talk {
+        STARTED.with_borrow_mut(|started| {
+            if let Some((_, talk)) = started.iter().find(|(known, _)| *known == setup) {
+                return talk.clone();
+            }
+            let talk = Talk::new(setup);
+            started.push((setup, talk.clone()));
+            talk
+        })
+    }
+
+    fn new(setup: Setup) -> Talk {
+        let mill = Simulator::new(Options { keep_steps: true, ..Options::default() });
+        let mut talk = Talk { mill, text: String::new() };
+        let greeting = talk.mill.take_output();
+        talk.note_answers(&greeting);
+        for line in setup.settings() {
+            writeln!(talk.text, "-> {line}").expect("text");
+            talk.mill.send(format!("{line}\n"));
+            let said = talk.mill.take_output();
+            assert_eq!(said, "ok\r\n", "{line}");
+            talk.note_answers(&said);
+        }
+        talk
+    }
+
+    fn note_answers(&mut self, said: &str) {
+        for line in said.split_terminator("\r\n") {
+            writeln!(self.text, "<- {line}").expect("text");
+        }
+    }
+
+    fn act(&mut self, action: &Action) -> Seen {
+        let before = self.mill.machine().pulses();
+        match action {
+            Action::Line(line) => self.mill.send(format!("{}\n", line.text())),
+            Action::Byte(byte) => self.mill.send([*byte]),
+            Action::Pin(pin, on) => {
+                let line = format!("{} {}", PINS[pin.index()].2, u8::from(*on));
+                assert_eq!(self.mill.pin_line(&line), "ok", "{line}");
+            }
+            Action::Pass(seconds) => self.mill.run_for(Duration::from_secs_f64(*seconds)),
+        }
+        let said = self.mill.take_output();
+        self.mill.send("?");
+        let report = self.mill.take_output();
+        Seen {
+            said: said.split_terminator("\r\n").map(str::to_string).collect(),
+            report: report.trim_end().to_string(),
+            stepped: self.mill.machine().pulses() != before,
+        }
+    }
+}
+
+impl Seen {
+    fn state(&self) -> &str {
+        self.report.trim_matches(['<', '>']).split('|').next().unwrap_or_default()
+    }
+
+    /// The reported machine position, mm.
+    fn place(&self) -> [f64; 3] {
+        numbers(&self.report, "MPos").unwrap_or_else(|| panic!("no MPos in {}", self.report))
+    }
+
+    fn field(&self, name: &str) -> Option<&str> {
+        self.report.trim_matches(['<', '>']).split('|').find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))
+    }
+
+    /// What of it is not as the model says.
+    fn differs(&self, model: &Model) -> Option<String> {
+        if !is_said(&model.said, &self.said) {
+            return Some(format!("the answers {:?}", model.said));
+        }
+        if self.state() != model.state() {
+            return Some(format!("the state {}", model.state()));
+        }
+        if self.stepped && !model.may_step {
+            return Some("no step".into());
+        }
+        if !self.stepped && model.must_step {
+            return Some("steps".into());
+        }
+        let (pins, speed) = (model.reported_pins(), model.spindle_speed().to_string());
+        if self.field("Pn").unwrap_or_default() != pins {
+            return Some(format!("Pn:{pins}"));
+        }
+        if self.field("FS").and_then(|text| text.split(',').nth(1)) != Some(&speed) {
+            return Some(format!("the spindle speed {speed}"));
+        }
+        if let Some(found) = self.field("Ov") {
+            let overrides = model.overrides().map(|percent| percent.to_string()).join(",");
+            if found != overrides || self.field("A").unwrap_or_default() != model.accessories() {
+                return Some(format!("Ov:{overrides}|A:{}", model.accessories()));
+            }
+        }
+        let found = self.place();
+        let place = model.place()?;
+        let rests = (0..3).all(|axis| place[axis].is_none_or(|mm| (mm - found[axis]).abs() < 0.0021));
+        (!rests).then(|| format!("the place {place:?}"))
+    }
+}
+
+/// Whether lines are those of a list of patterns in which `*` at the end is any text, and [`MANY`] any lines that are no
+/// answer.
+fn is_said(patterns: &[String], lines: &[String]) -> bool {
+    let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
+    if pattern == MANY {
+        let end = lines.iter().position(|line| line == "ok" || line.starts_with("error:")).unwrap_or(lines.len());
+        return is_said(rest, &lines[end..]);
+    }
+    let Some((line, others)) = lines.split_first() else { return false };
+    pattern.strip_suffix('*').map_or(line == pattern, |head| line.starts_with(head)) && is_said(rest, others)
+}
+
+/// How often each state has been reported after an action.
+pub type States = BTreeMap<String, u64>;
+
+/// Plays a conversation to a machine of `setup` and to the reference of a machine of `told`, which is the same but in a
+/// test of this test. The states that were passed, or how the two disagree.
+pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, String> {
+    let mut talk = Talk::started(setup);
+    let mut models = vec![Model::new(told)];
+    let mut states = States::new();
+    for action in actions {
+        if !models.iter().all(|model| model.is_sensible(action)) {
+            continue;
+        }
+        writeln!(talk.text, "{}", action.text()).expect("text");
+        let seen = talk.act(action);
+        let mut faults = Vec::new();
+        let mut agree: Vec<Model> = Vec::new();
+        for mut model in models.iter().flat_map(|model| model.act(action)) {
+            if let Some(fault) = seen.differs(&model) {
+                faults.push((fault, model));
+                continue;
+            }
+            model.adopt(seen.place(), seen.stepped);
+            if !agree.contains(&model) {
+                agree.push(model);
+            }
+        }
+        if agree.is_empty() {
+            return Err(disagreement(&talk.text, &seen, &faults));
+        }
+        models = agree;
+        *states.entry(seen.state().to_string()).or_default() += 1;
+        talk.note_answers(&seen.said.join("\r\n"));
+        writeln!(talk.text, "=> ?\n<- {}", seen.report).expect("text");
+    }
+    Ok(states)
+}
+
+/// The conversation up to where it goes wrong, with what the reference expects there.
+fn disagreement(text: &str, seen: &Seen, faults: &[(String, Model)]) -> String {
+    let stepped = if seen.stepped { "steps came" } else { "no step came" };
+    let mut text = format!("# The controller and the reference of its protocol disagree.\n{text}");
+    writeln!(text, "# It says {:?} and reports {}, {stepped}.", seen.said, seen.report).expect("text");
+    for (fault, _) in faults {
+        writeln!(text, "# The reference expects {fault}.").expect("text");
+    }
+    if let Some((_, model)) = faults.last() {
+        for line in &model.said {
+            writeln!(text, "<- {line}").expect("text");
+        }
+        writeln!(text, "=> ?\n<- <{}|*", model.state()).expect("text");
+    }
+    text
+}
