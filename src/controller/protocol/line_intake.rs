@@ -122,14 +122,14 @@ impl LineIntake {
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
         }
+        let before_cancel = self.jog_bytes > 0;
+        self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if self.drop_bytes > 0 || self.drop_rest {
             // Received before the reset button; the line that the last of them is in is dropped to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | HOST_CHANGED);
             return Taken { cut: byte.byte == HOST_CHANGED, ..Taken::NOTHING };
         }
-        let before_cancel = self.jog_bytes > 0;
-        self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if byte.byte == HOST_CHANGED {
             self.line = Line::new();
             return Taken { cut: true, ..Taken::NOTHING };
@@ -349,6 +349,13 @@ mod tests {
         give_jog(&mut intake, 1);
         assert!(!intake.is_jog_stale(), "the next was received later");
         assert!(!intake.is_jog_behind_cancel(), "no 0x85 has come since");
+        // Those of them that the reset button drops are not counted to what is received later.
+        intake.clear();
+        intake.end_received_jogs(6);
+        intake.drop_received(6);
+        assert_eq!(give(&mut intake, b"$J=X2\n", 1), [""; 0]);
+        give_jog(&mut intake, 1);
+        assert!(!intake.is_jog_stale(), "received after the button");
     }
 
     #[test]
