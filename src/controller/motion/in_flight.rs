@@ -48,11 +48,14 @@ pub(super) struct SegmentsInFlight<const N: usize> {
     queued: u32,
     /// Count of the step task at which the first record of the ring is still to begin.
     begun: u32,
+    /// A segment has begun since the step task was last at rest.
+    moves: bool,
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
-        Self { ring: [InFlightSegment::still(position, [0; N]); RING], first: 0, len: 0, queued: 0, begun: 0 }
+        let ring = [InFlightSegment::still(position, [0; N]); RING];
+        Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }
 
     #[inline]
@@ -62,6 +65,11 @@ impl<const N: usize> SegmentsInFlight<N> {
 
     pub(super) fn is_empty(&self) -> bool {
         self.len == 0
+    }
+
+    /// Whether a segment has begun since the step task was last at rest.
+    pub(super) fn moves(&self) -> bool {
+        self.moves
     }
 
     /// Step-clock ticks handed over and not begun.
@@ -108,10 +116,12 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.first = if self.first + 1 >= RING { 0 } else { self.first + 1 };
             self.len -= 1;
             self.begun = self.begun.wrapping_add(1);
+            self.moves = true;
         }
         if self.len == 0 {
             // After a stop the step task begins nothing before the gate is opened, so the count cannot be too old here.
             self.begun = begun;
+            self.moves &= !idle;
             let last = self.slot(1);
             if idle && let Some(current) = self.ring.get_mut(last) {
                 current.speed = 0.0;
@@ -125,6 +135,7 @@ impl<const N: usize> SegmentsInFlight<N> {
     pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;
+        self.moves = false;
         for slot in [self.slot(1), self.slot(2)] {
             if let Some(begun) = self.ring.get_mut(slot) {
                 *begun = InFlightSegment::still(position, lead);

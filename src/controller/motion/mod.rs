@@ -285,7 +285,7 @@ impl<const N: usize> AnyMotion<N> {
     /// The same without a new observation.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
-        if !self.source.wants_more() {
+        if !self.source.wants_more() || self.source.waits_for_rest() {
             return None;
         }
         self.queue.continue_long_move();

@@ -17,6 +17,10 @@ pub const QUEUED_TIME_MS: u32 = 16;
 /// Ticks farther away than this are waited for in pieces of [`WAIT_MS`], so that a hold needs not wait for them.
 const FAR_MS: u32 = 4;
 const WAIT_MS: u32 = 1;
+/// Where motion comes to rest with less than this queued, what follows waits until the step task is at rest, and so begins
+/// with what gathers before a start. Its first segments are shorter than a small processor takes to prepare them: were they to
+/// follow at once, they would have to be there in time.
+const JOIN_MS: u32 = 2;
 /// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
@@ -152,6 +156,12 @@ impl<const N: usize> SegmentSource<N> {
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
         self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms() * QUEUED_TIME_MS
+    }
+
+    /// Whether what follows a rest waits until the step task has come to it: too little is queued up to there.
+    #[inline]
+    pub(super) fn waits_for_rest(&self) -> bool {
+        self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms() * JOIN_MS
     }
 
     /// The state of motion on the path, and how much of the first block is left, mm.

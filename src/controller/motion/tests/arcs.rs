@@ -358,7 +358,8 @@ fn six_axes_have_their_ends() {
     motion.line(&to(ends, Speed::Feed(10.0)));
     motion.start();
     let mut blocks = Vec::new();
-    let mut observed = crate::messages::Observed::default();
+    // A step task that has done everything at once.
+    let mut observed = crate::messages::Observed { step_idle: true, ..Default::default() };
     while let Some(message) = motion.next(&observed) {
         match message {
             ToStep::BlockRest { legs } => blocks.push(legs),

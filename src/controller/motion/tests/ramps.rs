@@ -83,6 +83,7 @@ impl<const B: usize> Course<B> {
             return true;
         };
         self.observed.segments_begun += 1;
+        self.observed.step_idle = segment.flags & Segment::FLAG_LAST != 0;
         let ticks = f64::from(segment.ticks);
         let clocks = f64::from(segment.interval) * ticks + f64::from(segment.ramp) * ticks * (ticks - 1.0) / 2.0;
         let seconds = clocks / 4096.0 / f64::from(self.motion.source.step_clock_hz());

@@ -295,3 +295,45 @@ proptest! {
         }
     }
 }
+
+/// Moves until so little is left queued up to the rest that ends the first move; then another one comes.
+fn second_move_when_left(milliseconds: f64) -> (Rig<3, 16>, bool) {
+    let mut rig = Rig::<3, 16>::new(settings(2000.0, 500.0, 4000.0));
+    rig.moves.push_back(to([1.0, 0.0, 0.0], Speed::Feed(50.0)));
+    rig.pump();
+    rig.motion.start();
+    rig.pump();
+    while f64::from(rig.motion.queued_us()) > milliseconds * 1000.0 {
+        assert!(!rig.run_ticks(1));
+        let observed = rig.observed();
+        rig.motion.observe(&observed);
+    }
+    assert!(rig.motion.ends_at_rest() && !rig.observed().step_idle);
+    rig.moves.push_back(to([2.0, 1.0, 0.0], Speed::Feed(50.0)));
+    rig.pump();
+    rig.motion.start();
+    rig.pump();
+    let follows = !rig.motion.ends_at_rest();
+    (rig, follows)
+}
+
+#[test]
+fn what_follows_a_rest_with_little_queued_waits_for_it() {
+    for (left, wanted) in [(10.0, true), (3.0, true), (1.0, false), (0.5, false)] {
+        let (mut rig, follows) = second_move_when_left(left);
+        assert_eq!(follows, wanted, "{left} ms");
+        let mut waits = !wanted;
+        while waits {
+            rig.tick();
+            let observed = rig.observed();
+            let message = rig.motion.next(&observed);
+            assert_eq!(message.is_some(), observed.step_idle, "a message comes once the step task is at rest");
+            waits = message.is_none();
+            rig.queue.extend(message);
+        }
+        rig.run();
+        assert_eq!(rig.position, [4000, 2000, 0]);
+        assert!(rig.events.is_empty());
+        rig.check_limits();
+    }
+}
