@@ -244,6 +244,14 @@ pub enum StepEvent<const N: usize> {
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },
+    /// The outputs have not put out what they were told to: the position is not what the count says. Pulses have stopped;
+    /// counts as a stop.
+    Miscounted {
+        /// As in [`StepEvent::Stopped`].
+        stops: u16,
+        /// As in [`StepEvent::Stopped`].
+        position: PerAxis<i32, N>,
+    },
 }
 
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
@@ -388,7 +396,7 @@ pub enum Event<const N: usize> {
 /// What the pump knows and the controller does not; handed over before events and outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observed {
-    /// Segments that the step task has begun since power-up (wrapping), `Stepper::segments_begun`.
+    /// Segments that the step task has begun since power-up (wrapping): not those that it has only made ahead of their time.
     pub segments_begun: u32,
     /// Whether the step task has nothing left to do.
     pub step_idle: bool,

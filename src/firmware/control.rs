@@ -165,7 +165,7 @@ impl Control {
             let _ = self.ends.step_wiring.try_send(wiring);
             let _ = self.ends.input_wiring.try_send(wiring);
             self.unsent_wiring = None;
-            boards::ask_step();
+            boards::call_step();
         }
     }
 
@@ -305,7 +305,7 @@ impl Pump<AXES, BLOCKS> for Control {
                 // There is room, and no other task sends.
                 let _ = self.ends.segments.try_send(message);
                 if STEP.wants.load(Ordering::Relaxed) != 0 {
-                    boards::ask_step();
+                    boards::call_step();
                 }
             }
             Output::Reply(chunk) => {
@@ -315,7 +315,7 @@ impl Pump<AXES, BLOCKS> for Control {
             Output::Pins(levels) => {
                 self.outputs.show(levels);
                 Power { level: levels.power, from_segments: levels.power_from_segments }.want();
-                boards::ask_step();
+                boards::call_step();
             }
             Output::Wiring(wiring) => {
                 self.outputs.set_enable_invert(wiring.enable_invert);

@@ -64,7 +64,7 @@ pub fn start(
     controller.restarted(Restart { cause: boards::reset_cause(), crash: record::take() });
     let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
-        step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
+        step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),
         inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
         control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),

@@ -1,109 +1,182 @@
-//! The step task: turns what the stepper says into edges on pins, at the moment it says.
+//! The step task: has the stepper make ticks ahead of their time, and commits them as events to the outputs, which put each
+//! out at its moment by themselves.
 //!
 //! ```text
-//!  step  ____┌──────┐_________________┌──────┐____
-//!            │      │                 │
-//!            │      ├ direction for the next step is written
-//!            │      ├─────────────────┤ at least $29, or the shortest low time
-//!            ├──────┤ $0, by the second compare moment of the same timer
-//!            ├────── interval ────────┤ counted from the moment due, not from the moment done: no error adds up
+//!            a message            2 ms later, less 0.3        enough is ahead          nothing left to make
+//!   ┌──────┐ ──────────▶ ┌──────────┐ ──────▶ ┌───────────┐ ──────────▶ ┌─────────┐ ──────────▶ ┌────────┐
+//!   │ Rest │             │ Starting │         │ Preparing │             │ Running │             │ Ending │
+//!   └──────┘             └──────────┘         └───────────┘             └─────────┘             └────────┘
+//!      ▲                                            ▲                        │ too late for the      │ all is out
+//!      │                                            │                        └─────── next ────────▶ │
+//!      │                                            └───────── something is left to make ────────────┤
+//!      └──────────────────────────────────── nothing is; a stop comes here from all others ──────────┘
 //! ```
-//! It promises: a stop that was asked for is obeyed before anything else in the same handler; ticks that come late do
-//! not shift those after them; a report to `control` is kept until it has been sent. It leaves when and what to step to
-//! the stepper.
+//! Each run does, from top to bottom: take what it was called for, stop if asked, look at the probe, receive, make
+//! events, say when to be called next, tell the other tasks.
 //!
-//! What is not urgent (messages, power, reports) comes while the next edge is far: during a long pulse, or after a short one.
-//! Where ticks follow each other so closely that no edge is ever far, it waits for one tick and comes in or after the pulse
-//! of that one, which is an ordinary one and leaves the most time: enough at all rates that the settings allow (see
-//! `oxmill_controller::StepRates`). So that this is not long, a message is received in one entry and taken in in another.
+//! It promises: a stop that was asked for is obeyed before anything else in the same run, with an exact count; events that
+//! come too late are put off, never lost, and those after them by as much, or motion ends with a report where motors would not
+//! follow; a report to `control` is kept until it has been
+//! sent. It leaves when and what to step to the stepper, and edges to the board.
 
-use crate::boards::{AXES, CORE_HZ, Due, PROFILE, SecondMotor, StepPins, StepTimer};
+use crate::boards::{AXES, CORE_HZ, Due, Free, PROFILE, RUN_CYCLES, SecondMotor, StepOutput, StepPins, Undone};
 use crate::shared::{self, Power, STEP, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
-use oxmill_controller::{Stepper, Tick};
+use oxmill_controller::{StepTiming, Stepper, later};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// Step-clock ticks in a microsecond.
 const TICKS_PER_US: u32 = PROFILE.step_clock_hz / 1_000_000;
 
-/// Cycles of the core in step-clock ticks, rounded down.
+/// Cycles of the core in step-clock ticks, rounded up.
 const fn in_ticks(cycles: u32) -> u32 {
-    cycles * (PROFILE.step_clock_hz / 1000) / (CORE_HZ / 1000)
+    cycles.div_ceil(CORE_HZ / 1_000_000 / TICKS_PER_US)
 }
-
-/// Longest time that a driver needs between the end of a pulse and the next one: the slowest of the common drivers (DRV8825)
-/// asks for 1.9 us, and for as much of the pulse itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of
-/// both, TMC2209 0.1 us. So a pause need not be longer than the pulse.
-const LOW_TICKS: u32 = 2 * TICKS_PER_US;
-/// A tick without a pulse sets the timer for no sooner than this: more than it takes to set it.
-const SHORTEST_TICKS: u32 = TICKS_PER_US;
-
-/// What it takes to be called, up to the look at the time.
-const AGAIN_CYCLES: u32 = 160;
-/// What half a message takes, from the call on; a microsecond after the look on a board where edges cannot be late.
-const ATTENTION_TICKS: u32 = match PROFILE.rates.attention_ns {
-    0 => in_ticks(AGAIN_CYCLES) + TICKS_PER_US,
-    ns => ns * TICKS_PER_US / 1000,
-};
-/// An edge is far if it leaves time for half a message.
-const FAR_TICKS: u32 = ATTENTION_TICKS.saturating_sub(in_ticks(AGAIN_CYCLES));
-/// More than it takes from the moment a tick is due to the edge that it makes.
-const EDGE_CYCLES: u32 = 150;
-const EDGE_TICKS: u32 = in_ticks(EDGE_CYCLES);
-/// From a moment that may be near to one that surely lies ahead.
-const BEHIND_TICKS: u32 = TICKS_PER_US / 2;
-/// A part of the time from the moment a tick is due to its edge that it always takes: 6 cycles of an entry that follows
-/// another, and 54 instructions. An output stays low for that much longer.
-const LEAST_EDGE_CYCLES: u32 = 60;
-const LEAST_EDGE_TICKS: u32 = in_ticks(LEAST_EDGE_CYCLES);
-// With the shortest pulse something of the pause is left, where edges can be late.
-const _: () = assert!(PROFILE.rates.attention_ns == 0 || LEAST_EDGE_TICKS < TICKS_PER_US);
 
 /// From the first segment after a rest to its first tick: the first segments of a hard start last some 50 us each, less than
 /// it takes to prepare the next, so that some must be there before the first begins.
 const START_TICKS: u32 = 2_000 * TICKS_PER_US;
-
+/// How far ahead events are made, where there is room.
+const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
+/// No fewer events than these are ahead, however long they last.
+const LEAST_EVENTS: usize = 4;
+/// Most events of a run: the longer it takes, the later everything else, a stop that comes by the serial line among it.
+const MOST_EVENTS: usize = 32;
+/// More than a run takes from its look at the time to its last event.
+const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
+/// More than it takes to begin.
+const BEGIN_TICKS: u32 = in_ticks(1_500);
+/// How long before the first moment events are begun at the latest: two more runs and what it takes.
+const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
+/// As many events of a batch take as long as an event, or a tick, that is made by itself.
+const SINGLE_SHARE: usize = 4;
+/// The same of a segment that begins, with both of its messages. A run begins one at most.
+const SEGMENT_SHARE: usize = 16;
+/// From the end of a run to the next that it asks for at least: time for other tasks, of which a byte of the UART waits for 87 us
+/// at most.
+const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// How soon to try again to report to `control`, when nothing else calls.
 const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
+/// From the last event of a motion to where it is seen that it is out, beside its pulse.
+const OUT_TICKS: u32 = 2 * TICKS_PER_US;
+/// A motion whose events came too late is resumed if its next tick is put off by no more than the time of so many steps: motors run
+/// on meanwhile, and with eight microsteps or more to a full step they are not a full step ahead of the field then.
+const MOST_LATE_STEPS: u32 = 8;
+/// Directions that no output shows: the next tick writes them.
+const UNKNOWN: u8 = u8::MAX;
+/// Segments that can begin in events that are ahead, and changes of power.
+const MARKS: usize = 32;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Nothing is put out.
+    Rest,
+    /// Messages gather, for a first tick at this moment.
+    Starting(u32),
+    /// The first events are made, from this moment on.
+    Preparing(u32),
+    /// Events are put out.
+    Running,
+    /// The last event that there is comes out: the motion ends, or it was too late for the next.
+    Ending,
+}
+
+/// What a call of [`Step::make_one`] has made.
+enum Made {
+    /// There was nothing to make, or no room.
+    Nothing,
+    /// An event, or a tick without one.
+    One,
+    /// The tick that begins a segment.
+    Segment,
+}
+
+impl Made {
+    fn one(is_made: bool) -> Made {
+        if is_made { Made::One } else { Made::Nothing }
+    }
+}
 
 /// Everything the task owns.
 pub struct Step {
     stepper: Stepper<AXES>,
-    timer: StepTimer,
-    pins: StepPins,
-    pulse_ticks: u32,
-    /// Shortest time between the end of a pulse and the moment that the next one is due.
-    low_ticks: u32,
-    /// A pulse and the time after it.
-    gap_ticks: u32,
-    setup_ticks: u32,
-    /// From the moment a tick is due to one that leaves time for what is not urgent: in a long pulse, after a short one.
-    after_ticks: u32,
-    /// More than two such things take, and a pulse.
-    much_ticks: i32,
+    output: StepPins,
+    state: State,
+    timing: StepTiming,
+    /// Ticks of the segment that runs can be put out as they are.
+    is_regular: bool,
+    one_by_one: bool,
+    /// Moment of the event committed last.
+    last: u32,
+    /// No step before this moment.
+    free_from: u32,
+    /// The latest moment for the next tick of a motion whose events came too late; none: it begins at rest.
+    latest: Option<u32>,
+    directions: u8,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Receiver<'static, Wiring, 2>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
     unsent: Unsent,
     wake: Wake,
-    /// Received and not taken in yet.
-    held: Option<ToStep>,
-    /// Ticks that what is not urgent has waited for.
-    waited: u8,
-    /// When it was last put off to.
-    wait_until: u32,
-    /// Something has happened since the other tasks were told.
-    untold: bool,
-    /// Ticks are coming.
-    running: bool,
-    /// At rest: the last pulse has not ended yet.
-    settling: bool,
-    directions_shown: u8,
-    power_shown: u16,
+    begins: Begins,
+    beam: Beam,
     /// The probe is active while its pin is high.
     probe_invert: bool,
     stops_done: u16,
+}
+
+/// Moments at which segments begin that are not out yet. Those that a motion begins with count from the moment it is put out: what
+/// comes later does not find it still to be filled. A plain ring: less code than a deque.
+struct Begins {
+    moments: [u32; MARKS],
+    first: usize,
+    len: usize,
+}
+
+impl Begins {
+    fn push(&mut self, moment: u32) {
+        if self.len < MARKS
+            && let Some(place) = self.moments.get_mut(self.first.wrapping_add(self.len) % MARKS)
+        {
+            *place = moment;
+            self.len += 1;
+        }
+    }
+
+    /// What has begun by now is no longer ahead.
+    #[inline(always)]
+    fn pass(&mut self, now: u32) {
+        while self.len > 0
+            && self.moments.get(self.first % MARKS).is_some_and(|moment| moment.wrapping_sub(now) as i32 <= 0)
+        {
+            self.first = self.first.wrapping_add(1);
+            self.len -= 1;
+        }
+    }
+
+    fn put_off(&mut self, by: u32) {
+        for moment in &mut self.moments {
+            *moment = moment.wrapping_add(by);
+        }
+    }
+}
+
+/// The power of a laser, which changes with the segment that it belongs to.
+struct Beam {
+    /// Changes that are ahead: moment and power.
+    marks: heapless::Deque<(u32, u16), MARKS>,
+    /// Of the segment that is out, and of the one that was made last.
+    power: u16,
+    made: u16,
+    shown: u16,
+}
+
+impl Beam {
+    fn off(&mut self) {
+        self.marks.clear();
+        (self.power, self.made) = (0, 0);
+    }
 }
 
 /// Events that have not been sent yet, in the order in which they happen. Each kind has a place of its own and cannot
@@ -125,469 +198,583 @@ impl Unsent {
 impl Step {
     /// At rest.
     pub fn new(
-        timer: StepTimer,
-        pins: StepPins,
+        output: StepPins,
         segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
         wiring: Receiver<'static, Wiring, 2>,
         events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
         wake: Wake,
     ) -> Step {
-        let mut step = Step {
+        Step {
             stepper: Stepper::new(),
-            timer,
-            pins,
-            pulse_ticks: 10 * TICKS_PER_US,
-            low_ticks: LOW_TICKS.saturating_sub(LEAST_EDGE_TICKS),
-            gap_ticks: 10 * TICKS_PER_US + LOW_TICKS.saturating_sub(LEAST_EDGE_TICKS),
-            setup_ticks: LOW_TICKS,
-            after_ticks: EDGE_TICKS,
-            much_ticks: (10 * TICKS_PER_US + 2 * ATTENTION_TICKS) as i32,
+            output,
+            state: State::Rest,
+            timing: StepTiming::new(TICKS_PER_US, 10, 0),
+            is_regular: false,
+            one_by_one: false,
+            last: 0,
+            free_from: 0,
+            latest: None,
+            directions: UNKNOWN,
             segments,
             wiring,
             events,
             unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
-            held: None,
-            waited: 0,
-            wait_until: 0,
-            untold: false,
-            running: false,
-            settling: false,
-            directions_shown: 0,
-            power_shown: 0,
+            begins: Begins { moments: [0; MARKS], first: 0, len: 0 },
+            beam: Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0 },
             probe_invert: false,
             stops_done: 0,
-        };
-        step.pins.direct(0);
-        step
+        }
     }
 
-    /// Called for a tick, for the end of a pulse, and by others: a stop asked for, a message queued, power changed.
+    /// Called when more events are wanted, when one is out, for a change of power, and by others: a stop asked for, a message
+    /// queued, power changed.
     #[inline(always)]
     pub fn run(&mut self) {
-        let due = self.timer.take();
-        if due == Due::TICK {
-            self.tick();
-        } else if due == Due::PULSE_END {
-            self.end_pulse();
-        } else {
-            self.others(due);
-        }
-    }
-
-    #[inline(always)]
-    fn tick(&mut self) {
-        match self.stepper.plain_tick() {
-            Some(tick) => {
-                let edge = self.raise(tick.steps);
-                let least = if tick.steps == 0 { SHORTEST_TICKS } else { self.gap_ticks };
-                self.go_on(&tick, edge, least);
-            }
-            None => self.rare_tick(),
-        }
-    }
-
-    /// None of the two usual things.
-    #[inline(never)]
-    fn others(&mut self, due: Due) {
-        if due == Due::SETTLED {
-            self.settle();
-            self.attend();
-        } else if due == Due::CALLED && shared::stops_asked() == self.stops_done {
-            self.attend();
-        } else {
-            self.several(due);
-        }
-    }
-
-    /// More than one thing at a time, or a stop. A call may be one for a stop, so it comes first.
-    #[inline(never)]
-    fn several(&mut self, due: Due) {
-        if due.has(Due::CALLED) && shared::stops_asked() != self.stops_done {
+        let due = self.output.take();
+        self.begins.pass(self.output.now());
+        if shared::stops_asked() != self.stops_done {
             self.stop();
         }
-        let tick_was_at = self.timer.next_tick();
-        if due.has(Due::PULSE_END) {
-            self.end_pulse();
+        if due.has(Due::MARK) {
+            self.mark();
         }
-        let mut is_called = due.has(Due::CALLED);
-        if due.has(Due::SETTLED) {
-            self.settle();
-            is_called = true;
+        if due.has(Due::OUT) {
+            self.look_at_probe();
         }
-        // The end of a pulse or a turn may have put the tick off: then it calls again, even if its moment has come again.
-        if due.has(Due::TICK) && self.timer.next_tick() == tick_was_at {
-            self.tick();
-            if is_called {
-                // One thing at a time: what else the call was for comes after whatever the timer wants by then.
-                StepTimer::call();
-            }
-        } else if is_called {
-            self.attend();
+        match self.state {
+            State::Running => self.go_on(),
+            State::Ending => self.end(),
+            State::Preparing(moment) => self.begin(moment),
+            State::Rest | State::Starting(_) => self.start(),
         }
+        self.tell();
     }
 
-    /// Writes the steps of a tick to the pins, and sets the timer for the end of their pulse: the moment of their edge, or
-    /// now.
+    /// After a stop: what is still ahead does not begin.
+    fn take_back_segments(&mut self) {
+        self.stepper.take_back_segments(self.begins.len as u32);
+        self.begins.len = 0;
+    }
+
+    /// Takes in what is there, as far as the stepper has room.
     #[inline(always)]
-    fn raise(&mut self, steps: u8) -> u32 {
-        if steps == 0 {
-            return self.timer.now();
-        }
-        self.pins.raise(steps);
-        let edge = self.timer.now();
-        self.timer.pulse_end_at(edge.wrapping_add(self.pulse_ticks));
-        edge
+    fn receive(&mut self) {
+        while self.stepper.wants() && self.receive_one() {}
     }
 
-    /// Sets the timer for the next tick, no sooner than `least` from `now`.
-    ///
-    /// A pulse must have ended, and the pin have been low for a while, before the next one begins: a tick that comes late
-    /// puts the next one off, and those after it stay where they were.
-    #[inline(always)]
-    fn go_on(&mut self, tick: &Tick, now: u32, least: u32) {
-        let due = self.stepper.moment();
-        self.pins.pass(tick.interval);
-        if due.wrapping_sub(now) as i32 >= least as i32 {
-            self.timer.next_tick_at(due);
-        } else {
-            self.put_off(now.wrapping_add(least));
-        }
-    }
-
-    /// A tick with more to do than to step: a segment ends, motion begins or ends, the probe is looked at. The edges come
-    /// first, so that they are no later than those of other ticks.
     #[inline(never)]
-    fn rare_tick(&mut self) {
-        if !self.running {
+    fn receive_one(&mut self) -> bool {
+        let Ok(message) = self.segments.try_recv() else { return false };
+        // What has left the queue is not at rest.
+        STEP.at_rest.store(false, Ordering::Relaxed);
+        self.stepper.load(message);
+        true
+    }
+
+    /// Nothing moves: time for new wiring, and for a start.
+    #[inline(never)]
+    fn start(&mut self) {
+        self.receive();
+        let now = self.output.now();
+        match self.state {
+            State::Starting(begin) if begin.wrapping_sub(now) as i32 <= HORIZON_TICKS as i32 => {
+                self.free_from = begin;
+                self.latest = None;
+                self.prepare(begin);
+            }
+            State::Starting(_) => self.call_again(),
+            _ => {
+                while let Ok(wiring) = self.wiring.try_recv() {
+                    self.wire(&wiring);
+                }
+                if !self.stepper.is_idle() {
+                    let begin = now.wrapping_add(START_TICKS);
+                    self.state = State::Starting(begin);
+                    self.beam.off();
+                    self.call_again();
+                }
+            }
+        }
+    }
+
+    fn wire(&mut self, wiring: &Wiring) {
+        let second = SecondMotor {
+            axis: wiring.ganged,
+            inverted: wiring.ganged_invert,
+            stands: wiring.ganged_motors == GangedMotors::First,
+            first_stands: wiring.ganged_motors == GangedMotors::Second,
+        };
+        self.output.set_polarity(wiring.step_invert, wiring.direction_invert, second);
+        self.output.set_pulse(u32::from(wiring.pulse_us));
+        self.output.set_pwm(wiring.pwm_hz, self.beam.shown);
+        self.directions = UNKNOWN;
+        self.probe_invert = wiring.probe_invert;
+        self.timing = StepTiming::new(TICKS_PER_US, u32::from(wiring.pulse_us), u32::from(wiring.direction_setup_us));
+    }
+
+    /// Makes the first events, the next tick at this moment.
+    fn prepare(&mut self, moment: u32) {
+        self.stepper.begin_at(moment);
+        self.last = moment.wrapping_sub(self.timing.gap);
+        self.one_by_one = StepPins::DEPTH == 1 || self.stepper.is_watching();
+        self.state = State::Preparing(moment);
+        self.begin(moment);
+    }
+
+    /// Makes more of the first events; has them put out when there are enough, or no more time.
+    #[inline(never)]
+    fn begin(&mut self, moment: u32) {
+        let before = self.output.ahead();
+        if !self.one_by_one || before == 0 {
+            self.make(moment);
+        }
+        let (ahead, now) = (self.output.ahead(), self.output.now());
+        let is_time = moment.wrapping_sub(now) as i32 <= IN_TIME_TICKS as i32;
+        let is_far = self.is_far_ahead(moment);
+        let is_all = self.state == State::Ending;
+        let is_full = self.output.free().words.is_empty();
+        if ahead > 0 && (is_time || is_far || is_full || is_all || self.one_by_one) {
+            self.state = if is_all { State::Ending } else { State::Running };
+            if self.latest.is_none() {
+                self.begins.len = 0;
+            }
+            let by = self.output.begin(self.one_by_one);
+            self.put_off(moment, by);
+        } else if is_time && !is_all {
+            // Nothing is ahead yet: a little later there is, or once more segments have come.
+            let by = if self.stepper.lacks_segment() { START_TICKS } else { IN_TIME_TICKS };
+            self.state = State::Preparing(moment.wrapping_add(by));
+            self.put_off(moment, by);
+        }
+        self.call_again();
+    }
+
+    /// What has been made from this moment on comes later by so many ticks: so does all that follows. If that is too late for
+    /// the motors, nothing follows.
+    fn put_off(&mut self, moment: u32, by: u32) {
+        if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
+            return self.ran_dry();
+        }
+        if by == 0 {
             return;
         }
-        let steps = self.stepper.rare_steps();
-        let edge = self.raise(steps);
-        // Segments of a tick or two may leave no time to fetch ahead.
-        if self.stepper.wants() && self.stepper.ends_segment() {
-            self.fetch_at_last();
+        self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
+        self.last = self.last.wrapping_add(by);
+        self.free_from = self.free_from.wrapping_add(by);
+        self.begins.put_off(by);
+        for (at, _) in self.beam.marks.iter_mut() {
+            *at = at.wrapping_add(by);
         }
-        let tick = self.stepper.rare_tick(steps);
-        let pulse_end = edge.wrapping_add(self.pulse_ticks);
-        if tick.interval != 0 {
-            let now = self.timer.now();
-            let gap = if steps == 0 { 0 } else { edge.wrapping_add(self.gap_ticks).wrapping_sub(now) as i32 };
-            self.go_on(&tick, now, gap.max(SHORTEST_TICKS as i32) as u32);
-        }
-        if tick.begins {
-            self.untold = true;
-            // What else comes with a segment is not urgent, but a turn, which the end of the pulse is waited for with.
-            if tick.steps == 0 {
-                self.settle();
-                StepTimer::call();
-            } else if self.pulse_ticks < ATTENTION_TICKS || tick.directions != self.directions_shown {
-                self.timer.settled_at(pulse_end);
-            } else {
-                StepTimer::call();
-            }
-        }
-        if self.stepper.is_watching() && self.stepper.probe(self.pins.probe_low() != self.probe_invert) {
-            self.unsent.touched = true;
-            self.untold = true;
-            StepTimer::call();
-        }
-        if tick.interval == 0 {
-            if tick.underrun {
-                self.unsent.underrun = Some(self.stepper.underrun_event());
-                self.untold = true;
-                // The beam goes off at once.
-                self.show_power();
-                StepTimer::call();
-            }
-            self.rest(tick.steps != 0);
+        if let Some((at, _)) = self.beam.marks.front() {
+            self.output.mark_at(*at);
         }
     }
 
-    /// Fetches what the tick that is due needs.
+    /// Events came so late that the motors may not have followed: to the host the same as segments that come late.
     #[cold]
-    fn fetch_at_last(&mut self) {
-        // Behind a shut gate the queue is only emptied, which has time.
-        while self.stepper.wants() && !self.stepper.is_shut() {
-            if let Some(message) = self.held.take() {
-                self.stepper.load(message);
-            } else if !self.receive() {
+    fn ran_dry(&mut self) {
+        let Undone { net, fault, .. } = self.output.halt();
+        self.break_off(net, fault);
+    }
+
+    /// Makes more events, if they can follow on those that are ahead.
+    #[inline(always)]
+    fn go_on(&mut self) {
+        if self.output.fault() {
+            let Undone { net, .. } = self.output.halt();
+            self.break_off(net, true);
+            return self.call_again();
+        }
+        let now = self.output.now();
+        let left = self.output.joins_until(self.stepper.moment()).wrapping_sub(now) as i32;
+        if !self.one_by_one && (left < RUN_TICKS as i32 || self.stepper.is_watching()) {
+            // Too late, or from here on to be put out one by one: what is ahead comes out first.
+            self.state = State::Ending;
+        } else {
+            self.make(now);
+            if self.output.ahead() >= LEAST_EVENTS {
+                self.latest = None;
+            }
+        }
+        self.call_again();
+    }
+
+    /// In the middle of a motion: no more of it.
+    #[cold]
+    fn break_off(&mut self, undone: [i32; AXES], miscounted: bool) {
+        self.give_up(undone, miscounted);
+        self.last = self.output.now();
+        self.state = State::Ending;
+    }
+
+    /// The motion is over: for want of events in time, or because what has come out is not what was made.
+    #[cold]
+    fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
+        self.take_back_segments();
+        if self.unsent.underrun.is_some() {
+            // What has not been told yet counts as one stop with it.
+            self.stepper.take_back(undone);
+        } else {
+            let _ = self.stepper.stop(undone);
+        }
+        self.unsent.underrun = Some(match self.stepper.underrun_event() {
+            StepEvent::Underrun { stops, position } if miscounted => StepEvent::Miscounted { stops, position },
+            event => event,
+        });
+        self.directions = UNKNOWN;
+        self.beam_off();
+    }
+
+    /// No power from segments, until the controller asks for some.
+    fn beam_off(&mut self) {
+        self.beam.off();
+        let power = Power::wanted();
+        if power.from_segments {
+            Power { level: 0, ..power }.want();
+        }
+    }
+
+    /// Makes events until enough of them are ahead of a moment.
+    #[inline(never)]
+    fn make(&mut self, from: u32) {
+        // Not those places that become free meanwhile: they come one by one.
+        let most = StepPins::DEPTH.saturating_sub(self.output.ahead()).min(MOST_EVENTS);
+        let (mut room, mut has_begun) = (most, false);
+        while room > 0 && !self.is_far_ahead(from) {
+            if self.stepper.has_plain() && self.is_regular && self.is_free() {
+                room = room.saturating_sub(self.make_batch(room));
+                continue;
+            }
+            let may_begin = !has_begun && (room >= SEGMENT_SHARE || room == most);
+            match self.make_one(may_begin) {
+                Made::Nothing => return,
+                Made::One => room = room.saturating_sub(SINGLE_SHARE),
+                Made::Segment => {
+                    room = room.saturating_sub(SEGMENT_SHARE);
+                    has_begun = true;
+                }
+            }
+            if self.one_by_one {
                 return;
             }
         }
     }
 
-    /// Ends the pulse, and sees to it that the next one comes late enough.
+    /// Whether what is ahead of a moment is enough: counted to where the next event must be there at the latest.
     #[inline(always)]
-    fn end_pulse(&mut self) {
-        self.pins.lower();
-        let soonest = self.timer.now().wrapping_add(self.low_ticks);
-        if (self.timer.next_tick().wrapping_sub(soonest) as i32) < 0 {
-            self.delay_until(soonest);
-        }
+    fn is_far_ahead(&self, from: u32) -> bool {
+        let until = self.output.joins_until(self.stepper.moment());
+        !self.one_by_one
+            && self.output.ahead() >= LEAST_EVENTS
+            && until.wrapping_sub(from) as i32 >= HORIZON_TICKS as i32
     }
 
-    /// The pulse before has ended: time for another direction. Or it has not, for the moment was set for something else and
-    /// has passed before it was set again.
+    /// Whether the next tick may be put out at its moment, and needs no other directions before it.
     #[inline(always)]
-    fn settle(&mut self) {
-        let turns = self.running && self.stepper.directions() != self.directions_shown;
-        if turns || self.settling {
-            self.settle_now(turns);
-        }
+    fn is_free(&self) -> bool {
+        self.stepper.moment().wrapping_sub(self.free_from) as i32 >= 0 && self.directions == self.stepper.directions()
     }
 
-    #[cold]
-    fn settle_now(&mut self, turns: bool) {
-        let (now, end) = (self.timer.now(), self.timer.pulse_end());
-        let to_end = end.wrapping_sub(now);
-        if to_end.wrapping_sub(1) < self.pulse_ticks {
-            self.timer.settled_at(end);
+    /// Plain ticks in a row; how many. None: there is no room.
+    #[inline(always)]
+    fn make_batch(&mut self, most: usize) -> usize {
+        let Free { table, words, moments } = self.output.free();
+        let room = words.len().min(most);
+        let (Some(words), Some(moments)) = (words.get_mut(..room), moments.get_mut(..room)) else { return most };
+        let made = self.stepper.plain_ticks(table, words, moments);
+        let Some(last) = made.checked_sub(1).and_then(|last| moments.get(last)) else { return most };
+        self.last = *last;
+        self.free_from = self.last.wrapping_add(self.timing.gap);
+        self.output.commit(made);
+        made
+    }
+
+    /// One event, or one tick without any.
+    #[inline(never)]
+    fn make_one(&mut self, may_begin: bool) -> Made {
+        let moment = self.stepper.moment();
+        let is_marked_full = self.begins.len == MARKS || self.beam.marks.is_full();
+        if self.output.free().words.is_empty() || is_marked_full && self.output.ahead() > 0 {
+            return Made::Nothing;
+        }
+        if self.is_before_motion() && self.stepper.is_moving() {
+            // Nothing is put out before what follows has come: at rest there is time.
+            self.receive();
+            if self.stepper.lacks_segment() {
+                return Made::Nothing;
+            }
+        }
+        if self.directions != self.stepper.directions() && self.stepper.is_moving() {
+            return Made::one(self.turn());
+        }
+        if !self.one_by_one
+            && !self.stepper.is_idle()
+            && let Some(between) = self.timing.between(self.last, moment, self.output.ahead() < LEAST_EVENTS)
+        {
+            return Made::one(self.commit(0, between));
+        }
+        if self.stepper.ends_segment() && !may_begin {
+            return Made::Nothing;
+        }
+        self.receive();
+        if self.stepper.is_idle() || self.waits_for_segment() {
+            return Made::Nothing;
+        }
+        // A tick without a step is no edge: it has its moment, whatever was before.
+        let is_edge = self.one_by_one || self.stepper.steps_next();
+        let at = if is_edge { self.soonest(later(moment, self.free_from)) } else { moment };
+        // Put off, those after it come later by as much: were they to catch up, speeds would change at a stroke.
+        self.stepper.begin_at(at);
+        let tick = self.stepper.tick();
+        let is_out = (tick.steps != 0 || self.one_by_one) && self.commit(tick.steps, at);
+        self.output.pass(tick.interval);
+        if tick.begins {
+            self.begin_segment(if is_out { self.last } else { at });
+            return Made::Segment;
+        }
+        if tick.interval == 0 {
+            self.come_to_rest(tick.underrun);
+        }
+        Made::One
+    }
+
+    /// The directions of the next steps, as an event of its own: after the pulse before, `$29` before the step.
+    fn turn(&mut self) -> bool {
+        self.directions = self.stepper.directions();
+        self.output.direct(self.directions);
+        let at = self.soonest(self.last.wrapping_add(self.timing.gap));
+        let is_made = self.commit(0, at);
+        self.free_from = self.last.wrapping_add(self.timing.setup);
+        is_made
+    }
+
+    /// This moment, or the first that an event of its own can still have.
+    fn soonest(&self, moment: u32) -> u32 {
+        if self.one_by_one { later(moment, self.output.now().wrapping_add(StepPins::SOON)) } else { moment }
+    }
+
+    fn commit(&mut self, steps: u8, at: u32) -> bool {
+        let Free { table, words, moments } = self.output.free();
+        let (Some(word), Some(moment)) = (words.first_mut(), moments.first_mut()) else { return false };
+        *word = table.get(usize::from(steps & 7)).copied().unwrap_or(0);
+        *moment = at;
+        let by = self.output.commit(1);
+        if by != 0 {
+            self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
+        }
+        self.last = at.wrapping_add(by);
+        self.free_from = later(self.free_from, self.last.wrapping_add(self.timing.gap));
+        true
+    }
+
+    /// Nothing has come out of the motion yet, which begins at rest.
+    fn is_before_motion(&self) -> bool {
+        self.latest.is_none() && matches!(self.state, State::Starting(_) | State::Preparing(_))
+    }
+
+    /// Until when the next tick can wait for the segment that it needs.
+    fn last_chance(&self) -> u32 {
+        let margin = if self.one_by_one { StepPins::SOON + BEGIN_TICKS } else { 2 * RUN_TICKS };
+        self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
+    }
+
+    /// The next tick would be an underrun, and there is still time to wait.
+    fn waits_for_segment(&self) -> bool {
+        let left = self.last_chance().wrapping_sub(self.output.now()) as i32;
+        self.stepper.lacks_segment() && (left > 0 || self.is_before_motion())
+    }
+
+    /// A segment has begun with the event at this moment.
+    fn begin_segment(&mut self, at: u32) {
+        self.is_regular = !self.one_by_one && self.timing.is_regular(self.stepper.intervals());
+        self.begins.push(at);
+        let power = self.stepper.power();
+        if power == self.beam.made {
             return;
         }
-        if self.ends_now(to_end) {
-            self.timer.settled_at(now.wrapping_add(BEHIND_TICKS));
-            return;
+        if self.beam.marks.is_full() {
+            // Without an event in between no power but the last would be seen.
+            self.beam.marks.pop_back();
         }
-        if turns {
-            self.turn();
-        }
-        self.settling = false;
-    }
-
-    /// Whether a pulse has ended since this entry began, a moment ago, and is still out.
-    #[inline]
-    fn ends_now(&self, to_end: u32) -> bool {
-        to_end.wrapping_neg() < FAR_TICKS && self.timer.is_due(Due::PULSE_END)
-    }
-
-    /// Writes the directions of the next step.
-    fn turn(&mut self) {
-        self.directions_shown = self.stepper.directions();
-        self.pins.direct(self.directions_shown);
-        self.postpone(self.setup_ticks);
-    }
-
-    /// Lets the next tick come no sooner than `least` from now. The ticks after it stay where they were.
-    #[cold]
-    fn postpone(&mut self, least: u32) {
-        let soonest = self.timer.now().wrapping_add(least);
-        if (self.timer.next_tick().wrapping_sub(soonest) as i32) < 0 {
-            self.delay_until(soonest);
-        }
-    }
-
-    #[cold]
-    fn delay_until(&mut self, soonest: u32) {
-        if self.running {
-            self.timer.tick_at(soonest);
-        }
-    }
-
-    #[cold]
-    fn put_off(&mut self, until: u32) {
-        self.timer.tick_at(until);
-    }
-
-    /// No more ticks; after the last pulse there is time for what would cost a tick too much.
-    fn rest(&mut self, pulse: bool) {
-        self.timer.tick_off();
-        self.running = false;
-        self.settling = pulse;
-        if pulse {
-            self.timer.settled_at(self.timer.now().wrapping_add(self.pulse_ticks));
-        } else {
-            StepTimer::call();
-        }
-    }
-
-    /// Receives a message, which waits for being taken in; `false` if there is none.
-    #[inline(never)]
-    fn receive(&mut self) -> bool {
-        self.held = self.segments.try_recv().ok();
-        self.held.is_some()
-    }
-
-    /// What is not as urgent as a tick, one thing at a time: what has happened is told, half a message, and the rest once
-    /// there are no more.
-    #[inline(never)]
-    fn attend(&mut self) {
-        if self.running && self.wait() {
-            return;
-        }
-        self.waited = 0;
-        let tells_first = core::mem::take(&mut self.untold);
-        if tells_first {
-            self.tell();
-        }
-        if self.stepper.wants() && (tells_first || self.half_a_message()) {
-            self.again();
-        } else if !tells_first {
-            self.tell();
-        }
-    }
-
-    /// Takes a message in or receives one; `false` if there is none.
-    #[inline(always)]
-    fn half_a_message(&mut self) -> bool {
-        if let Some(message) = self.held.take() {
-            self.stepper.load(message);
-            return true;
-        }
-        let received = self.receive();
-        if received {
-            // What has left the queue is not at rest.
-            STEP.at_rest.store(false, Ordering::Relaxed);
-        }
-        received
-    }
-
-    /// Begins to move if there is what to do, and lets the other tasks know how it goes.
-    #[inline(never)]
-    fn tell(&mut self) {
-        if !self.running && !self.settling {
-            self.start();
-        }
-        STEP.segments_begun.store(self.stepper.segments_begun(), Ordering::Relaxed);
-        self.show_power();
-        let at_rest = !self.running && !self.settling && self.held.is_none();
-        if at_rest && !STEP.at_rest.load(Ordering::Relaxed) {
-            self.wake.write(());
-        }
-        STEP.at_rest.store(at_rest, Ordering::Relaxed);
-        STEP.wants.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
-        if self.unsent.any() {
-            self.send_all();
-            if self.unsent.any() && at_rest {
-                self.timer.settled_at(self.timer.now().wrapping_add(RETRY_TICKS));
+        if self.beam.marks.push_back((at, power)).is_ok() {
+            self.beam.made = power;
+            if self.beam.marks.len() == 1 {
+                self.output.mark_at(at);
             }
         }
     }
 
-    /// Calls for what else there is to do: at once, or, for to be called only to wait takes time, where it will be time.
-    #[inline(always)]
-    fn again(&mut self) {
-        let next_tick = self.timer.next_tick();
-        let to_tick = next_tick.wrapping_sub(self.timer.now()) as i32;
-        if !self.running || to_tick >= self.much_ticks || self.stepper.directions() != self.directions_shown {
-            StepTimer::call();
+    /// The stepper has nothing more to do.
+    fn come_to_rest(&mut self, underrun: bool) {
+        if underrun {
+            self.unsent.underrun = Some(self.stepper.underrun_event());
+            // The place is that after what is ahead, which comes out.
+            self.begins.len = 0;
+            // The beam goes off at once.
+            self.beam_off();
+        }
+        self.state = State::Ending;
+    }
+
+    /// Says when to be called next, if no other task calls before.
+    #[inline(never)]
+    fn call_again(&mut self) {
+        let ahead = self.output.ahead();
+        let left = (ahead / 2).max(LEAST_EVENTS - 1);
+        let at = match self.state {
+            State::Running if !self.one_by_one && ahead > left => {
+                let (half, last_chance) = (self.output.moment_before(left), self.last_chance());
+                if half.wrapping_sub(last_chance) as i32 <= 0 { half } else { last_chance }
+            }
+            State::Running if self.one_by_one && ahead > 0 => return,
+            State::Running => self.last_chance(),
+            State::Ending => self.out_at(),
+            State::Preparing(moment) => moment.wrapping_sub(HORIZON_TICKS),
+            State::Starting(begin) => begin.wrapping_sub(HORIZON_TICKS),
+            State::Rest => return,
+        };
+        self.output.call_at(later(at, self.output.now().wrapping_add(PAUSE_TICKS)));
+    }
+
+    /// When the last event is out, with its pulse.
+    fn out_at(&self) -> u32 {
+        self.last.wrapping_add(self.timing.pulse + OUT_TICKS)
+    }
+
+    /// The last event is out: rest, or what was too late is begun again.
+    #[inline(never)]
+    fn end(&mut self) {
+        if (self.out_at().wrapping_sub(self.output.now()) as i32) > 0 {
+            self.output.call_at(self.out_at());
             return;
         }
-        self.waited = 1;
-        self.wait_until = next_tick.wrapping_add(self.after_ticks);
-        self.timer.settled_at(self.wait_until);
-    }
-
-    /// If the next edge is near, calls again where there is time: after the end of this pulse, or after the next tick.
-    #[inline(always)]
-    fn wait(&mut self) -> bool {
-        let now = self.timer.now();
-        // Another call meanwhile is for the same.
-        if self.waited > 0 && self.timer.settles_at(self.wait_until, now) {
-            return true;
+        let Undone { events, net, fault } = self.output.halt();
+        if events > 0 || fault {
+            self.give_up(net, true);
         }
-        let to_tick = self.timer.next_tick().wrapping_sub(now) as i32;
-        let to_end = self.timer.pulse_end().wrapping_sub(now);
-        if self.ends_now(to_end) {
-            StepTimer::call();
-            return true;
-        }
-        let in_pulse = to_end.wrapping_sub(1) < self.pulse_ticks;
-        if in_pulse && to_end >= FAR_TICKS {
-            return false;
-        }
-        let (low, least) =
-            if in_pulse { (to_tick.wrapping_sub(to_end as i32), ATTENTION_TICKS) } else { (to_tick, FAR_TICKS) };
-        // A long pulse leaves time while it is out, if its tick was not late.
-        let most_ticks = if self.pulse_ticks < ATTENTION_TICKS { 1 } else { 3 };
-        let until = if self.waited < most_ticks && low < least as i32 {
-            self.waited = self.waited.wrapping_add(1);
-            to_tick.max(0) as u32 + self.after_ticks
-        } else if in_pulse {
-            to_end + BEHIND_TICKS
+        self.receive();
+        if self.stepper.is_moving() {
+            self.resume();
         } else {
-            return false;
-        };
-        // A turn that is still to come calls at its end.
-        if self.stepper.directions() == self.directions_shown {
-            self.wait_until = now.wrapping_add(until);
-            self.timer.settled_at(self.wait_until);
+            self.state = State::Rest;
+            self.begins.len = 0;
+            self.beam.marks.clear();
+            self.start();
         }
-        true
     }
 
-    /// Nothing moves: time for new wiring, and for a start.
+    /// What was too late to follow is begun again: not before its time, and no step before the set-up of its directions is over.
     #[cold]
-    fn start(&mut self) {
-        while let Ok(wiring) = self.wiring.try_recv() {
-            let second = SecondMotor {
-                axis: wiring.ganged,
-                inverted: wiring.ganged_invert,
-                stands: wiring.ganged_motors == GangedMotors::First,
-                first_stands: wiring.ganged_motors == GangedMotors::Second,
-            };
-            self.pins.set_polarity(wiring.step_invert, wiring.direction_invert, second);
-            self.directions_shown = self.stepper.directions();
-            self.pins.direct(self.directions_shown);
-            self.probe_invert = wiring.probe_invert;
-            self.pins.set_pwm(wiring.pwm_hz, self.power_shown);
-            self.pulse_ticks = u32::from(wiring.pulse_us) * TICKS_PER_US;
-            self.low_ticks = self.pulse_ticks.min(LOW_TICKS).saturating_sub(LEAST_EDGE_TICKS);
-            self.gap_ticks = self.pulse_ticks + self.low_ticks;
-            let short = if self.pulse_ticks < ATTENTION_TICKS { self.pulse_ticks } else { 0 };
-            self.after_ticks = short + EDGE_TICKS;
-            self.much_ticks = (self.pulse_ticks + 2 * ATTENTION_TICKS) as i32;
-            self.setup_ticks = (u32::from(wiring.direction_setup_us) * TICKS_PER_US).max(LOW_TICKS);
+    fn resume(&mut self) {
+        let planned = self.stepper.moment();
+        // If few events follow and the next are too late again, it all counts from here.
+        let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.stepper.step_interval()));
+        self.latest = Some(self.latest.unwrap_or(latest));
+        // Time for one more run than it takes at least.
+        let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
+        let moment = later(planned, self.output.now().wrapping_add(soon));
+        // The beam is off until then.
+        self.beam.marks.clear();
+        self.beam.power = 0;
+        if self.beam.marks.push_back((moment, self.beam.made)).is_ok() {
+            self.output.mark_at(moment);
         }
-        if !self.stepper.is_idle() {
-            let begin = self.timer.now().wrapping_add(START_TICKS);
-            self.stepper.begin_at(begin);
-            self.running = true;
-            self.timer.tick_at(begin);
-        }
-    }
-
-    /// Shows the power that holds now, if it is another one.
-    #[inline]
-    fn show_power(&mut self) {
-        let power = Power::wanted();
-        let level = match (power.from_segments, self.running) {
-            (true, true) => self.stepper.power(),
-            // After a stop or underrun the beam stays off, whatever was wanted before.
-            (true, false) if self.stepper.is_shut() => 0,
-            _ => power.level,
-        };
-        if level != self.power_shown {
-            self.pins.set_power(level);
-            self.power_shown = level;
-        }
+        self.prepare(moment);
     }
 
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        // A pulse that is out has been counted: it gets its full length, and its end comes by itself.
-        self.timer.tick_off();
-        self.running = false;
-        self.settling = true;
-        self.timer.settled_at(self.timer.now().wrapping_add(self.pulse_ticks));
-        let power = Power::wanted();
-        if power.from_segments {
-            Power { level: 0, ..power }.want();
+        let undone = self.output.halt();
+        let mut net = undone.net;
+        // What has not come out at all has moved nothing.
+        let is_still = self.is_before_motion() && !undone.fault;
+        self.beam_off();
+        if undone.fault {
+            // Whatever the stop is for, the place is lost: a stop of its own, before it.
+            self.give_up(core::mem::take(&mut net), true);
         }
+        self.take_back_segments();
         while shared::stops_asked() != self.stops_done {
             self.stops_done = self.stops_done.wrapping_add(1);
-            let mut event = self.stepper.stop([0; AXES]);
-            // The newest counts; that something was moving at an older one must not be forgotten.
-            if let (StepEvent::Stopped { moving, .. }, Some(StepEvent::Stopped { moving: before, .. })) =
-                (&mut event, self.unsent.stopped)
-            {
-                *moving |= before;
+            let mut event = self.stepper.stop(core::mem::take(&mut net));
+            if let StepEvent::Stopped { moving, .. } = &mut event {
+                // Without a count that can be trusted the place is as lost as in motion.
+                *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
+                // The newest counts; that something was moving at an older one must not be forgotten.
+                if let Some(StepEvent::Stopped { moving: before, .. }) = self.unsent.stopped {
+                    *moving |= before;
+                }
             }
             self.unsent.stopped = Some(event);
         }
+        // A pulse that is out has been counted: it gets its full length.
+        self.directions = UNKNOWN;
+        self.last = self.output.now();
+        self.state = State::Ending;
+        self.call_again();
+    }
+
+    /// The moment of a change of power has come.
+    #[inline(never)]
+    fn mark(&mut self) {
+        while let Some((at, power)) = self.beam.marks.front().copied() {
+            if (at.wrapping_sub(self.output.now()) as i32) > 0 {
+                self.output.mark_at(at);
+                return;
+            }
+            self.beam.power = power;
+            self.beam.marks.pop_front();
+        }
+    }
+
+    /// An event is out, one by one.
+    #[inline(never)]
+    fn look_at_probe(&mut self) {
+        if self.stepper.is_watching() && self.stepper.probe(self.output.probe_low() != self.probe_invert) {
+            self.unsent.touched = true;
+        }
+    }
+
+    /// Lets the other tasks know how it goes.
+    #[inline(always)]
+    fn tell(&mut self) {
+        let begun = self.stepper.segments_begun().wrapping_sub(self.begins.len as u32);
+        STEP.segments_begun.store(begun, Ordering::Relaxed);
+        STEP.wants.store(u8::from(self.stepper.wants()), Ordering::Relaxed);
         self.show_power();
-        self.untold = true;
+        let at_rest = self.state == State::Rest;
+        if at_rest != STEP.at_rest.load(Ordering::Relaxed) {
+            self.tell_of_rest(at_rest);
+        }
+        if self.unsent.any() {
+            self.send_all();
+        }
+    }
+
+    #[inline(never)]
+    fn tell_of_rest(&mut self, at_rest: bool) {
+        STEP.at_rest.store(at_rest, Ordering::Relaxed);
+        if at_rest {
+            self.wake.write(());
+        }
+    }
+
+    /// Shows the power that holds now, if it is another one.
+    #[inline(always)]
+    fn show_power(&mut self) {
+        let power = Power::wanted();
+        let level = match (power.from_segments, self.state) {
+            // After a stop or underrun the beam stays off, whatever was wanted before.
+            (true, State::Rest | State::Ending) if self.stepper.is_shut() => 0,
+            (true, State::Rest) | (false, _) => power.level,
+            _ => self.beam.power,
+        };
+        if level != self.beam.shown {
+            self.output.set_power(level);
+            self.beam.shown = level;
+        }
     }
 
     /// Sends what there is to report, as far as there is room.
@@ -610,6 +797,9 @@ impl Step {
             && self.send(event)
         {
             self.unsent.stopped = None;
+        }
+        if self.unsent.any() && self.state == State::Rest {
+            self.output.call_at(self.output.now().wrapping_add(RETRY_TICKS));
         }
     }
 

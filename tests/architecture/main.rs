@@ -17,6 +17,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("digest", &[]),
     ("number", &["units"]),
     ("step_rates", &[]),
+    ("step_timing", &["step_rates"]),
     ("messages", &["axes", "units"]),
     ("settings", &["units", "axes", "error", "number", "step_rates"]),
     ("protocol", &["units", "axes", "error", "messages", "number", "settings"]),

@@ -60,30 +60,28 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
-const ROWS: [Row; 20] = [
-    row("tick_3", "tick, 3 axes stepping", Figure::Mean, Some((55, 75)), (73, 100)).beside("105 / 138", "137 / 195"),
-    row("tick_1", "tick, 1 axis stepping", Figure::Mean, Some((45, 65)), (73, 100)).beside("83 / 119", "110 / 170"),
-    row("tick_0", "tick, no step due", Figure::Mean, Some((40, 60)), (67, 97)).beside("71 / 108", "73 / 133"),
-    row("worst_tick", "tick, new block, reversal, probe touches", Figure::Worst, Some((140, 210)), (204, 315))
-        .beside("147 / 206", "209 / 304"),
-    row("receive", "fetching half a message ahead (rtic-sync)", Figure::Worst, Some((140, 210)), (202, 331)),
-    row("wait", "a call that comes too near an edge", Figure::Worst, None, (90, 157)),
-    row("stop", "stop, with its report", Figure::Worst, None, (408, 725)),
+const ROWS: [Row; 17] = [
+    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_450, 1_860))
+        .beside("3360 / 4416", "4384 / 6240"),
+    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (970, 1_320)).beside("2656 / 3808", "3520 / 5440"),
+    // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
+    row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_760, 3_950)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (470, 750)),
+    row("stop", "stop with a full ring, 63 events undone, with its report", Figure::Worst, None, (3_300, 4_310)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("pulse_off", "end of a pulse", Figure::Mean, Some((11, 14)), (27, 49)).beside("11 / 14", "35 / 50"),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (830, 1_475))
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (650, 1_110))
         .beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_420, 4_500))
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_140, 3_780))
         .beside("723 / 1210", "727 / 1200"),
-    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (24, 30))
+    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (20, 28))
         .beside("56 / 72", "41 / 55"),
-    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_290, 2_600)),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (3_230, 5_980)),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (190, 255)),
+    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_400)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_880, 5_110)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_780, 2_750))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (13_350, 23_000))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (11_550, 19_330))
         .beside("2800 / 4400", "4100 / 6500"),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),

@@ -91,7 +91,7 @@ impl CurveLoad {
 
     #[inline]
     pub(super) fn is_none(self) -> bool {
-        self == Self::NONE
+        self.speed2 == Self::NONE.speed2
     }
 
     /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
@@ -140,8 +140,14 @@ impl CurveLoad {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
+    /// Once in the image, but for the walk over the queue.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
+        self.left_of(along, speed2)
+    }
+
+    #[inline(always)]
+    fn left_of(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
@@ -212,6 +218,14 @@ impl<const N: usize> Block<N> {
     #[inline]
     pub(super) fn acceleration_at(&self, speed2: f32) -> f32 {
         self.curve.left(self.acceleration, speed2)
+    }
+
+    /// Greatest entry speed² from which it can be braked to an exit speed².
+    #[inline]
+    pub(super) fn entry_before(&self, exit2: f32) -> f32 {
+        let along = self.acceleration;
+        let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
+        lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
     }
 
     /// What bounds changes of speed in the block.

@@ -282,10 +282,15 @@ impl<const N: usize> AnyMotion<N> {
         self.next_message()
     }
 
-    /// The same without a new observation.
+    /// The same without a new observation. Asked before each output: no call for nothing.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
-        if !self.source.wants_more() || self.source.waits_for_rest() {
+        if self.source.wants_more() { self.wanted_message() } else { None }
+    }
+
+    #[inline(never)]
+    fn wanted_message(&mut self) -> Option<ToStep> {
+        if self.source.waits_for_rest() {
             return None;
         }
         self.queue.continue_long_move();
@@ -414,7 +419,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Time of what has been handed over and not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
-        self.source.in_flight.queued() / (self.source.step_clock_hz() / 1_000_000).max(1)
+        self.source.queued_us()
     }
 
     /// Machine position in steps at the end of the segment begun last.

@@ -188,7 +188,7 @@ impl<const N: usize> Running<N> {
     }
 
     /// Where the motors are that began the block here.
-    #[inline]
+    #[inline(always)]
     pub(super) fn steps_from(&self, start: &PerAxis<i32, N>) -> PerAxis<i32, N> {
         let mut position = *start;
         let axes = self.legs.iter().zip(self.rates.iter().zip(self.credits));
@@ -204,7 +204,7 @@ impl<const N: usize> Running<N> {
     }
 
     /// The trapezoid of the rest of the block and how many units are left of it; `None` for a stop at this very position.
-    #[inline]
+    #[inline(always)]
     pub(super) fn trapezoid(
         &self,
         pace: Pace,

@@ -1,4 +1,4 @@
-//! The step generator: turns blocks and segments into step bits and moments, one call for each expiry of the timer.
+//! The step generator: turns blocks and segments into step bits and moments, one call for each tick.
 //!
 //! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
 //! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
@@ -34,7 +34,7 @@ const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
 /// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
-/// What to do at an expiry of the step timer.
+/// What to do at a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tick {
     /// Axes to step now, bit 0 for X.
@@ -42,7 +42,7 @@ pub struct Tick {
     /// Direction levels for the *next* step (bit set = negative), to be written once this pulse has ended. They change
     /// with the first tick of a segment only.
     pub directions: u8,
-    /// Step-clock ticks to the next call; 0 = at rest, the timer may stop.
+    /// Step-clock ticks to the next one; 0 = at rest.
     pub interval: u32,
     /// A segment has begun with this tick, and its power and directions hold from now on.
     pub begins: bool,
@@ -375,32 +375,27 @@ impl<const N: usize> Stepper<N> {
         self.is_next = true;
     }
 
-    /// One expiry of the step timer; from rest the first call makes no step and gives the interval to the first.
+    /// The next tick; from rest the first makes no step and gives the interval to the one that does.
     #[inline]
     pub fn tick(&mut self) -> Tick {
-        match self.plain_tick() {
-            Some(tick) => tick,
-            None => {
-                let steps = self.rare_steps();
-                self.rare_tick(steps)
-            }
+        if self.unnoted {
+            self.note_touch();
         }
-    }
-
-    /// [`Stepper::tick`] if it does nothing but to step, as most do. Otherwise nothing is done, and [`Stepper::rare_steps`]
-    /// and [`Stepper::rare_tick`] are to be called.
-    #[inline(always)]
-    pub fn plain_tick(&mut self) -> Option<Tick> {
-        self.piece.plain_ticks = self.piece.plain_ticks.checked_sub(1)?;
         let steps = self.step_axes();
-        Some(self.set_out(steps))
+        match self.piece.plain_ticks.checked_sub(1) {
+            Some(left) => {
+                self.piece.plain_ticks = left;
+                self.set_out(steps)
+            }
+            None => self.rare_tick(steps),
+        }
     }
 
     /// Plain ticks in a row, as many as there is room for or as the segment has left: for each its steps, as the entry of
     /// `table` that belongs to them (bit 0 for X), and its moment. How many.
     ///
     /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
-    /// if [`Stepper::plain_tick`] had been called as often.
+    /// if [`Stepper::tick`] had been called as often.
     #[inline(always)]
     pub fn plain_ticks(&mut self, table: &[u32; 8], words: &mut [u32], moments: &mut [u32]) -> usize {
         const { assert!(N <= 3, "a table of eight words is for three axes") };
@@ -442,8 +437,8 @@ impl<const N: usize> Stepper<N> {
                 words.fill(table.get(always & 7).copied().unwrap_or(0));
                 return;
             }
-            1 => count_down([a], threshold, &of_counting, words),
-            2 => count_down([a, b], threshold, &of_counting, words),
+            // For one counting axis a loop of its own would save little: the other one takes nothing off.
+            1 | 2 => count_down([a, b], threshold, &of_counting, words),
             _ => count_down([a, b, c], threshold, &of_counting, words),
         };
         for ((axis, ..), new) in counting.iter().zip(left).take(count) {
@@ -481,6 +476,15 @@ impl<const N: usize> Stepper<N> {
         (least >> INTERVAL_FRACTION_BITS, greatest >> INTERVAL_FRACTION_BITS)
     }
 
+    /// The least time from one step of the fastest axis to its next one in the segment, in step-clock ticks: several ticks at low rates.
+    #[inline]
+    pub fn step_interval(&self) -> u32 {
+        let (least, _) = self.intervals();
+        let level =
+            u32::from(MAX_LEVEL).wrapping_sub(self.piece.units_per_tick.trailing_zeros().min(u32::from(MAX_LEVEL)));
+        least.wrapping_shl(level)
+    }
+
     /// Whether the next tick ends a segment that another one is to follow, and that one is not here yet: the tick would be
     /// an underrun.
     #[inline]
@@ -488,19 +492,9 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.unnoted
     }
 
-    /// The steps of a tick with which a segment may end or motion begin or end, or at which the probe is waited for; for
-    /// what else it does there is time after their edges.
+    /// What a tick does after its steps with which a segment may end or motion begin or end, or at which the probe is waited for.
     #[inline(always)]
-    pub fn rare_steps(&mut self) -> u8 {
-        if self.unnoted {
-            self.note_touch();
-        }
-        self.step_axes()
-    }
-
-    /// What else such a tick does, after its steps; a message may be loaded in between.
-    #[inline(always)]
-    pub fn rare_tick(&mut self, steps: u8) -> Tick {
+    fn rare_tick(&mut self, steps: u8) -> Tick {
         if self.piece.rare_ticks > 1 {
             self.piece.rare_ticks = self.piece.rare_ticks.wrapping_sub(1);
             return self.set_out(steps);
@@ -568,14 +562,21 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() <= 1
     }
 
+    /// Whether an axis steps at the next tick.
+    #[inline]
+    pub fn steps_next(&self) -> bool {
+        // As in `step_axes`.
+        self.left.iter().zip(&self.piece.increments).any(|(left, increment)| (left.wrapping_sub(*increment) as i32) < 0)
+    }
+
     /// The moment of the next tick, on the step clock (wrapping); that of the last one at rest.
     #[inline(always)]
     pub fn moment(&self) -> u32 {
         (self.moment >> 32) as u32
     }
 
-    /// Sets the step clock: the moment of the next tick, which is the first. At rest only; a fraction of a clock tick that
-    /// the last motion has left stays.
+    /// Sets the moment of the next tick: of the first after a rest, or of one that is put off, with all that come after it. The
+    /// fraction of a clock tick stays.
     pub fn begin_at(&mut self, moment: u32) {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
@@ -618,8 +619,7 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times, and
-        // the end of the pulse waits for it.
+        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times.
         let course = self.courses.get(usize::from(self.odd)).unwrap_or(&Course::NOWHERE);
         let Course { beyond, threshold, entered, directions, .. } = course;
         for (left, beyond) in self.left.iter_mut().zip(beyond) {
@@ -675,13 +675,23 @@ impl<const N: usize> Stepper<N> {
     pub fn stop(&mut self, undone: [i32; N]) -> StepEvent<N> {
         let moving = self.piece.ticks() != 0 || undone.iter().any(|steps| *steps != 0);
         self.shut();
+        self.take_back(undone);
+        StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
+    }
+
+    /// So many segments, those begun last, have not come out.
+    pub fn take_back_segments(&mut self, undone: u32) {
+        self.begun = self.begun.wrapping_sub(undone);
+    }
+
+    /// After a stop or an underrun: these net steps have not come out, so the position is that without them.
+    pub fn take_back(&mut self, undone: [i32; N]) {
         if let Some(course) = self.course_mut(false) {
             for ((base, end), undone) in course.base.iter_mut().zip(course.end.iter_mut()).zip(undone) {
                 *base = base.wrapping_sub(undone);
                 *end = *base;
             }
         }
-        StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
 
     /// The report that belongs to a [`Tick::underrun`].
@@ -778,6 +788,12 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     pub fn is_shut(&self) -> bool {
         self.gate_shut || self.unnoted
+    }
+
+    /// Whether a segment runs.
+    #[inline(always)]
+    pub fn is_moving(&self) -> bool {
+        self.piece.ticks() != 0
     }
 
     /// Whether there is nothing left to do.
@@ -907,7 +923,7 @@ mod tests {
                 for (word, at) in words.into_iter().zip(moments).take(made) {
                     prop_assert_eq!(at, single.moment());
                     let (least, greatest) = single.intervals();
-                    let tick = single.plain_tick().expect("it is plain");
+                    let tick = single.tick();
                     prop_assert_eq!(word, table[usize::from(tick.steps)]);
                     prop_assert!((least..=greatest + 1).contains(&tick.interval));
                 }
