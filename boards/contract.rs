@@ -13,7 +13,7 @@
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
-//! | `RUN_CYCLES` | more cycles than the longest run of the step task takes |
+//! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
 //! | `call_serial()` | makes the interrupt of the serial task pending |

@@ -120,14 +120,13 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
 /// that the events of a full ring last, and batches for three axes take no more than half of the processor.
 #[test]
 fn step_rates_follow_the_rule() {
-    const RING: u64 = 127;
+    const DEPTH: u64 = 96;
     const BATCH: u64 = 32;
     for board in oxmill_boards::profiles::ALL.iter().filter(|board| !["desk", "qemu_mps2"].contains(&board.name)) {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
-        assert!(runs <= (RING - BATCH / 2) * core_hz, "{board:?}");
-        // `cargo xtask count`, `cargo xtask count small`, times 1.1.
-        let batch = if SMALL.contains(&board.name) { 3_795 } else { 2_039 };
-        assert!(batch * hz / BATCH <= core_hz / 2, "{board:?}");
+        assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
+        // `cargo xtask count`, times 1.1.
+        assert!(1_815 * hz / BATCH <= core_hz / 2, "{board:?}");
     }
 }

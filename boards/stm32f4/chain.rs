@@ -30,18 +30,19 @@ use crate::contract::{Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Events of the ring. One place stays free, behind the last event.
+/// Places of the ring. That behind the last event stays free.
 const RING: usize = 128;
-/// Events that can be ahead, [`crate::StepOutput::DEPTH`]. 1 is the way back to an interrupt for each event, on all boards.
-pub(super) const DEPTH: usize = RING - 1;
+/// Events that can be ahead, [`crate::StepOutput::DEPTH`]: a stop counts as many in less time than two bytes of the UART take.
+/// 1 is the way back to an interrupt for each event, on all boards.
+pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the edge; the pulse ends so many later.
 const EDGE_COUNT: u32 = 1;
 /// More cycles than it takes from a match of TIM2 to the last word that comes of it, but for the end of the pulse.
 const SERVED_CYCLES: u32 = 48;
 /// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
 const LISTENS_TICKS: u32 = 48;
-/// More ticks than it takes to begin once more.
-const AGAIN_TICKS: u32 = 1_500;
+/// More ticks than it takes to begin once more, with all moments of the ring put off.
+const AGAIN_TICKS: u32 = 2_200;
 /// Ticks from a moment within which its request may be under way.
 const NEAR_TICKS: u32 = 48;
 /// Ticks after which an event that is not out never will be.
@@ -233,7 +234,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         let room = if self.one_by_one {
             1 - usize::from(self.pending)
         } else {
-            (RING - Self::SPARE).saturating_sub(self.ahead())
+            (DEPTH + 1 - Self::SPARE).saturating_sub(self.ahead())
         };
         let end = (self.head + room).min(RING);
         let words = self.rings.words.last_mut().and_then(|words| words.get_mut(self.head..end)).unwrap_or_default();
@@ -296,10 +297,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the moment of an event when the one but one before it comes out.
+    /// DMA1 fetches the moment of an event when the one but one before it comes out: so it will, once events are begun.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
-        if !self.begun || self.one_by_one { next } else { self.moment_before(1) }
+        let is_alone = self.one_by_one || !self.begun && self.head < 2;
+        if is_alone { next } else { self.moment_before(1) }
     }
 
     /// No request for a moment, and none before there is a moment again.
@@ -353,7 +355,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
             return self.set_moment(self.moment_at(0));
         }
         let how = CIRCULAR | WORDS | VERY_HIGH | MOMENTS_CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS;
-        let mut put_off = 0_u32;
+        let (mut put_off, mut again) = (0_u32, AGAIN_TICKS);
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM2 + CCR1, self.rings.moments.as_ptr() as usize, how);
             cortex_m::asm::delay(SERVED_CYCLES);
@@ -371,7 +373,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
             self.await_served();
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
-            let by = AGAIN_TICKS.wrapping_sub(left);
+            let by = again.wrapping_sub(left);
+            // Whatever this takes, it comes to an end.
+            again = again.wrapping_add(AGAIN_TICKS);
             for moment in &mut self.rings.moments {
                 *moment = moment.wrapping_add(by);
             }

@@ -231,17 +231,22 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     #[inline(never)]
     fn halt(&mut self) -> Undone<AXES> {
         let mut net = [0; AXES];
-        let (steps, directions) = (&self.steps, &self.directions);
+        // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
+        let of = |table: &[u32; 8], axis: usize| table.get(1 << axis & 7).copied().unwrap_or(0);
+        let mut masks = [[(0, 0); P]; AXES];
+        for (axis, masks) in masks.iter_mut().enumerate() {
+            for ((mask, steps), directions) in masks.iter_mut().zip(&self.steps).zip(&self.directions) {
+                *mask = (of(steps, axis), of(directions, axis) & !directions[0]);
+            }
+        }
         let (events, fault) = self.chain.halt(|words| {
-            for (axis, net) in net.iter_mut().enumerate() {
-                // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
-                let (mut stepped, mut negative) = (false, false);
-                for ((word, steps), directions) in words.iter().zip(steps).zip(directions) {
-                    let of = |table: &[u32; 8]| table.get(1 << axis & 7).copied().unwrap_or(0);
-                    stepped |= word & of(steps) != 0;
-                    negative |= word & of(directions) & !directions[0] != 0;
+            for (net, masks) in net.iter_mut().zip(&masks) {
+                let (mut stepped, mut negative) = (0, 0);
+                for (word, (step, direction)) in words.iter().zip(masks) {
+                    stepped |= word & step;
+                    negative |= word & direction;
                 }
-                *net += i32::from(stepped) * if negative { -1 } else { 1 };
+                *net += i32::from(stepped != 0) * (1 - 2 * i32::from(negative != 0));
             }
         });
         Undone { events, net, fault }

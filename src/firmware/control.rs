@@ -109,11 +109,13 @@ impl Control {
     #[inline(never)]
     pub fn turn(&mut self) {
         let heard = SERIAL.heard.load(Ordering::Relaxed);
-        while round(self) {}
-        self.note_place();
-        if self.erase_ahead() {
-            // Lines that had to wait for it.
+        loop {
             while round(self) {}
+            self.note_place();
+            if !self.erase_ahead() {
+                break;
+            }
+            // Lines had to wait for it.
         }
         let observed = self.observe();
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();

@@ -119,6 +119,10 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Where the blocks of the look-ahead lie in it, to its end: plain numbers, of which only those are read that have been
+    /// written. All before them is the same whatever their count.
+    pub const LOOK_AHEAD_AT: usize = core::mem::offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
+
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
     pub const fn new(profile: Profile) -> Self {
@@ -224,6 +228,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.stops.is_awaited()
             && self.mode.takes_lines()
             && self.replies.has_room()
+    }
+
+    /// Whether the step task will soon have done all that it has been given of a motion that continues.
+    #[inline]
+    pub fn is_short_of_segments(&self) -> bool {
+        self.motion.is_short_of_segments()
     }
 
     /// When the controller wants to be called although nothing happens.

@@ -160,6 +160,10 @@ impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// Where the blocks lie in it, to its end.
+    pub(crate) const BLOCKS_AT: usize =
+        core::mem::offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
+
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz);
@@ -400,6 +404,12 @@ impl<const N: usize> AnyMotion<N> {
     pub fn observe(&mut self, observed: &Observed) {
         self.step_idle = observed.step_idle;
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
+    }
+
+    /// Whether a motion continues for which little time has been handed over.
+    #[inline]
+    pub fn is_short_of_segments(&self) -> bool {
+        self.source.is_short_of_segments()
     }
 
     /// Whether nothing is in the step task and nothing will come before `start` or `resume`.

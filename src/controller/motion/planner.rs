@@ -162,6 +162,9 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
+    /// Where the blocks lie in it, to its end.
+    pub(super) const BLOCKS_AT: usize = core::mem::offset_of!(Self, blocks);
+
     #[inline(always)]
     pub(super) const fn new() -> Self {
         let groups = [Stretch::NONE; GROUPS];

@@ -21,6 +21,9 @@ const WAIT_MS: u32 = 1;
 /// with what gathers before a start. Its first segments are shorter than a small processor takes to prepare them: were they to
 /// follow at once, they would have to be there in time.
 const JOIN_MS: u32 = 2;
+/// With less than this queued of a motion that continues, segments come before lines: more than a line takes, and the segments of
+/// a stop from there.
+const SHORT_MS: u32 = 5;
 /// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
@@ -180,6 +183,16 @@ impl<const N: usize> SegmentSource<N> {
     #[inline]
     pub(super) fn waits_for_rest(&self) -> bool {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
+    }
+
+    /// Whether a motion continues for which little time has been handed over.
+    #[inline]
+    pub(super) fn is_short_of_segments(&self) -> bool {
+        let has_begun = self.in_flight.moves() || !self.in_flight.is_empty();
+        has_begun
+            && self.in_flight.queued() < self.clocks_per_ms * SHORT_MS
+            && !self.in_flight.is_full()
+            && !self.ends_at_rest()
     }
 
     /// The state of motion on the path, and how much of the first block is left, mm.

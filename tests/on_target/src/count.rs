@@ -28,9 +28,9 @@ use step_timer::Step;
 
 // The step task is compiled once more, for the board below: it takes its timer and its pins as types of `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
-#[path = "../../../src/firmware/shared.rs"]
+#[path = "../../../src/step_task/shared.rs"]
 mod shared;
-#[path = "../../../src/firmware/step_timer.rs"]
+#[path = "../../../src/step_task/step_timer.rs"]
 mod step_timer;
 
 /// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
@@ -41,7 +41,7 @@ mod boards {
     use oxmill_controller::{Profile, StepRates};
 
     pub const CORE_HZ: u32 = 96_000_000;
-    pub const RUN_CYCLES: u32 = 4_350;
+    pub const RUN_CYCLES: u32 = 4_450;
 
     pub const AXES: usize = 3;
     pub const PROFILE: Profile = Profile {
@@ -257,22 +257,31 @@ fn step_task() {
     }
 
     // The longest runs: in each a block begins in another direction and with other power, both of its messages are received,
-    // and the rest of the batch is made. Before them as much is ahead as a run needs, and messages for more than a run wait.
+    // and the rest of the batch is made. Before them as much is ahead as a run needs, or more, and messages for more than a run
+    // wait.
     let mut turning = |turn: u8, last: u8| {
-        let [first, second] = block([40, 30, 20], if turn & 1 == 0 { 0 } else { 7 }, 40, 0, last);
+        let ticks = 17 + u16::from(turn) * 29 % 97;
+        let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
         let ToStep::Segment(segment) = second else { return };
         send(&mut to_step, &[first, ToStep::Segment(Segment { power: 100 + u16::from(turn), ..segment })]);
     };
-    (0..4).for_each(|turn| turning(turn, 0));
+    let before = shared::STEP.segments_begun.load(Ordering::Relaxed);
+    let mut sent = 4;
+    (0..sent).for_each(|turn| turning(turn, 0));
     registers.start();
-    for turn in 4..24 {
-        turning(turn, if turn == 23 { Segment::FLAG_LAST } else { 0 });
-        registers.put_out(24);
+    for turn in 0..160_usize {
+        let begun = shared::STEP.segments_begun.load(Ordering::Relaxed).wrapping_sub(before);
+        if u32::from(sent) < begun + 10 {
+            turning(sent, 0);
+            sent += 1;
+        }
+        registers.put_out(28 + turn * 7 % 23);
         row_segment();
         registers.interrupt(Due::MORE, registers.last);
         row_none();
         registers.interrupt(Due::MARK, registers.last);
     }
+    turning(sent, Segment::FLAG_LAST);
     registers.finish();
 
     // One by one, with the probe watched, which does not touch.
@@ -305,7 +314,6 @@ fn step_task() {
         send(&mut to_step, &block([900, 700, 500], 7, 900, 0, 0));
         registers.start();
         for _ in 0..5 {
-            registers.put_out(31);
             registers.interrupt(Due::MORE, registers.last);
         }
         shared::ask_for_stop();

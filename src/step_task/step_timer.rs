@@ -2,7 +2,7 @@
 //! out at its moment by themselves.
 //!
 //! ```text
-//!            a message            2 ms later, less 0.3        enough is ahead          nothing left to make
+//!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make
 //!   ┌──────┐ ──────────▶ ┌──────────┐ ──────▶ ┌───────────┐ ──────────▶ ┌─────────┐ ──────────▶ ┌────────┐
 //!   │ Rest │             │ Starting │         │ Preparing │             │ Running │             │ Ending │
 //!   └──────┘             └──────────┘         └───────────┘             └─────────┘             └────────┘
@@ -39,6 +39,9 @@ const fn in_ticks(cycles: u32) -> u32 {
 const START_TICKS: u32 = 2_000 * TICKS_PER_US;
 /// How far ahead events are made, where there is room.
 const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
+/// How long before its first tick the events of a motion begin to be made: a hard start has so many segments that each of the
+/// first runs begins one and makes few events.
+const PREPARE_TICKS: u32 = 450 * TICKS_PER_US;
 /// No fewer events than these are ahead, however long they last.
 const LEAST_EVENTS: usize = 4;
 /// Most events of a run: the longer it takes, the later everything else, a stop that comes by the serial line among it.
@@ -49,6 +52,8 @@ const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// How long before the first moment events are begun at the latest: two more runs and what it takes.
 const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
+/// So much earlier from rest, for interrupts may be masked meanwhile.
+const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// As many events of a batch take as long as an event, or a tick, that is made by itself.
 const SINGLE_SHARE: usize = 4;
 /// The same of a segment that begins, with both of its messages. A run begins one at most.
@@ -229,7 +234,7 @@ impl Step {
 
     /// Called when more events are wanted, when one is out, for a change of power, and by others: a stop asked for, a message
     /// queued, power changed.
-    #[inline(always)]
+    #[inline(never)]
     pub fn run(&mut self) {
         let due = self.output.take();
         self.begins.pass(self.output.now());
@@ -278,7 +283,7 @@ impl Step {
         self.receive();
         let now = self.output.now();
         match self.state {
-            State::Starting(begin) if begin.wrapping_sub(now) as i32 <= HORIZON_TICKS as i32 => {
+            State::Starting(begin) if begin.wrapping_sub(now) as i32 <= PREPARE_TICKS as i32 => {
                 self.free_from = begin;
                 self.latest = None;
                 self.prepare(begin);
@@ -330,18 +335,21 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.output.ahead(), self.output.now());
-        let is_time = moment.wrapping_sub(now) as i32 <= IN_TIME_TICKS as i32;
+        // The first event may come long after the first tick: it is the next tick that must not be late as long as there is none.
+        let left = if ahead > 0 { moment } else { self.stepper.moment() }.wrapping_sub(now) as i32;
+        let is_late = left <= IN_TIME_TICKS as i32;
+        let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
         let is_far = self.is_far_ahead(moment);
         let is_all = self.state == State::Ending;
         let is_full = self.output.free().words.is_empty();
-        if ahead > 0 && (is_time || is_far || is_full || is_all || self.one_by_one) {
+        if ahead > 0 && (is_late || is_time || is_far || is_full || is_all || self.one_by_one) {
             self.state = if is_all { State::Ending } else { State::Running };
             if self.latest.is_none() {
                 self.begins.len = 0;
             }
             let by = self.output.begin(self.one_by_one);
             self.put_off(moment, by);
-        } else if is_time && !is_all {
+        } else if is_late && !is_all {
             // Nothing is ahead yet: a little later there is, or once more segments have come.
             let by = if self.stepper.lacks_segment() { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
@@ -494,8 +502,7 @@ impl Step {
     #[inline(never)]
     fn make_one(&mut self, may_begin: bool) -> Made {
         let moment = self.stepper.moment();
-        let is_marked_full = self.begins.len == MARKS || self.beam.marks.is_full();
-        if self.output.free().words.is_empty() || is_marked_full && self.output.ahead() > 0 {
+        if self.output.free().words.is_empty() || self.is_marked_full() && self.output.ahead() > 0 {
             return Made::Nothing;
         }
         if self.is_before_motion() && self.stepper.is_moving() {
@@ -622,7 +629,10 @@ impl Step {
     fn call_again(&mut self) {
         let ahead = self.output.ahead();
         let left = (ahead / 2).max(LEAST_EVENTS - 1);
+        let now = self.output.now();
         let at = match self.state {
+            // A run has been too short for what there is, as where segments are shorter than runs.
+            State::Running if self.wants_more(now, ahead) => now,
             State::Running if !self.one_by_one && ahead > left => {
                 let (half, last_chance) = (self.output.moment_before(left), self.last_chance());
                 if half.wrapping_sub(last_chance) as i32 <= 0 { half } else { last_chance }
@@ -630,11 +640,23 @@ impl Step {
             State::Running if self.one_by_one && ahead > 0 => return,
             State::Running => self.last_chance(),
             State::Ending => self.out_at(),
-            State::Preparing(moment) => moment.wrapping_sub(HORIZON_TICKS),
-            State::Starting(begin) => begin.wrapping_sub(HORIZON_TICKS),
+            State::Preparing(moment) => moment.wrapping_sub(PREPARE_TICKS),
+            State::Starting(begin) => begin.wrapping_sub(PREPARE_TICKS),
             State::Rest => return,
         };
-        self.output.call_at(later(at, self.output.now().wrapping_add(PAUSE_TICKS)));
+        self.output.call_at(later(at, now.wrapping_add(PAUSE_TICKS)));
+    }
+
+    /// As many segments or changes of power are ahead as can be kept in mind.
+    fn is_marked_full(&self) -> bool {
+        self.begins.len == MARKS || self.beam.marks.is_full()
+    }
+
+    /// Less is ahead of a moment than there should be, and there is more to be made, and room for it.
+    fn wants_more(&self, from: u32, ahead: usize) -> bool {
+        let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;
+        let is_stopped = self.one_by_one || self.stepper.lacks_segment() || self.is_marked_full();
+        has_room && !is_stopped && !self.is_far_ahead(from)
     }
 
     /// When the last event is out, with its pulse.
