@@ -53,11 +53,10 @@ use stm32f4xx_hal::{
 };
 
 use crate::input_bits;
-pub use crate::stm32f4::step::Due;
-use crate::stm32f4::{self, each};
+use crate::stm32f4::{self, each, step::Rings};
 pub use crate::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
-    preloaded_job, reset_cause, restart, safe_state,
+    InputPins, SettingsFlash, SlowPins, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause,
+    restart, safe_state,
 };
 pub use stm32f4xx_hal::pac;
 
@@ -83,10 +82,10 @@ pub fn call_serial() {
 pub type SerialPort = stm32f4::Usart<pac::USART1>;
 /// The first way to the host.
 pub type UsbPort = stm32f4::usb::UsbPort;
-/// Step pins on one port, direction pins too.
-pub type StepPins = stm32f4::StepPins<1, 1>;
+/// Step and direction pins on one port.
+pub type StepPins = stm32f4::StepPins<1>;
 /// What `setup` deals out.
-pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1, 1>;
+pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
@@ -112,7 +111,9 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let _pwm = a.pa7.into_alternate::<2>();
     let steps = each!([a.pa1, a.pa2, a.pa3, a.pa8].into_push_pull_output().speed(Speed::Medium));
     let directions = each!([a.pa4, a.pa5, a.pa6, a.pa15].into_push_pull_output());
-    let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
+    let rings = cortex_m::singleton!(: Rings<1> = Rings::EMPTY);
+    let timers = (device.TIM1, device.TIM2, device.TIM3);
+    let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     // With no host on the UART its input must idle high, or noise would be taken for commands.
     let mut rx = a.pa10.into_alternate::<7>();
@@ -124,7 +125,6 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
-        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
         step_pins,
         serial: SerialPort::new(tx, rx),
         usb: UsbPort::new(

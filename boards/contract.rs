@@ -13,12 +13,11 @@
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
+//! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
-//! | `StepTimer`, `Due` | free-running counter at the step clock with three moments: next tick, end of pulse, some time after it |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
-//! | `ask_step()` | the same for what is not urgent: not so shortly before an edge that the call delays it |
 //! | `call_serial()` | makes the interrupt of the serial task pending |
-//! | `StepPins` | step and direction outputs and the spindle's PWM |
+//! | `StepPins` | step and direction outputs, which put out events at their moments, and the spindle's PWM: a [`StepOutput`] |
 //! | `SerialPort` | the UART to the host, a [`Port`] |
 //! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
 //! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
@@ -54,6 +53,108 @@ pub struct SlowLevels {
     pub flood: bool,
     /// Mist coolant.
     pub mist: bool,
+}
+
+/// What the step task has been called for. The bits are those of the compare channels of an STM32F4's timer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Due(pub u32);
+
+impl Due {
+    /// An event is out: only while events are put out one by one.
+    pub const OUT: Due = Due(2);
+    /// The moment of [`StepOutput::call_at`].
+    pub const MORE: Due = Due(4);
+    /// The moment of [`StepOutput::mark_at`].
+    pub const MARK: Due = Due(8);
+    /// Another task has called.
+    pub const CALLED: Due = Due(16);
+
+    /// Whether `what` is among it.
+    #[inline(always)]
+    pub fn has(self, what: Due) -> bool {
+        self.0 & what.0 != 0
+    }
+}
+
+/// Free places for events, in a row: none when there is no room, one while events are put out one by one.
+pub struct Free<'a> {
+    /// The words of the eight combinations of steps, with the directions that hold.
+    pub table: &'a [u32; 8],
+    /// For the word of each event.
+    pub words: &'a mut [u32],
+    /// For its moment.
+    pub moments: &'a mut [u32],
+}
+
+/// What did not come out when outputs were halted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Undone<const N: usize> {
+    /// Events.
+    pub events: usize,
+    /// Net steps of them.
+    pub net: [i32; N],
+    /// The parts that count events disagree: no count of steps can be trusted any more.
+    pub fault: bool,
+}
+
+/// Puts out events at their moments. An event is a pulse on some axes, or on none, and a moment of the step clock; it writes
+/// the directions, too. A pulse ends by itself.
+///
+/// ```text
+///  task    commit commit commit              call_at ──▶ MORE: commit ...
+///            │      │      │                    ▲
+///  ring    ──▼──────▼──────▼────────────────────┼──▶ an event at each moment, without the processor
+/// ```
+/// Events are begun with [`StepOutput::begin`] and follow each other by themselves as long as each is committed in time
+/// ([`StepOutput::joins_until`]). If one is not, they come to an end; [`StepOutput::halt`] and another begin are needed then.
+pub trait StepOutput<const N: usize> {
+    /// Events that can be ahead. 1: each is put out by a call of its own.
+    const DEPTH: usize;
+    /// How far ahead of now, in ticks, the moment of an event must lie that is put out by a call of its own.
+    const SOON: u32;
+
+    /// The step clock.
+    fn now(&self) -> u32;
+    /// What the task has been called for, once each.
+    fn take(&mut self) -> Due;
+    /// Calls the task at a moment; at once if it has passed.
+    fn call_at(&mut self, moment: u32);
+    /// The same, for another purpose.
+    fn mark_at(&mut self, moment: u32);
+
+    /// Directions of the events that are committed from here on; a set bit means negative.
+    fn direct(&mut self, directions: u8);
+    /// Where the next events go.
+    fn free(&mut self) -> Free<'_>;
+    /// As many of the free places hold events now. Gives the ticks by which the event was put off that was too late while events are put
+    /// out one by one.
+    fn commit(&mut self, events: usize) -> u32;
+    /// Time passes for the stepper: from the event committed last to its next tick.
+    fn pass(&mut self, ticks: u32);
+    /// Events that are committed and not out, never fewer than there are.
+    fn ahead(&self) -> usize;
+    /// The moment after which that many are left of those that are ahead; with too few ahead, one that has passed.
+    fn moment_before(&self, left: usize) -> u32;
+    /// Until when an event can be committed that is to follow on those before it by itself; `next` is its moment.
+    fn joins_until(&self, next: u32) -> u32;
+    /// Events are begun; `one_by_one`: each is to be followed by a call, and the next committed only then.
+    /// Gives the ticks by which all that is committed was put off: 0, unless it was too late for the first event.
+    fn begin(&mut self, one_by_one: bool) -> u32;
+    /// Whether the parts that count events disagree, or have failed, while events are put out.
+    fn fault(&self) -> bool;
+    /// No event begins after this. A pulse that is out gets its full length.
+    fn halt(&mut self) -> Undone<N>;
+
+    /// At rest: which outputs are inverted (bit set) and what the second motor does.
+    fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
+    /// At rest: the length of a pulse, microseconds.
+    fn set_pulse(&mut self, pulse_us: u32);
+    /// The frequency of the spindle's PWM, and the power that stays in force.
+    fn set_pwm(&mut self, hz: u32, power: u16);
+    /// The power of spindle or laser, 0 to 65535.
+    fn set_power(&mut self, power: u16);
+    /// Whether the probe's pin is low, unfiltered.
+    fn probe_low(&self) -> bool;
 }
 
 /// A link to a host.
@@ -150,7 +251,7 @@ pub struct SecondMotor {
 /// The compiler holds the chosen board to the tables above.
 #[cfg(feature = "board")]
 mod held {
-    use super::{Port, SecondMotor, SlowLevels};
+    use super::{Port, SlowLevels, StepOutput};
     use crate as board;
     use core::fmt::Arguments;
     use oxmill_controller::{Profile, ResetCause};
@@ -158,47 +259,26 @@ mod held {
 
     const _: &Profile = &board::PROFILE;
     const _: [usize; 2] = [board::AXES, board::BLOCKS];
-    const _: [u32; 3] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ];
+    const _: [u32; 4] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ, board::RUN_CYCLES];
     const _: fn(board::pac::Peripherals, fn() -> !) -> board::Parts = board::setup;
     const _: fn() -> u32 = board::clock_ticks;
-    const _: [fn(); 6] =
-        [board::call_step, board::ask_step, board::call_serial, board::safe_state, board::job_done, board::idle];
+    const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;
 
     const fn is_port<P: Port>() {}
     const fn is_flash<F: Flash>() {}
+    const fn is_output<O: StepOutput<{ board::AXES }>>() {}
     const _: () = (is_port::<board::SerialPort>(), is_port::<board::UsbPort>(), is_flash::<board::SettingsFlash>()).0;
+    const _: () = is_output::<board::StepPins>();
 
     const _: fn(&board::Parts) = |parts| {
-        let _: (&board::StepTimer, &board::StepPins) = (&parts.step_timer, &parts.step_pins);
+        let _: &board::StepPins = &parts.step_pins;
         let _: (&board::SerialPort, &board::UsbPort) = (&parts.serial, &parts.usb);
         let _: (&board::InputPins, &board::SlowPins) = (&parts.inputs, &parts.slow_pins);
         let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
     };
-
-    const _: fn(&board::StepTimer) -> u32 = board::StepTimer::now;
-    const _: fn(&mut board::StepTimer) -> board::Due = board::StepTimer::take;
-    const _: fn(&board::StepTimer, board::Due) -> bool = board::StepTimer::is_due;
-    const _: [fn(&board::StepTimer) -> u32; 2] = [board::StepTimer::next_tick, board::StepTimer::pulse_end];
-    const _: [fn(&mut board::StepTimer, u32); 4] = [
-        board::StepTimer::next_tick_at,
-        board::StepTimer::tick_at,
-        board::StepTimer::pulse_end_at,
-        board::StepTimer::settled_at,
-    ];
-    const _: fn(&mut board::StepTimer) = board::StepTimer::tick_off;
-    const _: fn(&board::StepTimer, u32, u32) -> bool = board::StepTimer::settles_at;
-    const _: [board::Due; 4] = [board::Due::TICK, board::Due::PULSE_END, board::Due::SETTLED, board::Due::CALLED];
-
-    const _: fn(&mut board::StepPins, u8, u8, SecondMotor) = board::StepPins::set_polarity;
-    const _: [fn(&mut board::StepPins, u8); 2] = [board::StepPins::raise, board::StepPins::direct];
-    const _: fn(&mut board::StepPins) = board::StepPins::lower;
-    const _: fn(&mut board::StepPins, u32, u16) = board::StepPins::set_pwm;
-    const _: fn(&mut board::StepPins, u16) = board::StepPins::set_power;
-    const _: fn(&board::StepPins) -> bool = board::StepPins::probe_low;
-    const _: fn(&mut board::StepPins, u32) = board::StepPins::pass;
 
     const _: [fn(&board::InputPins) -> u16; 2] = [board::InputPins::read, board::InputPins::fitted];
     const _: fn(&mut board::InputPins, u16, u16) = board::InputPins::set_pulls;

@@ -44,7 +44,7 @@ pub use nucleo_f446re::*;
 pub use qemu_mps2::*;
 
 #[cfg(feature = "board")]
-pub use contract::{Incoming, NoPort, Port, SecondMotor, SlowLevels, input_bits};
+pub use contract::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, input_bits};
 
 #[cfg(all(target_os = "none", not(feature = "board")))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
@@ -55,7 +55,7 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
     oxmill_controller::Profile {
         name: board.name,
         step_clock_hz: board.step_clock_hz,
-        rates: oxmill_controller::StepRates { safe_hz: board.safe_step_hz, attention_ns: board.attention_ns },
+        rates: oxmill_controller::StepRates { safe_hz: board.safe_step_hz },
         has_second_motor,
         has_store: true,
     }

@@ -10,12 +10,11 @@ use stm32f4xx_hal::{
     serial,
 };
 
-use crate::stm32f4::each;
-pub use crate::stm32f4::step::Due;
 pub use crate::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, StepTimer, Watchdog, ask_step, call_step, clock_ticks, idle, job_done,
-    preloaded_job, reset_cause, restart, safe_state,
+    InputPins, SettingsFlash, SlowPins, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause,
+    restart, safe_state,
 };
+use crate::stm32f4::{each, step::Rings};
 use crate::{NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
@@ -41,10 +40,10 @@ pub fn call_serial() {
 pub type SerialPort = stm32f4::Usart<pac::USART2>;
 /// USB is the ST-LINK's.
 pub type UsbPort = NoPort;
-/// Step pins on two ports, direction pins too.
-pub type StepPins = stm32f4::StepPins<2, 2>;
+/// Step and direction pins on two ports.
+pub type StepPins = stm32f4::StepPins<2>;
 /// What `setup` deals out.
-pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2, 2>;
+pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
@@ -70,7 +69,9 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let _pwm = a.pa7.into_alternate::<2>();
     let steps = each!([a.pa10, b.pb3, b.pb5, b.pb13].into_push_pull_output().speed(Speed::Medium));
     let directions = each!([b.pb4, b.pb10, a.pa8, b.pb14].into_push_pull_output());
-    let step_pins = stm32f4::step_pins(steps, directions, &inputs, device.TIM3, &mut rcc);
+    let rings = cortex_m::singleton!(: Rings<2> = Rings::EMPTY);
+    let timers = (device.TIM1, device.TIM2, device.TIM3);
+    let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
@@ -79,7 +80,6 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
-        step_timer: stm32f4::step_timer(device.TIM2, &mut rcc),
         step_pins,
         serial: SerialPort::new(tx, rx),
         usb: NoPort,

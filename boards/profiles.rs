@@ -14,15 +14,17 @@ pub struct Board {
     pub name: &'static str,
     /// Ticks of the step timer in a second.
     pub step_clock_hz: u32,
+    /// Clock of the processor.
+    pub core_hz: u32,
+    /// More cycles than the longest run of the step task takes that makes events (a stop takes longer): what `cargo xtask count`
+    /// says, times 1.1 for the flash.
+    pub run_cycles: u32,
     /// Axes.
     pub axes: usize,
     /// Moves that the look-ahead holds.
     pub blocks: usize,
     /// Greatest step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
-    /// What the step task needs for half a message, from the call on, nanoseconds: 544 cycles, or 700 in
-    /// an image built for size. 0: edges are never late.
-    pub attention_ns: u32,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
 }
@@ -31,47 +33,45 @@ pub struct Board {
 pub const DESK: Board = Board {
     name: "desk",
     step_clock_hz: 100_000_000,
+    core_hz: 100_000_000,
+    run_cycles: 4_450,
     axes: AXES,
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
-    attention_ns: 0,
     received_bytes: 255,
 };
 
-/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated:
-/// `cargo xtask count` gives 312 cycles for the worst tick, `cargo xtask virtual` 306 for the longest masked time, which is the
-/// USB driver's; with 24 for the entry and 1.3 for flash wait states they take 835 cycles. A tick, the end of its pulse and
-/// half a message after it would allow 120 kHz (docs/how-it-works.md, "What it costs").
+/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
+/// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
+/// (docs/how-it-works.md, "Step rates").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, safe_step_hz: 114_000, attention_ns: 5_670, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..DESK };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size (`cargo xtask count
-/// small`): a tick, the end of its pulse and half a message take 1089 cycles with their entries and wait states.
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task:
+/// the control task takes longer, and so has more of the processor left.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,
-    safe_step_hz: 77_000,
-    attention_ns: 8_340,
+    core_hz: 84_000_000,
+    safe_step_hz: 400_000,
     blocks: 256,
     ..DESK
 };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. A tick, with 5 cycles more for a second
-/// port, the end of its pulse and half a message take 802 cycles, which would allow 224 kHz; a pulse of a microsecond and half
-/// a message that waits for its end allow 211.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, safe_step_hz: 211_000, attention_ns: 3_030, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..DESK };
 
-/// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock. 802 cycles as above.
-pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", step_clock_hz: 100_000_000, safe_step_hz: 123_000, attention_ns: 5_440, ..DESK };
+/// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
+pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..DESK };
 
-/// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock. 802 cycles as above.
+/// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
 pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, safe_step_hz: 103_000, attention_ns: 6_480, ..DESK };
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..DESK };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
-pub const QEMU_MPS2: Board = Board { name: "qemu_mps2", step_clock_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
+pub const QEMU_MPS2: Board =
+    Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
 
 /// All boards.
 pub const ALL: [Board; 7] =

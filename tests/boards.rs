@@ -115,3 +115,18 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
         assert!(name == "qemu_mps2" || embed.contains(&format!("[{name}.general]")), "{name}");
     }
 }
+
+/// The rule of docs/how-it-works.md, "Step rates": two of the longest runs of the step task and half a batch fit into the time
+/// that the events of a full ring last, and batches for three axes take no more than half of the processor.
+#[test]
+fn step_rates_follow_the_rule() {
+    const DEPTH: u64 = 96;
+    const BATCH: u64 = 32;
+    for board in oxmill_boards::profiles::ALL.iter().filter(|board| !["desk", "qemu_mps2"].contains(&board.name)) {
+        let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
+        let runs = 2 * u64::from(board.run_cycles) * hz;
+        assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
+        // `cargo xtask count`, times 1.1.
+        assert!(1_815 * hz / BATCH <= core_hz / 2, "{board:?}");
+    }
+}

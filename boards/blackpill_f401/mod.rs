@@ -16,6 +16,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::BLACKPILL_F401, true);
 pub const AXES: usize = profiles::BLACKPILL_F401.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
+/// More cycles than the longest run of the step task takes.
+pub const RUN_CYCLES: u32 = profiles::BLACKPILL_F401.run_cycles;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 84_000_000;
 

@@ -17,6 +17,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F401RE, true);
 pub const AXES: usize = profiles::NUCLEO_F401RE.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::NUCLEO_F401RE.blocks;
+/// More cycles than the longest run of the step task takes.
+pub const RUN_CYCLES: u32 = profiles::NUCLEO_F401RE.run_cycles;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 84_000_000;
 

@@ -17,6 +17,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F446RE, true);
 pub const AXES: usize = profiles::NUCLEO_F446RE.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::NUCLEO_F446RE.blocks;
+/// More cycles than the longest run of the step task takes.
+pub const RUN_CYCLES: u32 = profiles::NUCLEO_F446RE.run_cycles;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 180_000_000;
 

@@ -8,7 +8,7 @@
 //!   │          `s`: the stack; `R` resets the machine;  │
 //!   │          `P` `F` `C` `H`: panic, fault, control   │
 //!   │          hangs, everything hangs                  │
-//!   │ TIMER0 ─ next tick, end of pulse, settling        │
+//!   │ TIMER0 ─ the next event, calls at a moment        │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
 //!   │ SSRAM    in place of flash, settings sectors too  │
@@ -36,7 +36,7 @@ use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
-use crate::{Incoming, NoPort, Port, SecondMotor, SlowLevels, profiles, stack};
+use crate::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, profiles, stack};
 
 /// There is none.
 pub type UsbPort = NoPort;
@@ -51,6 +51,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::QEMU_MPS2, false);
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
+/// More cycles than the longest run of the step task takes.
+pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 /// The clock is the step clock.
 pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick.
@@ -60,8 +62,6 @@ pub const SAMPLE_HZ: u32 = 2_000;
 
 /// What `setup` deals out.
 pub struct Parts {
-    /// For `step`.
-    pub step_timer: StepTimer,
     /// For `step`.
     pub step_pins: StepPins,
     /// For `serial`.
@@ -110,8 +110,7 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     // another vector.
     unsafe { NVIC::unmask(Interrupt::UART0_TX) };
     Parts {
-        step_timer: StepTimer { timer: device.TIMER0, moments: [None; 3], next_tick: 0, pulse_end: 0 },
-        step_pins: StepPins,
+        step_pins: StepPins::new(device.TIMER0),
         serial: SerialPort(device.UART0),
         usb: NoPort,
         inputs: InputPins,
@@ -140,129 +139,59 @@ pub fn clock_ticks() -> u32 {
     u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
 }
 
-/// What the step task has been called for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Due(u8);
-
-impl Due {
-    /// The next tick.
-    pub const TICK: Due = Due(1);
-    /// The end of a pulse.
-    pub const PULSE_END: Due = Due(2);
-    /// Some time after the end of a pulse.
-    pub const SETTLED: Due = Due(4);
-    /// Another task has called.
-    pub const CALLED: Due = Due(8);
-
-    /// Whether `what` is among it.
-    pub fn has(self, what: Due) -> bool {
-        self.0 & what.0 != 0
-    }
-}
-
 /// A call of the step task that waits.
 static CALLED: AtomicBool = AtomicBool::new(false);
 
 /// Calls the step task, from any task.
 pub fn call_step() {
-    StepTimer::call();
+    CALLED.store(true, Ordering::Relaxed);
+    NVIC::pend(Interrupt::TIMER0);
 }
 
-/// The same: here an edge is a number in a digest, which no call delays.
-pub fn ask_step() {
-    StepTimer::call();
+/// What the step task has done, for the test stand.
+struct Record {
+    digest: Digest,
+    /// Step-clock ticks for which the step task has been busy.
+    busy: u64,
+    net: [i32; AXES],
 }
 
-/// Three moments on one timer: it is set for the nearest.
-pub struct StepTimer {
+static RECORD: Mutex<RefCell<Record>> =
+    Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, net: [0; AXES] }));
+
+/// Event that has been committed: its steps and directions, its moment, and the time that passes after it.
+#[derive(Clone, Copy)]
+struct Pending {
+    steps: u8,
+    directions: u8,
+    moment: u32,
+    passes: u32,
+}
+
+/// Step and direction outputs that end in the [`Digest`], one event at a time; three moments on one timer, which is set for the
+/// nearest.
+pub struct StepPins {
     timer: Timer0,
-    /// Of tick, end of pulse, settling.
+    /// Of the event, and of the calls.
     moments: [Option<u32>; 3],
-    /// Moment of the next tick, and that of the end of the last pulse, also once they have come.
-    next_tick: u32,
-    pulse_end: u32,
+    pending: Option<Pending>,
+    begun: bool,
+    directions: u8,
+    /// Where the next event is put together.
+    word: [u32; 1],
+    moment: [u32; 1],
 }
 
-impl StepTimer {
-    const TICK: usize = 0;
-    const PULSE_END: usize = 1;
-    const SETTLED: usize = 2;
+/// An event holds its steps.
+const STEPS: [u32; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
 
-    /// The step clock.
-    pub fn now(&self) -> u32 {
-        clock_ticks()
-    }
+impl StepPins {
+    const EVENT: usize = 0;
+    const MORE: usize = 1;
+    const MARK: usize = 2;
 
-    /// What is due, once each.
-    pub fn take(&mut self) -> Due {
-        let now = self.now();
-        let mut due = if CALLED.swap(false, Ordering::Relaxed) { Due::CALLED.0 } else { 0 };
-        for (moment, flag) in self.moments.iter_mut().zip([Due::TICK, Due::PULSE_END, Due::SETTLED]) {
-            if moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0) {
-                *moment = None;
-                due |= flag.0;
-            }
-        }
-        // After a tick comes the next one, which sets the timer again.
-        if due & Due::TICK.0 == 0 {
-            self.arm();
-        }
-        Due(due)
-    }
-
-    /// Whether something is due that has not been taken.
-    pub fn is_due(&self, what: Due) -> bool {
-        let now = self.now();
-        let mut all = self.moments.iter().zip([Due::TICK, Due::PULSE_END, Due::SETTLED]);
-        all.any(|(moment, flag)| flag == what && moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0))
-    }
-
-    /// Calls the step task for a tick at a moment that lies ahead, after a tick has been taken.
-    pub fn next_tick_at(&mut self, when: u32) {
-        self.tick_at(when);
-    }
-
-    /// The moment of the next tick.
-    pub fn next_tick(&self) -> u32 {
-        self.next_tick
-    }
-
-    /// Calls the step task for a tick at a moment, instead of another one that may already have come.
-    pub fn tick_at(&mut self, when: u32) {
-        self.next_tick = when;
-        self.set(Self::TICK, Some(when));
-    }
-
-    /// No more ticks.
-    pub fn tick_off(&mut self) {
-        self.set(Self::TICK, None);
-    }
-
-    /// Calls the step task at the end of a pulse.
-    pub fn pulse_end_at(&mut self, when: u32) {
-        self.pulse_end = when;
-        self.set(Self::PULSE_END, Some(when));
-    }
-
-    /// The moment at which the last pulse ends or has ended.
-    pub fn pulse_end(&self) -> u32 {
-        self.pulse_end
-    }
-
-    /// Calls the step task at a moment, independent of ticks.
-    pub fn settled_at(&mut self, when: u32) {
-        self.set(Self::SETTLED, Some(when));
-    }
-
-    /// Whether that moment is this one, and still to come.
-    pub fn settles_at(&self, when: u32, _now: u32) -> bool {
-        self.moments[Self::SETTLED] == Some(when)
-    }
-
-    /// Calls the step task, from any task.
-    pub fn call() {
-        CALLED.store(true, Ordering::Relaxed);
-        NVIC::pend(Interrupt::TIMER0);
+    fn new(timer: Timer0) -> StepPins {
+        StepPins { timer, moments: [None; 3], pending: None, begun: false, directions: 0, word: [0], moment: [0] }
     }
 
     fn set(&mut self, which: usize, moment: Option<u32>) {
@@ -273,7 +202,7 @@ impl StepTimer {
     fn arm(&mut self) {
         self.timer.set_control(0);
         self.timer.clear_interrupts(1);
-        let now = self.now();
+        let now = clock_ticks();
         let left = |moment: &Option<u32>| moment.map(|when| (when.wrapping_sub(now) as i32).max(0) as u32);
         let Some(nearest) = self.moments.iter().filter_map(left).min() else { return };
         if nearest == 0 {
@@ -285,62 +214,139 @@ impl StepTimer {
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
     }
-}
 
-/// What the step task has done, for the test stand.
-struct Record {
-    digest: Digest,
-    /// Step-clock ticks for which the step task has been busy.
-    busy: u64,
-    directions: u8,
-    net: [i32; AXES],
-}
-
-static RECORD: Mutex<RefCell<Record>> =
-    Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, directions: 0, net: [0; AXES] }));
-
-/// Step and direction outputs that end in the [`Digest`].
-pub struct StepPins;
-
-impl StepPins {
-    /// Polarity is a matter of pins.
-    pub fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8, _second: SecondMotor) {}
-
-    /// A step of the axes of `steps`.
-    pub fn raise(&mut self, steps: u8) {
+    /// The event comes out.
+    fn put_out(&mut self) {
+        let Some(Pending { steps, directions, passes, .. }) = self.pending.take() else { return };
         critical_section::with(|cs| {
             let record = &mut *RECORD.borrow_ref_mut(cs);
-            record.digest.add(record.busy, steps, record.directions);
+            if steps != 0 {
+                record.digest.add(record.busy, steps, directions);
+            }
             for (axis, net) in record.net.iter_mut().enumerate() {
                 if steps >> axis & 1 != 0 {
-                    *net += if record.directions >> axis & 1 != 0 { -1 } else { 1 };
+                    *net += if directions >> axis & 1 != 0 { -1 } else { 1 };
                 }
             }
+            record.busy += u64::from(passes);
         });
     }
+}
 
-    /// End of the pulses.
-    pub fn lower(&mut self) {}
+impl StepOutput<AXES> for StepPins {
+    const DEPTH: usize = 1;
+    const SOON: u32 = 0;
 
-    /// Directions from here on.
-    pub fn direct(&mut self, directions: u8) {
-        critical_section::with(|cs| RECORD.borrow_ref_mut(cs).directions = directions);
+    fn now(&self) -> u32 {
+        clock_ticks()
     }
 
-    /// There is no PWM.
-    pub fn set_pwm(&mut self, _hz: u32, _power: u16) {}
+    fn take(&mut self) -> Due {
+        let now = self.now();
+        let mut due = if CALLED.swap(false, Ordering::Relaxed) { Due::CALLED.0 } else { 0 };
+        for (moment, flag) in self.moments.iter_mut().zip([Due::OUT, Due::MORE, Due::MARK]) {
+            if moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0) {
+                *moment = None;
+                due |= flag.0;
+            }
+        }
+        if Due(due).has(Due::OUT) {
+            self.put_out();
+        }
+        self.arm();
+        Due(due)
+    }
 
-    /// Power of spindle or laser: not recorded.
-    pub fn set_power(&mut self, _power: u16) {}
+    fn call_at(&mut self, moment: u32) {
+        self.set(Self::MORE, Some(moment));
+    }
 
-    /// There is no probe.
-    pub fn probe_low(&self) -> bool {
+    fn mark_at(&mut self, moment: u32) {
+        self.set(Self::MARK, Some(moment));
+    }
+
+    fn direct(&mut self, directions: u8) {
+        self.directions = directions;
+    }
+
+    fn free(&mut self) -> Free<'_> {
+        let room = usize::from(self.pending.is_none());
+        Free {
+            table: &STEPS,
+            words: self.word.get_mut(..room).unwrap_or_default(),
+            moments: self.moment.get_mut(..room).unwrap_or_default(),
+        }
+    }
+
+    fn commit(&mut self, events: usize) -> u32 {
+        if events > 0 {
+            let [steps] = self.word.map(|word| word as u8);
+            let [moment] = self.moment;
+            self.pending = Some(Pending { steps, directions: self.directions, moment, passes: 0 });
+            if self.begun {
+                self.set(Self::EVENT, Some(moment));
+            }
+        }
+        0
+    }
+
+    fn pass(&mut self, ticks: u32) {
+        match &mut self.pending {
+            Some(pending) => pending.passes += ticks,
+            None => critical_section::with(|cs| RECORD.borrow_ref_mut(cs).busy += u64::from(ticks)),
+        }
+    }
+
+    fn ahead(&self) -> usize {
+        usize::from(self.pending.is_some())
+    }
+
+    fn moment_before(&self, _left: usize) -> u32 {
+        self.pending.map_or(self.now(), |pending| pending.moment)
+    }
+
+    fn joins_until(&self, next: u32) -> u32 {
+        next
+    }
+
+    fn begin(&mut self, _one_by_one: bool) -> u32 {
+        self.begun = true;
+        self.set(Self::EVENT, self.pending.map(|pending| pending.moment));
+        0
+    }
+
+    fn fault(&self) -> bool {
         false
     }
 
-    /// The step task is busy for this long until the next tick.
-    pub fn pass(&mut self, ticks: u32) {
-        critical_section::with(|cs| RECORD.borrow_ref_mut(cs).busy += u64::from(ticks));
+    fn halt(&mut self) -> Undone<AXES> {
+        self.begun = false;
+        self.set(Self::EVENT, None);
+        let mut undone = Undone { events: 0, net: [0; AXES], fault: false };
+        if let Some(Pending { steps, directions, .. }) = self.pending.take() {
+            undone.events = 1;
+            for (axis, net) in undone.net.iter_mut().enumerate() {
+                *net = i32::from(steps >> axis & 1) * if directions >> axis & 1 != 0 { -1 } else { 1 };
+            }
+        }
+        undone
+    }
+
+    /// Polarity is a matter of pins.
+    fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8, _second: SecondMotor) {}
+
+    /// So is the length of a pulse.
+    fn set_pulse(&mut self, _pulse_us: u32) {}
+
+    /// There is no PWM.
+    fn set_pwm(&mut self, _hz: u32, _power: u16) {}
+
+    /// Not recorded.
+    fn set_power(&mut self, _power: u16) {}
+
+    /// There is no probe.
+    fn probe_low(&self) -> bool {
+        false
     }
 }
 

@@ -1,7 +1,7 @@
 //! What the STM32F4 boards share: set-up of step timer, step pins and PWM, the USART, inputs and slow outputs.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
-//! interrupt touches is in `step.rs`.
+//! interrupt touches is in `step.rs` and `chain.rs`.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
@@ -15,9 +15,11 @@ use stm32f4xx_hal::{
 };
 
 use super::SettingsFlash;
+use super::chain::{self, COMPARE_PULSE};
+use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
 use super::rx_dma::{Sheltered, Taken, shelter};
-use super::step::{self, Place, SAFE, bsrr, note_safe_level, read_idr, write_bsrr};
-use crate::{Incoming, Port, SlowLevels};
+use super::step::{self, Clocks, Place, SAFE, bsrr, note_safe_level};
+use crate::{Due, Incoming, Port, SlowLevels};
 
 /// A whole register as a number.
 macro_rules! raw {
@@ -31,8 +33,10 @@ macro_rules! raw {
 /// Puts step, spindle and coolant outputs into their safe levels and stops PWM and step timer. The motor drivers stay as
 /// they are: an unpowered axis may drop.
 pub fn safe_state() {
+    // A pulse that DMA begins after these stores would undo them.
+    chain::cut::<Chip>();
     for (port, safe) in SAFE.iter().enumerate() {
-        write_bsrr(port, safe.load(Ordering::Relaxed));
+        write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
     }
     // SAFETY: unsafe because the owners of the timers are by-passed; safe because a compare value of 0 and a stopped
     // counter are right at any moment that this function is called, and nothing runs after it.
@@ -48,42 +52,14 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
     }
 }
 
-/// Step and direction outputs, step pins on `S` ports and direction pins on `D`.
-pub type StepPins<const S: usize, const D: usize> =
-    step::StepPins<{ step::GPIO }, { step::TIM3 }, S, D, (pac::TIM3, [ErasedPin<Output>; 8])>;
-/// TIM2 as the step timer.
-pub type StepTimer = step::StepTimer<{ step::TIM2 }, pac::TIM2>;
+/// Step and direction outputs on `P` ports; the timers and DMA controllers that they need, but for what a shelter uses at
+/// rest.
+pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM2, pac::TIM3, [ErasedPin<Output>; 8])>;
 
-/// Calls the step task, from any task.
+/// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
 #[inline]
 pub fn call_step() {
-    StepTimer::call();
-}
-
-/// A call of the step task that finds no time for what it is for takes less than this.
-const NEAR_CYCLES: u32 = 192;
-
-/// How often to look for a moment when no edge is near: some 20 cycles each, so that it takes some microseconds at most.
-const MOST_LOOKS: u32 = 32;
-
-/// Calls the step task for what is not urgent: not so shortly before an edge that the call delays it.
-pub fn ask_step() {
-    let near = NEAR_CYCLES * (crate::PROFILE.step_clock_hz / 1000) / (crate::CORE_HZ / 1000);
-    for _ in 0..MOST_LOOKS {
-        // Between a look that is interrupted and the call the time goes by.
-        if StepTimer::is_far(near)
-            && critical_section::with(|_| {
-                let far = StepTimer::is_far(near);
-                if far {
-                    StepTimer::call();
-                }
-                far
-            })
-        {
-            return;
-        }
-    }
-    StepTimer::call();
+    write(<Chip as Map>::TIM2 + timer::EGR, Due::CALLED.0);
 }
 
 /// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
@@ -97,37 +73,47 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Sets up TIM3 for the PWM, whose pin must already be in its alternate function, and puts the pins to rest.
-pub fn step_pins<const S: usize, const D: usize>(
+/// Sets up what puts out steps: TIM2, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
+/// be in its alternate function. Puts the pins to rest.
+pub fn step_pins<const P: usize>(
     step: [ErasedPin<Output>; 4],
     direction: [ErasedPin<Output>; 4],
     probe: &InputPins,
-    pwm: pac::TIM3,
+    (pulse, clock, pwm): (pac::TIM1, pac::TIM2, pac::TIM3),
+    rings: Option<&'static mut step::Rings<P>>,
     rcc: &mut Rcc,
-) -> StepPins<S, D> {
+) -> StepPins<P> {
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    let pwm_clock_hz = pac::TIM3::timer_clock(&rcc.clocks).raw();
     // PWM mode 1 without preload: a new value, above all 0, acts at once.
     pwm.ccmr1_output().write(|w| raw!(w, 0b110 << 12));
     pwm.ccr2().write(|w| raw!(w, 0));
     pwm.ccer().write(|w| w.cc2e().set_bit());
     pwm.cr1().write(|w| w.cen().set_bit());
-    let (at, turn_at) = (step.each_ref().map(Place::from), direction.each_ref().map(Place::from));
-    let [a, b, c, d] = step;
-    let [e, f, g, h] = direction;
-    StepPins::at(at, turn_at, probe.probe(), pwm_clock_hz, (pwm, [a, b, c, d, e, f, g, h]))
-}
-
-/// Starts TIM2 as a free-running counter.
-pub fn step_timer(timer: pac::TIM2, rcc: &mut Rcc) -> StepTimer {
+    // The slave's clock comes first (reference manual, timer synchronization).
+    pac::TIM1::enable(rcc);
+    pac::TIM1::reset(rcc);
+    pac::DMA1::enable(rcc);
+    pac::DMA2::enable(rcc);
     pac::TIM2::enable(rcc);
     pac::TIM2::reset(rcc);
     // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
     assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
-    timer.arr().write(|w| raw!(w, u32::MAX));
-    timer.cr1().write(|w| w.cen().set_bit());
-    StepTimer::at(timer)
+    clock.arr().write(|w| raw!(w, u32::MAX));
+    clock.cr2().write(|w| raw!(w, COMPARE_PULSE));
+    clock.cr1().write(|w| w.cen().set_bit());
+    let clocks = Clocks {
+        pulse_mhz: pac::TIM1::timer_clock(&rcc.clocks).raw() / 1_000_000,
+        pwm_hz: pac::TIM3::timer_clock(&rcc.clocks).raw(),
+    };
+    let (at, turn_at) = (step.each_ref().map(Place::from), direction.each_ref().map(Place::from));
+    let [a, b, c, d] = step;
+    let [e, f, g, h] = direction;
+    let Some(rings) = rings else {
+        // The device's peripherals are there once.
+        unreachable!()
+    };
+    StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
 }
 
 /// Starts TIM5 as the clock: 1 MHz, free-running.
@@ -254,7 +240,7 @@ impl InputPins {
     /// Which pins are low, as `input_bits`.
     #[inline]
     pub fn read(&self) -> u16 {
-        let ports = [read_idr(0), read_idr(1), read_idr(2)];
+        let ports = [0, 1, 2].map(read_idr::<Chip>);
         let mut word = 0;
         for (place, bit) in self.places.iter().take(self.count) {
             let level = ports.get(place.port).copied().unwrap_or(u32::MAX) >> place.pin & 1;
@@ -286,7 +272,7 @@ impl InputPins {
 fn set_pull(place: Place, pull: u32) {
     const PORT_SIZE: usize = 0x400;
     const PUPDR: usize = 0x0C;
-    let register = (step::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
+    let register = (<Chip as Map>::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
     // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the port
     // is one that has been set up, and after the set-up nothing else writes it.
     unsafe {
@@ -315,17 +301,15 @@ impl SlowPins {
     pub fn write(&mut self, levels: SlowLevels) {
         let levels = [levels.drivers, levels.spindle, levels.spindle_reversed, levels.flood, levels.mist];
         for (place, high) in self.places.iter().zip(levels) {
-            write_bsrr(place.port, bsrr(place.pin, high));
+            write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
         }
     }
 }
 
 /// What `setup` deals out.
-pub struct Parts<U: Instance, L: Port, const S: usize, const D: usize> {
+pub struct Parts<U: Instance, L: Port, const P: usize> {
     /// For `step`.
-    pub step_timer: StepTimer,
-    /// For `step`.
-    pub step_pins: StepPins<S, D>,
+    pub step_pins: StepPins<P>,
     /// For `serial`.
     pub serial: Usart<U>,
     /// For `serial`.
@@ -369,6 +353,9 @@ impl Watchdog {
     pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
         let watchdog = IndependentWatchdog::new(device);
         watchdog.stop_on_debug(debug, true);
+        // So does the step clock: none begins while the processor cannot add to them, and a pulse that is out ends. The beam
+        // stays as it is.
+        debug.apb1_fz().modify(|_, w| w.dbg_tim2_stop().set_bit());
         Watchdog(watchdog)
     }
 

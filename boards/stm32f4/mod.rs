@@ -1,5 +1,7 @@
 //! What the STM32F4 boards share: what the step interrupt touches ([`step`]), and the rest of the chip.
 
+mod chain;
+pub mod registers;
 pub mod step;
 
 #[cfg(feature = "stm32f4")]

@@ -37,8 +37,9 @@ macro_rules! sheltered {
             const STREAM: usize = $stream;
 
             fn dma() -> &'static pac::dma2::RegisterBlock {
-                // SAFETY: unsafe because the controller is reached without owning it; safe because nothing else in the
-                // firmware uses it.
+                // SAFETY: unsafe because the controller is reached without owning it; safe because `shelter` touches one
+                // stream of it, which nothing else uses while nothing moves: the step outputs, which have one of them in
+                // common on a Nucleo (DMA1 S5), set all of theirs up at each begin.
                 unsafe { &*pac::$dma::ptr() }
             }
 

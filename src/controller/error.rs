@@ -122,4 +122,6 @@ codes! {
     /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";
     DriverFault = 102, "a motor driver reported a fault; the position may be lost";
+    /// The step outputs have not put out what they were told to. Other controllers cannot know.
+    Miscounted = 103, "the step outputs and their count disagree; the position is lost";
 }

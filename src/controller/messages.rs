@@ -91,12 +91,12 @@ pub enum ToStep {
     /// them.
     BlockRest {
         /// The parts of A, B, C.
-        legs: [Leg; 3],
+        steps_by_axis: [AxisSteps; 3],
     },
     /// The straight move that the following segments are pieces of. Takes effect with the first of them.
     Block {
         /// The parts of X, Y, Z.
-        legs: [Leg; 3],
+        steps_by_axis: [AxisSteps; 3],
         /// Bit set = axis moves to negative; bit 0 is X.
         directions: u8,
     },
@@ -134,10 +134,10 @@ pub enum ToStep {
 /// One word: steps in the lower 26 bits, then three bits of each end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(transparent)]
-pub struct Leg(u32);
+pub struct AxisSteps(u32);
 
-impl Leg {
-    /// Less than 2 to the power of this are the steps of a leg.
+impl AxisSteps {
+    /// Less than 2 to the power of this are the steps of an axis in a block.
     pub const STEP_BITS: u32 = 26;
     /// Parts of a step in which the ends are told. Odd, so that there are as many on either side of zero.
     pub const PARTS: u32 = 7;
@@ -147,14 +147,14 @@ impl Leg {
 
     /// From step to step.
     #[inline]
-    pub const fn on_steps(steps: u32) -> Leg {
-        Leg(steps & Self::STEPS)
+    pub const fn on_steps(steps: u32) -> AxisSteps {
+        AxisSteps(steps & Self::STEPS)
     }
 
-    /// With true ends, each within [`Leg::FARTHEST`].
+    /// With true ends, each within [`AxisSteps::FARTHEST`].
     #[inline]
-    pub const fn with_ends(steps: u32, start: i32, end: i32) -> Leg {
-        Leg(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
+    pub const fn with_ends(steps: u32, start: i32, end: i32) -> AxisSteps {
+        AxisSteps(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
     }
 
     /// Unsigned steps.
@@ -239,6 +239,14 @@ pub enum StepEvent<const N: usize> {
     },
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
     Underrun {
+        /// As in [`StepEvent::Stopped`].
+        stops: u16,
+        /// As in [`StepEvent::Stopped`].
+        position: PerAxis<i32, N>,
+    },
+    /// The outputs have not put out what they were told to: the position is not what the count says. Pulses have stopped;
+    /// counts as a stop.
+    Miscounted {
         /// As in [`StepEvent::Stopped`].
         stops: u16,
         /// As in [`StepEvent::Stopped`].
@@ -388,7 +396,7 @@ pub enum Event<const N: usize> {
 /// What the pump knows and the controller does not; handed over before events and outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observed {
-    /// Segments that the step task has begun since power-up (wrapping), `Stepper::segments_begun`.
+    /// Segments that the step task has begun since power-up (wrapping): not those that it has only made ahead of their time.
     pub segments_begun: u32,
     /// Whether the step task has nothing left to do.
     pub step_idle: bool,

@@ -7,7 +7,8 @@
 //!    └──── a message to the step task, a stop, a question to store or pins ◀──┘
 //! ```
 //! Each message to the step task begins another round, so the look-ahead is as full as the received bytes allow before each
-//! segment is cut, and the steps do not depend on the speed of the processor. Whatever is answered by an event (a stop, a
+//! segment is cut, and the steps do not depend on the speed of the processor; unless it is too slow for them: where the step task
+//! soon has no more segments of a motion, these come before lines. Whatever is answered by an event (a stop, a
 //! stored record, the view of the pins) begins one too: the answer is told before another output is asked for, and there is
 //! never more than one of a kind under way.
 
@@ -70,18 +71,42 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     events |= tell(pump, now, Source::Commands);
     events |= tell(pump, now, Source::Inputs);
     events |= tell(pump, now, Source::Pins);
+    let mut again = events && !P::IS_WOKEN;
+    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line.
+    let is_short = pump.controller().is_short_of_segments();
+    if is_short {
+        again |= pump.make_room(events);
+        if put_out(pump, now, &mut again) {
+            return true;
+        }
+    }
     let mut lines = false;
     while pump.controller().wants_line()
         && let Some(byte) = pump.next_line_byte()
     {
         pump.controller().event(now, Event::Line(byte));
         lines = true;
+        if matches!(byte.byte, b'\n' | b'\r') {
+            observe(pump);
+            if pump.controller().is_short_of_segments() {
+                break;
+            }
+        }
     }
-    let came = pump.make_room(events || lines);
-    let mut again = lines || came || events && !P::IS_WOKEN;
+    again |= pump.make_room(events || lines) || lines;
+    put_out(pump, now, &mut again) || again
+}
+
+/// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.
+#[inline(never)]
+fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
+    pump: &mut P,
+    now: Instant,
+    again: &mut bool,
+) -> bool {
     loop {
         let room = pump.room();
-        let Some(output) = pump.controller().output(now, room) else { return again };
+        let Some(output) = pump.controller().output(now, room) else { return false };
         let begins_again = match output {
             // Events first: a long arc must not keep a stop waiting.
             Output::Worked => return true,
@@ -92,7 +117,7 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
         if begins_again {
             return true;
         }
-        again |= !P::IS_WOKEN;
+        *again |= !P::IS_WOKEN;
     }
 }
 

@@ -583,7 +583,7 @@ mod tests {
     use super::*;
 
     fn rates(safe_hz: u32) -> StepRates {
-        StepRates { safe_hz, attention_ns: 0 }
+        StepRates { safe_hz }
     }
 
     fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {

@@ -164,6 +164,13 @@ impl core::ops::Neg for Coordinate {
     }
 }
 
+/// `size` × `mantissa` + `half` for places that the controller does not compute with: it saturates.
+#[inline(never)]
+fn far_product(size: u64, mantissa: u32, half: u64) -> u64 {
+    let product = size.saturating_mul(u64::from(mantissa)).min(i64::MAX as u64);
+    product.saturating_add(half).min(i64::MAX as u64)
+}
+
 /// How many motor steps make a millimetre: exactly the value of the `f32` setting, as mantissa × 2^-shift.
 ///
 /// Only finite values above 0 and up to [`StepsPerMm::MAX`] exist; with the 24-bit mantissa and coordinates within
@@ -204,9 +211,14 @@ impl StepsPerMm {
     pub fn steps(self, coordinate: Coordinate) -> i32 {
         // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57), and what is cut
         // off by the shift has no part in the quotient.
-        let product = coordinate.0.unsigned_abs().saturating_mul(u64::from(self.mantissa)).min(i64::MAX as u64);
+        let size = coordinate.0.unsigned_abs();
         let half = (DECIMAL_ONE as u64 / 2) << self.shift;
-        let steps = ones(product.saturating_add(half).min(i64::MAX as u64) >> self.shift);
+        let product = if size >> 39 == 0 {
+            size.wrapping_mul(u64::from(self.mantissa)).wrapping_add(half)
+        } else {
+            far_product(size, self.mantissa, half)
+        };
+        let steps = ones(product >> self.shift);
         match (coordinate.0 < 0, i32::try_from(steps)) {
             (false, steps) => steps.unwrap_or(i32::MAX),
             (true, Ok(steps)) => -steps,

@@ -109,11 +109,13 @@ impl Control {
     #[inline(never)]
     pub fn turn(&mut self) {
         let heard = SERIAL.heard.load(Ordering::Relaxed);
-        while round(self) {}
-        self.note_place();
-        if self.erase_ahead() {
-            // Lines that had to wait for it.
+        loop {
             while round(self) {}
+            self.note_place();
+            if !self.erase_ahead() {
+                break;
+            }
+            // Lines had to wait for it.
         }
         let observed = self.observe();
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
@@ -165,7 +167,7 @@ impl Control {
             let _ = self.ends.step_wiring.try_send(wiring);
             let _ = self.ends.input_wiring.try_send(wiring);
             self.unsent_wiring = None;
-            boards::ask_step();
+            boards::call_step();
         }
     }
 
@@ -305,7 +307,7 @@ impl Pump<AXES, BLOCKS> for Control {
                 // There is room, and no other task sends.
                 let _ = self.ends.segments.try_send(message);
                 if STEP.wants.load(Ordering::Relaxed) != 0 {
-                    boards::ask_step();
+                    boards::call_step();
                 }
             }
             Output::Reply(chunk) => {
@@ -315,7 +317,7 @@ impl Pump<AXES, BLOCKS> for Control {
             Output::Pins(levels) => {
                 self.outputs.show(levels);
                 Power { level: levels.power, from_segments: levels.power_from_segments }.want();
-                boards::ask_step();
+                boards::call_step();
             }
             Output::Wiring(wiring) => {
                 self.outputs.set_enable_invert(wiring.enable_invert);

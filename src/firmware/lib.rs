@@ -13,6 +13,7 @@
 #![no_std]
 
 pub use oxmill_boards as boards;
+pub use oxmill_step_task::{shared, step_timer};
 
 mod clock;
 pub mod control;
@@ -23,8 +24,6 @@ pub mod inputs;
 mod outputs;
 mod record;
 pub mod serial;
-pub mod shared;
 pub mod stack;
 pub mod startup;
-pub mod step_timer;
 mod watchdog;

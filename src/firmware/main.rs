@@ -17,6 +17,7 @@ macro_rules! firmware {
         mod app {
             use oxmill_boards::{self as boards, AXES};
             use oxmill_controller::messages::*;
+            use core::mem::MaybeUninit;
             use oxmill_firmware::control::{BoardController, Control};
             use oxmill_firmware::inputs::Inputs;
             use oxmill_firmware::serial::Serial;
@@ -52,8 +53,8 @@ macro_rules! firmware {
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
-                // Computed by the compiler and copied to its place with the other data: it is too big for the stack.
-                controller: BoardController = BoardController::new(boards::PROFILE),
+                // All bytes 0 until it is built: what RAM begins with needs no flash then.
+                controller: MaybeUninit<BoardController> = MaybeUninit::zeroed(),
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 boards::stack::paint();

@@ -11,7 +11,9 @@ use crate::serial::Serial;
 use crate::shared::Wake;
 use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
+use core::mem::{MaybeUninit, size_of};
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
@@ -42,13 +44,31 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// Sets the board up and deals everything out.
+/// A controller but for its look-ahead: a constant in flash, where that would take tens of kilobytes.
+static HEAD: Controller<AXES, 0> = Controller::new(boards::PROFILE);
+
+/// Builds the controller in its place, of which all bytes are 0: it is too big for the stack.
+fn build(place: &'static mut MaybeUninit<BoardController>) -> &'static mut BoardController {
+    const AT: usize = BoardController::LOOK_AHEAD_AT;
+    const { assert!(AT == Controller::<AXES, 0>::LOOK_AHEAD_AT && AT <= size_of::<Controller<AXES, 0>>()) };
+    // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks to be valid when all
+    // bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the same types, blocks are
+    // plain numbers, and `HEAD` owns nothing that a copy of its bytes would double.
+    unsafe {
+        core::ptr::copy_nonoverlapping((&raw const HEAD).cast::<u8>(), place.as_mut_ptr().cast::<u8>(), AT);
+        place.assume_init_mut()
+    }
+}
+
+/// Sets the board up and deals everything out. Called once; in its place it needs one copy of the tasks less on the stack.
+#[inline(always)]
 pub fn start(
     device: boards::pac::Peripherals,
     mut sampling: SYST,
     channels: Channels,
-    controller: &'static mut BoardController,
+    controller: &'static mut MaybeUninit<BoardController>,
 ) -> Tasks {
+    let controller = build(controller);
     let parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();
@@ -64,7 +84,7 @@ pub fn start(
     controller.restarted(Restart { cause: boards::reset_cause(), crash: record::take() });
     let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
-        step: Step::new(parts.step_timer, parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
+        step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),
         inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
         control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),

@@ -68,7 +68,7 @@ impl Supervisor {
             }
         }
         STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
-        boards::ask_step();
+        boards::call_step();
         ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
         ASKED.control.store(true, Ordering::Relaxed);

@@ -112,6 +112,7 @@ pub fn for_alarm(alarm: Alarm) -> &'static str {
         Alarm::Underrun => "Home, and report this: the controller should have braked.",
         Alarm::EmergencyStop => "Make the machine safe, release the stop, reset, and home.",
         Alarm::DriverFault => "Find out what the motor driver reports, switch it off and on, and home.",
+        Alarm::Miscounted => "Home, and report this: an edge was lost or is one too many on the controller's chip.",
     }
 }
 

@@ -13,7 +13,7 @@ use crate::marks::Mark;
 use crate::path::{Drawing, Sample};
 use crate::times::Times;
 use oxmill_controller::axes::Arrangement;
-use oxmill_controller::messages::{INTERVAL_FRACTION_BITS, Leg, Segment, ToStep, UNITS_PER_STEP};
+use oxmill_controller::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
 /// Shortest window that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
@@ -30,7 +30,7 @@ const DRAWN_TOLERANCE: f64 = 0.06;
 /// as far.
 const ROUNDING: f64 = 0.5;
 /// How wrong the place of an arc's chord may be, whose ends are told in parts of a step.
-const TOLD: f64 = 0.5 / Leg::PARTS as f64;
+const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// Blocks shorter than this many steps say little of the length of their path: some are measured together.
 const SHORT: f64 = 4.0;
 /// From so many steps on, what rounding across the path adds to the length is left out of account: less than 0.01 %.
@@ -65,7 +65,7 @@ pub struct Measured {
 /// A block on its way to the step task.
 #[derive(Clone, Copy, Debug)]
 struct Coming {
-    legs: [Leg; AXES],
+    steps_by_axis: [AxisSteps; AXES],
     /// Axes that go to negative.
     directions: u8,
     /// Units of it that had been done before it was left for a detour.
@@ -283,8 +283,9 @@ impl Meter {
     /// A message was loaded into the step task. `mark` is what its move belongs to, if moves are marked.
     pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
-            ToStep::Block { legs, directions } => {
-                self.next_block = Some(Coming { legs: *legs, directions: *directions, entered: 0, mark });
+            ToStep::Block { steps_by_axis, directions } => {
+                self.next_block =
+                    Some(Coming { steps_by_axis: *steps_by_axis, directions: *directions, entered: 0, mark });
             }
             ToStep::Reenter { units } => {
                 if let Some(block) = &mut self.next_block {
@@ -538,14 +539,14 @@ impl Meter {
     }
 
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
-        let Coming { legs, directions, entered, mark } = block;
+        let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
         // The ends are told in the direction of motion, and to positive where there is no motion.
-        let way = |motor: usize| if legs[motor].steps() == 0 { 1.0 } else { sign(motor) };
-        let told = |parts: i32| f64::from(parts) / f64::from(Leg::PARTS);
+        let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
+        let told = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
-            let leg = legs[motor];
-            sign(motor) * f64::from(leg.steps()) + way(motor) * told(leg.end() - leg.start())
+            let axis_steps = steps_by_axis[motor];
+            sign(motor) * f64::from(axis_steps.steps()) + way(motor) * told(axis_steps.end() - axis_steps.start())
         }));
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
@@ -558,13 +559,15 @@ impl Meter {
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
         // Two ends, each even over a range of 2 r across the path, are apart by r² 2/3 in the mean square.
-        let across = step * if legs.iter().all(|leg| leg.is_on_steps()) { ROUNDING } else { TOLD };
+        let across =
+            step * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { TOLD };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
         let doubt = if short { length * 0.3 } else { excess };
-        let units = f64::from(legs.iter().map(|leg| leg.steps()).max().unwrap_or(0)) * f64::from(UNITS_PER_STEP);
+        let units = f64::from(steps_by_axis.iter().map(|axis_steps| axis_steps.steps()).max().unwrap_or(0))
+            * f64::from(UNITS_PER_STEP);
         let start = match entered {
             0 => self.place_of(std::array::from_fn(|motor| {
-                f64::from(position[motor]) + way(motor) * told(legs[motor].start())
+                f64::from(position[motor]) + way(motor) * told(steps_by_axis[motor].start())
             })),
             entered => {
                 let here = self.millimetres(position);
@@ -596,7 +599,7 @@ fn change(first: Way, second: Way) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use oxmill_controller::messages::Leg;
+    use oxmill_controller::messages::AxisSteps;
 
     fn segment(interval: u32, ticks: u16, flags: u8) -> ToStep {
         let interval = interval << INTERVAL_FRACTION_BITS;
@@ -609,7 +612,7 @@ mod tests {
         meter.set_resolution([100.0, 100.0, 400.0], Arrangement::Cartesian);
         // 3 mm and -4 mm: 5 mm in 400 ticks. 100 ticks of 2 ms, then 300 of 1 ms.
         for message in [
-            ToStep::Block { legs: [300, 400, 0].map(Leg::on_steps), directions: 0b010 },
+            ToStep::Block { steps_by_axis: [300, 400, 0].map(AxisSteps::on_steps), directions: 0b010 },
             segment(2000, 100, Segment::FLAG_NEW_BLOCK),
             segment(1000, 300, Segment::FLAG_LAST),
         ] {
@@ -627,7 +630,10 @@ mod tests {
     #[test]
     fn waiting_slows_the_next_segment() {
         let mut meter = Meter::new(1_000_000);
-        meter.loaded(&ToStep::Block { legs: [1000, 0, 0].map(Leg::on_steps), directions: 0 }, Mark::default());
+        meter.loaded(
+            &ToStep::Block { steps_by_axis: [1000, 0, 0].map(AxisSteps::on_steps), directions: 0 },
+            Mark::default(),
+        );
         meter.loaded(&segment(500_000, 1000, Segment::FLAG_NEW_BLOCK | Segment::FLAG_WAIT), Mark::default());
         meter.loaded(&segment(500_000, 1000, Segment::FLAG_LAST), Mark::default());
         meter.begin(0.0, [0; AXES]);

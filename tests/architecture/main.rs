@@ -17,6 +17,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("digest", &[]),
     ("number", &["units"]),
     ("step_rates", &[]),
+    ("step_timing", &["step_rates"]),
     ("messages", &["axes", "units"]),
     ("settings", &["units", "axes", "error", "number", "step_rates"]),
     ("protocol", &["units", "axes", "error", "messages", "number", "settings"]),
@@ -44,7 +45,7 @@ const ROOMS: &[(&str, &[&str])] = &[
 ];
 
 /// Crates that the controller may build on.
-const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm", "oxmill-root"];
+const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm", "oxmill-sqrt"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -250,7 +251,7 @@ fn controller_knows_no_firmware_simulator_or_board() {
         source::paths(&source::bare(text))
             .into_iter()
             .filter(|p| {
-                p[0].starts_with("oxmill") && p[0] != "oxmill_root"
+                p[0].starts_with("oxmill") && p[0] != "oxmill_sqrt"
                     || ["rtic", "rtic_sync", "cortex_m", "defmt"].contains(&p[0].as_str())
             })
             .map(|p| format!("uses `{}`", p.join("::")))

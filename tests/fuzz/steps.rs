@@ -1,4 +1,4 @@
-//! Messages to the step generator: blocks of any legs, cut into any segments that a planner may make of them, loaded
+//! Messages to the step generator: blocks of any steps, cut into any segments that a planner may make of them, loaded
 //! early or late, with stops between.
 //!
 //! Promises: no axis makes more than a step in a tick; the position that it reports is that of the steps it has made; a
@@ -6,7 +6,7 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::Stepper;
-use oxmill_controller::messages::{Leg, Segment, StepEvent, ToStep, UNITS_PER_STEP};
+use oxmill_controller::messages::{AxisSteps, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
 const AXES: usize = 3;
@@ -79,20 +79,20 @@ impl Run {
         if dominant == 0 {
             return;
         }
-        let part = |bits: u8| i32::from(bits % 7) - Leg::FARTHEST;
-        let mut legs = [Leg::on_steps(0); AXES];
-        for ((leg, steps), ends) in legs.iter_mut().zip(steps).zip(ends) {
-            *leg = if ends & 1 == 0 {
-                Leg::on_steps(steps)
+        let part = |bits: u8| i32::from(bits % 7) - AxisSteps::FARTHEST;
+        let mut steps_by_axis = [AxisSteps::on_steps(0); AXES];
+        for ((axis_steps, steps), ends) in steps_by_axis.iter_mut().zip(steps).zip(ends) {
+            *axis_steps = if ends & 1 == 0 {
+                AxisSteps::on_steps(steps)
             } else {
-                Leg::with_ends(steps, part(ends >> 1), part(ends >> 4))
+                AxisSteps::with_ends(steps, part(ends >> 1), part(ends >> 4))
             };
         }
         let directions = directions & 7;
         for (axis, (planned, steps)) in self.planned.iter_mut().zip(steps).enumerate() {
             *planned += if directions >> axis & 1 != 0 { -(steps as i32) } else { steps as i32 };
         }
-        self.queue.push_back(ToStep::Block { legs, directions });
+        self.queue.push_back(ToStep::Block { steps_by_axis, directions });
         let total = dominant * UNITS_PER_STEP;
         let mut units = 0;
         let mut flags = Segment::FLAG_NEW_BLOCK;

@@ -106,6 +106,8 @@ class Board:
         """The status that it has ended with."""
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt; nothing preempts it."""
+        self.held = False
+        """No interrupt is taken, as if some code masked them; the program's own masks come and go beneath."""
         self._asleep = False
         self._next_due = None
         self._map()
@@ -245,6 +247,14 @@ class Board:
     def look(self):
         """An interrupt may have become pending."""
         self.state.deadline = 0
+
+    def mask(self, seconds):
+        """Runs for a time in which no interrupt is taken, as if some code had masked them."""
+        self.held = True
+        self.look()
+        self.run(seconds=seconds)
+        self.held = False
+        self.look()
 
     def check_supply(self, hclk):
         limit = self.peripherals["PWR"].limit()
@@ -434,7 +444,7 @@ class Board:
             self._advance()
             if self._reset_asked:
                 self._do_reset()
-            number, masked = nvic.takeable(state.primask, state.basepri)
+            number, masked = nvic.takeable(state.primask or self.held, state.basepri)
         except (Unmodelled, Misuse) as failure:
             self.failure = f"{type(failure).__name__}: {failure}"
             return
@@ -512,7 +522,7 @@ class Board:
             self.failure = f"exception return {code:#x} to the wrong mode, active {nvic.active}"
             return
         self.core.leave(code)
-        number, masked = nvic.takeable(state.primask, state.basepri)
+        number, masked = nvic.takeable(state.primask or self.held, state.basepri)
         state.pending = masked
         if number is not None:
             nvic.chained += 1

@@ -3,28 +3,31 @@ fails with a `Failure`."""
 
 import csv
 import math
+import os
 import subprocess
 import tempfile
 from itertools import pairwise
 from pathlib import Path
+from random import Random
 
 from .board import Board, Failure
 from .host import Host
+from .models import timer
+from .models.dma import M0AR, NDTR
 from .models.otg import EPENA, NAKSTS, OUT
-from .models.timer import EGR
+from .models.timer import EGR, SMCR
 from .parts import MHZ
 from .scope import Scope, steady
 from .usb import UsbHost
 
 US = 1e-6
-MOVING_MASK_S = 1.1 * US
-"""More than any board masks interrupts for while it steps; at rest it may for longer (a line of the log, the erasing of flash)."""
-ENTRY_CYCLES = 32
-"""What an edge may be late besides masked time: the instruction that is under way, and the longer path of a tick that begins
-a segment, some 20 cycles."""
+JITTER_S = 0.1 * US
+"""How far a period may be off: edges wait for other transfers of DMA, and for nothing that the program does."""
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
-"""From the moment a stop is known to the last rising edge (targets.md, section 2)."""
+"""From the moment a stop is known to the last rising edge."""
+RUN_CYCLES = 4450
+"""How long a byte may wait for a run of the step task, besides (`run_cycles` in profiles.rs)."""
 HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
 TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
@@ -33,8 +36,10 @@ ANSWER_S = 20e-3
 """From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
-LATEST_PULSE_END_S = 3 * US
-"""How much longer than $0 a pulse may be: its end is an interrupt, and waits for masks and for the rest of the tick."""
+CALL_CYCLES = 208
+"""From the call of the step task to where no event begins any more, when it is at rest."""
+LATEST_PULSE_END_S = 0.15 * US
+"""How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
 
 
 class Bench:
@@ -238,26 +243,55 @@ def fast(bench, acceleration, pulse_us=2):
 
 
 def pulses(bench):
-    """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together."""
-    yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2))
+    """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
+    longest pulse, which is longer than the time between ticks of which not each makes a step."""
+    yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
 
 
 def safe_rate(bench):
-    """The same at the rate that the board calls safe."""
+    """The same at the rate that the board calls safe, together and with three rates, of which none divides another."""
     safe = bench.wiring.safe_step_hz
-    yield from at_rates(bench, (safe, round(safe**2 / 6e6) + 2000, 1), acceleration=6_000)
+    steps = round((1.1 * safe**2 / 6e6 + 2000) / 9) * 9
+    for ways in ((1, 1, 1), (9, 7, 5)):
+        yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=ways)
+
+
+def disturbed(bench):
+    """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
+    safe = bench.wiring.safe_step_hz
+    if bench.wiring.usb:
+        with_usb(bench)
+    else:
+        bench.boot()
+    board, random = bench.board, Random(20)
+    masks = 0
+
+    def disturb():
+        nonlocal masks
+        board.run(seconds=random.uniform(60, 400) * US)
+        board.mask(20 * US)
+        masks += 1
+        if len(bench.host.answers) >= disturb.asked - 5:
+            disturb.asked += 20
+            bench.host.send("(a)\n" * 20 + "?" * 5)
+
+    disturb.asked = len(bench.host.answers)
+    steps = round((1.1 * safe**2 / 6e6 + 9000) / 9) * 9
+    yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=(9, 7, 5), meanwhile=disturb, boots=False)
+    yield f"masked {masks} times for 20 us, {disturb.asked} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
 
 
 def tight(bench):
     """Longer pulses at the greatest rate that the settings allow with them."""
     for pulse_us in (2, 3, 4, 5, 6, 7, 9, 10):
         rate = round(bench.wiring.greatest_hz(pulse_us))
-        yield from at_rates(bench, (rate, round(rate**2 / 3e6) + 1000, pulse_us))
+        yield from at_rates(bench, (rate, round(1.1 * rate**2 / 3e6) + 1000, pulse_us))
 
 
-def at_rates(bench, *rates, acceleration=3_000):
-    """Back and forth at each (steps/s, steps one way, $0)."""
-    bench.boot()
+def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
+    """Back and forth at each (steps/s, steps one way, $0), the axes with these shares of the first one's steps."""
+    if boots:
+        bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     safe = bench.wiring.safe_step_hz
     fast(bench, acceleration)
@@ -268,12 +302,19 @@ def at_rates(bench, *rates, acceleration=3_000):
         bench.settings(s0=pulse_us, s29=10)
         bench.forget_masks()
         scope = Scope(board)
-        way = steps / 1000
-        feed = rate / 1000 * 60 * 3**0.5
+        x, y, z = (steps * share / ways[0] / 1000 for share in ways)
+        feed = rate / 1000 * 60 * sum((share / ways[0]) ** 2 for share in ways) ** 0.5
         for sign in ("", "-"):
-            bench.ask(f"G91 G1 X{sign}{way} Y{sign}{way} Z{sign}{way} F{feed:.4f}")
+            bench.ask(f"G91 G1 X{sign}{x:.3f} Y{sign}{y:.3f} Z{sign}{z:.3f} F{feed:.4f}")
+        if meanwhile:
+            end = board.seconds() + 2 * (steps / rate + rate / 1000 / acceleration)
+            while board.seconds() < end:
+                meanwhile()
+            board.run(seconds=0.1)
         bench.wait_state("Idle", 5)
         events, widths, setups, holds = scope.read()
+        # Those of the fastest axis: at low rates the others step between its steps, too.
+        events = [event for event in events if event.axes & 1]
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
         least, most = min(widths), max(widths)
@@ -291,8 +332,8 @@ def at_rates(bench, *rates, acceleration=3_000):
             raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
         if found["drift"] > 2 * US:
             raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
-        if found["period_error"] > min(mask, MOVING_MASK_S) + ENTRY_CYCLES / hz:
-            raise Failure(f"a period is off by {us(found['period_error'])}, more than the {us(mask)} that interrupts are masked and {ENTRY_CYCLES} cycles")
+        if found["period_error"] > JITTER_S:
+            raise Failure(f"a period is off by {us(found['period_error'])}, whatever is masked it may be {us(JITTER_S)}")
         bench.ask("G90")
 
 
@@ -327,9 +368,25 @@ def hard_start(bench):
     yield "8 starts with 10 m/s², none ran dry"
 
 
+def laser_start(bench):
+    """From rest so hard that many segments begin, each with a power of its own (M4), before the first step."""
+    bench.boot()
+    fast(bench, 10_000)
+    bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
+    bench.settings(s120=15_000)
+    scope = Scope(bench.board)
+    bench.ask("G91 M4 S800 F9000")
+    for _ in range(6):
+        bench.ask("G1 X2")
+        bench.wait_state("Idle", 1)
+    yield f"6 starts with 15 m/s² and 1280 steps/mm: {scope.counts()[0]} steps"
+    if scope.counts() != [6 * 2560, 0, 0] or bench.host.has_said("ALARM"):
+        raise Failure(f"the motor is at {scope.counts()}: {bytes(bench.host.text[-200:])}")
+
+
 def turns(bench):
     """Directions change in full motion: a zigzag whose corners are passed at speed; with long set-up times that put ticks
-    off, so that they come one after the other as close as pulses allow."""
+    off. Those behind come later by as much: none comes closer to the one before it than was planned."""
     for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
         bench.boot()
         fast(bench, 10_000, pulse_us)
@@ -351,6 +408,10 @@ def turns(bench):
             raise Failure("a pulse or the pause after it is too short")
         if fastest > 20 * US:
             raise Failure("the corners were not passed at speed: this proves nothing")
+        # X has 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
+        planned = 60 / 4600 / 1000 * (1 + 2 / 16) ** 0.5
+        if fastest < planned - JITTER_S:
+            raise Failure(f"a step comes {us(fastest)} after the one before, {us(planned)} are planned")
 
 
 def called_at_turns(bench):
@@ -465,6 +526,266 @@ def stops(bench):
         yield f"{what:>5}: pulses end at most {us(late)} after it is heard, allowed {us(allowed[what])}; places as reported"
 
 
+def at_full_rate(bench):
+    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s, after 49 ms."""
+    safe = bench.wiring.safe_step_hz
+    fast(bench, 10_000)
+    rate = safe * 60 // 1000
+    # The pulse first: with a longer one the rate would be refused.
+    bench.settings(s0=1)
+    bench.settings(s110=rate)
+    return rate
+
+
+class StopWatch:
+    """From the call of the step task to where no event begins any more, and the place of the ring at which that was. `halts`: how
+    often that was, for a stop or because the ring ran dry."""
+
+    def __init__(self, board):
+        self.board, self.called, self.stopped, self.halts = board, None, [], 0
+        tim1, tim2, edges = board.peripherals["TIM1"], board.peripherals["TIM2"], board.dma[1]
+        to_tim1, to_tim2 = tim1.write, tim2.write
+
+        def call(offset, value):
+            if offset == EGR and value & 16:
+                self.called = board.now
+            elif offset == timer.CCR2:
+                # A run has ended: the call before it is not the one for a stop, which a later run may see before it is called.
+                self.called = None
+            to_tim2(offset, value)
+
+        def stop(offset, value):
+            if offset == SMCR and tim1.values[SMCR] & 7 and not value & 7:
+                self.halts += 1
+                if self.called:
+                    self.stopped.append((board.now - self.called, edges.values[0x10 + 0x18 + NDTR]))
+                self.called = None
+            to_tim1(offset, value)
+
+        tim1.write, tim2.write = stop, call
+
+
+def ring_stops(bench):
+    """0x18 at random moments up to the safe rate, at every place of the ring: what is reported has come out, to the step."""
+    bench.boot()
+    board, hz, random = bench.board, bench.wiring.core_hz, Random(64)
+    rate = at_full_rate(bench)
+    worst, place, watch, most = 0, 0, StopWatch(board), int(os.environ.get("OXMILL_RANDOM_STOPS", "48"))
+    for k in range(most):
+        bench.ask("$X")
+        scope, watch.halts = Scope(board), 0
+        sign = "-" if k % 2 else ""
+        bench.ask(f"G91 G1 X{sign}100 Y{sign}77 Z{sign}55 F{rate * 1.378:.0f}" if k % 4 < 2 else f"G91 G1 X{sign}100 F{rate}")
+        # At speed after 2 ms of waiting and 49 of acceleration; an event each 2.04 us. Some on the way there, or while it begins.
+        early = (1.5e-3, 2.6e-3) if k % 8 == 7 else (3e-3, 20e-3)
+        board.run(seconds=random.uniform(*early) if k % 2 else 0.054 + random.uniform(0, 140 * US))
+        after = len(bench.host.text)
+        heard = bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        rising = [step.at for step in scope.steps()]
+        worst = max([worst] + [(at - heard) / hz for at in rising[-1:]])
+        place += scope.counts()[0]
+        told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        if told != place:
+            raise Failure(f"stop {k + 1}: X{told} is told after {place} steps")
+        if watch.halts > 1:
+            raise Failure(f"stop {k + 1}: before it the ring ran dry, and the motion was begun again")
+    cycles = max(cycles for cycles, _ in watch.stopped)
+    slowest = cycles / hz
+    places = len({left for _, left in watch.stopped})
+    yield (
+        f"{most} stops, half of them at {bench.wiring.safe_step_hz} steps/s, at {places} of 128 places of the ring: counts exact; at most {us(slowest)} "
+        f"from the call, pulses end at most {us(max(worst, 0))} after the byte"
+    )
+    if places < 30:
+        raise Failure("too few places: this proves little")
+    if cycles > CALL_CYCLES:
+        raise Failure(f"a stop takes {cycles} cycles from the call")
+    if worst > STOP_S + RUN_CYCLES / hz:
+        raise Failure("pulses after the stop")
+    yield from stops_with_backlash(bench, random, rate, most // 2)
+
+
+def stops_with_backlash(bench, random, rate, most):
+    """The tool is told where it is: behind the motor by the slack, which has been taken up long before."""
+    board, slack = bench.board, 20
+    bench.ask("$X")
+    bench.settings(s160=slack / 1000)
+    for k in range(most):
+        bench.ask("$X")
+        bench.ask("G91 G1 X-1 F6000")
+        bench.wait_state("Idle", 2)
+        begun = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        scope = Scope(board)
+        bench.ask(f"G1 X100 F{rate}")
+        board.run(seconds=random.uniform(0.02, 0.055))
+        after = len(bench.host.text)
+        bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        tool = begun + scope.counts()[0] - slack
+        if told != tool:
+            raise Failure(f"stop {k + 1} with backlash: X{told} is told, the tool is at {tool}")
+    yield f"{most} stops with a backlash of {slack} steps: the tool is where it is told"
+
+
+def masked_long(bench):
+    """Interrupts are masked for longer than events are ahead: slow moves go on later, with no step lost and none too soon; at
+    rates at which motors would not follow the machine stops and says so."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    fast(bench, 10_000)
+    for step_hz, masked_s in ((1_000, 1500 * US), (5_000, 750 * US)):
+        bench.ask("G90 G1 X0 F3000")
+        bench.wait_state("Idle", 5)
+        scope = Scope(board)
+        steps = step_hz // 5
+        bench.ask(f"G1 X{steps / 1000} F{step_hz * 60 / 1000}")
+        board.run(seconds=0.005)
+        for k in range(12):
+            board.run(seconds=(3700 + 137 * k) * US)
+            board.mask(masked_s)
+        bench.wait_state("Idle", 5)
+        rising = [step.at for step in scope.steps()]
+        between = [(b - a) / hz for a, b in pairwise(rising[10:-10])]
+        yield f"masked 12 times for {us(masked_s)} at {step_hz} steps/s: {len(rising)} steps, {us(min(between))} to {us(max(between))} from one to the next"
+        if scope.counts() != [steps, 0, 0]:
+            raise Failure(f"the motors are at {scope.counts()}")
+        if min(between) < 1 / step_hz - JITTER_S:
+            raise Failure("a step comes too soon")
+        if max(between) > 1 / step_hz + masked_s + 150 * US:
+            raise Failure("a step comes later than the mask and a new beginning explain")
+        if max(between) < 1 / step_hz + 100 * US:
+            raise Failure("the ring never ran dry: this proves nothing")
+    place = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+    rate = at_full_rate(bench)
+    scope = Scope(board)
+    after = len(bench.host.text)
+    bench.ask(f"G91 G1 X60 F{rate}")
+    board.run(seconds=0.054)
+    board.mask(200 * US)
+    bench.wait_text("ALARM:100", 0.1, after)
+    bench.at_rest(0.005)
+    told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+    counted = place + scope.counts()[0]
+    yield f"masked for 200 us at {bench.wiring.safe_step_hz} steps/s: ALARM:100 after {scope.counts()[0]} steps"
+    if told != counted:
+        raise Failure(f"X{told} is told after {counted} steps")
+
+
+def late_starts(bench):
+    """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
+    bench.boot()
+    board = bench.board
+    fast(bench, 10_000)
+
+    tim2, hz = board.peripherals["TIM2"], bench.wiring.core_hz
+
+    moments = board.dma[0]
+
+    def stand_once(until):
+        """The processor stands as it is about to begin, until so long after the first event."""
+        write = moments.write
+
+        def and_stand(offset, value):
+            write(offset, value)
+            if offset == 0x10 + 0x18 * 5 + M0AR:
+                moments.write = write
+                away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
+                board.stall(away + until)
+
+        moments.write = and_stand
+
+    def start(before_s=None, masked_s=0.0, stands_until=None):
+        """How long after the first event the first step comes."""
+        # Until the next, and all there is to do at rest is done.
+        board.run(seconds=0.002)
+        scope, after = Scope(board), len(bench.host.text)
+        bench.host.send("G91 G1 X0.02 F3000\n")
+
+        def away():
+            return (tim2.values[timer.CCR2] - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
+
+        # The step task has itself called 450 us before the first event, which is 2 ms after the first segment.
+        bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
+        begin = away() + 450 * US
+        moment = board.now + begin * hz
+        if stands_until is not None:
+            stand_once(stands_until)
+        if before_s is not None:
+            board.run(seconds=begin - before_s)
+            board.mask(masked_s)
+        board.run(seconds=0.004)
+        bench.wait_state("Idle", 0.5)
+        said = bytes(bench.host.text[after:])
+        if scope.counts() != [20, 0, 0] or b"ALARM" in said:
+            raise Failure(f"masked for {us(masked_s)} {us(before_s or 0)} before: the motor is at {scope.counts()}; {said!r}")
+        return (scope.steps()[0].at - moment) / hz
+
+    usual = [start() for _ in range(3)]
+    if max(usual) - min(usual) > US:
+        raise Failure(f"starts that nothing disturbs differ: {', '.join(map(us, usual))}")
+    harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
+    if max(harmless) > US:
+        raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
+    # Masked from before the task is called, or while it makes the first events, to right before or after the moment itself, and
+    # to right after the first step: the first event is at one of these, or in between.
+    delays = {}
+    for before in range(200, 500, 6):
+        for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):
+            delays[before, end] = start(before * US, before * US + end) - max(usual)
+    later = [delay for delay in delays.values() if delay > 0.1 * US]
+    yield (
+        f"masked for 100 us before the first step: 80 of 80 in time; for up to {us(max(usual) + 505 * US)}: {len(later)} of {len(delays)} put off, "
+        f"by {us(max(later, default=0))} at most; no step lost"
+    )
+    if not 5 < len(later) < len(delays):
+        raise Failure("no start was late, or all were: this proves nothing")
+    again = {end: start(stands_until=end) - max(usual) for end in (k * 0.25 * US for k in range(-40, 41))}
+    late = [delay for delay in again.values() if delay > 0.1 * US]
+    yield f"stopped while it begins, to 10 us before and after the first step: {len(late)} of {len(again)} put off, by {us(max(late, default=0))} at most"
+    if not 5 < len(late) < len(again) or max(late) > 45 * US:
+        raise Failure("no start was begun again, or all were, or too late")
+    for (before, end), delay in delays.items():
+        if delay > max(end, 0) + 250 * US:
+            raise Failure(f"masked from {before} us before to {us(end)} after the first moment, put off by {us(delay)}")
+
+
+def miscounts(bench):
+    """A trigger that TIM1 misses, a request too many, an error of a stream: the motion ends soon, and ALARM:103 says why."""
+
+    def miss(tim1):
+        trigger = tim1.trigger
+
+        def once(at):
+            tim1.trigger = trigger
+
+        tim1.trigger = once
+
+    faults = {
+        "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
+        "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
+        "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
+        "an error of the moments": lambda board: board.dma[0].values.__setitem__(4, board.dma[0].values[4] | 1 << 9),
+    }
+    for what, inject in faults.items():
+        bench.boot()
+        board, scope = bench.board, Scope(bench.board)
+        moving(bench)
+        begin, after = board.now, len(bench.host.text)
+        inject(board)
+        bench.wait_text("ALARM:103", 0.1, after)
+        late = max(0, scope.steps()[-1].at - begin) / bench.wiring.core_hz
+        bench.at_rest(0.005)
+        if not bench.status().startswith("<Alarm"):
+            raise Failure(f"{what}: {bench.status()}")
+        yield f"{what}: ALARM:103, steps for another {us(late)}"
+        if late > 2e-3:
+            raise Failure(f"{what}: steps for another {us(late)}")
+
+
 def error_of(bench, line):
     """The error that a line is answered by."""
     answers = len(bench.host.answers)
@@ -553,7 +874,8 @@ def noise(bench):
         board.drive(wiring.limits[0], 0)
         board.run(seconds=length)
         board.drive(wiring.limits[0], None)
-        board.run(seconds=(80 + 37 * k % 60) * US)
+        # A sample may wait for a run of the step task: a shorter pause might not be seen.
+        board.run(seconds=(110 + 37 * k % 60) * US)
     bench.wait_state("Idle", 3)
     shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}
     counts = {name: int(fields[-1].split()[-1]) for name, fields in shown.items()}
@@ -603,7 +925,8 @@ def probe(bench):
         # The pin is looked at after the step of a tick: the one that is under way, or the next.
         if not 0 <= at_contact - latched <= 1 or not report.endswith(":1]"):
             raise Failure(f"F{feed}: contact after step {at_contact}, latched {latched}: {report}")
-        if not 0 <= overshoot <= bound + 1:
+        # The ramp's series, in single precision, may be a step or two longer in 5000 (84 MHz).
+        if not 0 <= overshoot <= 1.0005 * bound + 1:
             raise Failure(f"F{feed}: {overshoot} steps beyond the contact, v²/2a + 1 = {bound:.0f}")
         worst = max(worst, at_contact - latched)
         bench.wait_state("Idle", 1)
@@ -1276,10 +1599,7 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
-KNOWN = {
-    ("blackpill_f401", "turns"): "ticks put off by a set-up of 200 us are made up for so closely that a byte of the UART may "
-    "be lost; its line is refused, and the host is told",
-}
+KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
 
@@ -1295,12 +1615,18 @@ def all_cases(root):
         ("stream lines.nc", lambda bench: streamed(bench, jobs / "lines.nc")),
         ("pulses", pulses),
         ("safe rate", safe_rate),
+        ("safe rate, disturbed", disturbed),
         ("tight pulses", tight),
         ("hard start", hard_start),
+        ("laser start", laser_start),
         ("turns", turns),
         ("called at turns", called_at_turns),
         ("hold", hold),
         ("stops", stops),
+        ("stops on the ring", ring_stops),
+        ("masked for long", masked_long),
+        ("late starts", late_starts),
+        ("miscounts", miscounts),
         ("trips", trips),
         ("emergency stop", emergency_stop),
         ("switch noise", noise),

@@ -99,10 +99,7 @@ class Wiring:
 
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
-        period = pulse_us + min(pulse_us, 1.9) + 1.9
-        attention_us = self.promised("attention_ns") / 1000
-        if pulse_us < attention_us:
-            period = max(period, pulse_us + attention_us + 0.7)
+        period = pulse_us + min(pulse_us, 1.9) + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)
 
 

@@ -595,6 +595,14 @@ class ChainTraces(unittest.TestCase):
         self.assertEqual([at for at, _, _, _ in self.bench.edges], [1017, 1113, 1217, 1313])
         self.assertEqual(self.dma2.read(0x10 + 0x18 + dma.NDTR), 2)
 
+    def test_no_request_is_taken_back_under_way(self):
+        self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
+        self.until(1205)
+        with self.assertRaises(Misuse):
+            self.tim2.write(timer.DIER, 0)
+        self.until(1250)
+        self.tim2.write(timer.DIER, 0)
+
     def test_a_pulse_that_is_cut(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1210)

@@ -44,9 +44,9 @@ const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "no-reverse-pass",
         edits: &[Edit {
-            file: PLANNER,
-            find: "let entry2 = lesser(block.max_entry2, reachable2);",
-            replace: "let _ = reachable2;\n            let entry2 = block.max_entry2;",
+            file: "src/controller/motion/block.rs",
+            find: "lesser(self.max_entry2, exit2 + 2.0 * left * self.length)",
+            replace: "lesser(self.max_entry2, left + f32::INFINITY)",
         }],
     },
     Mutant {

@@ -44,8 +44,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn tell_alarm(&mut self, alarm: Alarm) {
         self.interpreter.abandon_program();
         self.say(|out| report::alarm(out, alarm.code()));
-        if alarm == Alarm::Underrun {
-            self.say(|out| report::message(out, "Motion data ran out"));
+        match alarm {
+            Alarm::Underrun => self.say(|out| report::message(out, "Motion data ran out")),
+            Alarm::Miscounted => self.say(|out| report::message(out, "Step outputs have failed")),
+            _ => {}
         }
     }
 

@@ -57,6 +57,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !(self.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
     }
 
+    /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
+    #[inline]
+    pub(super) fn may_advance(&self) -> bool {
+        !self.task.is_none() || matches!(self.mode, Mode::Home(_))
+    }
+
     /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
     #[inline(never)]
     pub(super) fn advance(&mut self) -> bool {
@@ -64,7 +70,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         match self.task {
-            // Asked before each output: no call for nothing.
             Task::None => return matches!(self.mode, Mode::Home(_)) && self.advance_homing(),
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
             _ if self.mode.is_suspended() => return false,

@@ -119,6 +119,10 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Where the blocks of the look-ahead lie in it, to its end: plain numbers, of which only those are read that have been
+    /// written. All before them is the same whatever their count.
+    pub const LOOK_AHEAD_AT: usize = core::mem::offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
+
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
     pub const fn new(profile: Profile) -> Self {
@@ -159,6 +163,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Power-up is complete: greets the host, and runs the startup lines once the inputs are known.
     pub fn start(&mut self, now: Instant) {
         self.now = now;
+        self.pins.disturb();
         self.settings.settle();
         self.reconfigure();
         if self.settings.is_on(Key::Homing) {
@@ -196,6 +201,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn take(&mut self, event: Event<N>) {
+        self.pins.disturb();
         match event {
             Event::Realtime(command) => self.realtime(command),
             Event::Line(byte) => self.line_byte(byte),
@@ -222,6 +228,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.stops.is_awaited()
             && self.mode.takes_lines()
             && self.replies.has_room()
+    }
+
+    /// Whether the step task will soon have done all that it has been given of a motion that continues.
+    #[inline]
+    pub fn is_short_of_segments(&self) -> bool {
+        self.motion.is_short_of_segments()
     }
 
     /// When the controller wants to be called although nothing happens.
@@ -260,6 +272,58 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// out, answered, begun, and handed to the step task segment by segment.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.now = now;
+        if self.may_have_changed()
+            && let Some(output) = self.look_round()
+        {
+            return Some(output);
+        }
+        let short = self.step_supply.is_short(self.motion.queued_us());
+        let urgent = short && !self.motion.ends_at_rest();
+        if urgent
+            && room.step
+            && let Some(message) = self.step_message()
+        {
+            return Some(Output::Step(message));
+        }
+        self.answer_status();
+        if room.reply
+            && let Some(chunk) = self.replies.next_chunk()
+        {
+            return Some(Output::Reply(chunk));
+        }
+        if self.may_advance() && self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
+            self.pins.disturb();
+            return Some(Output::Worked);
+        }
+        self.auto_start();
+        if room.step
+            && let Some(message) = self.step_message()
+        {
+            return Some(Output::Step(message));
+        }
+        None
+    }
+
+    /// Whether anything that [`Controller::look_round`] looks at may be other than at the last time.
+    #[inline]
+    fn may_have_changed(&self) -> bool {
+        !self.pins.are_calm() || self.step_supply.is_running() && self.motion.is_idle()
+    }
+
+    /// Whether nothing is under way but motion: then time and the step task change nothing but that it ends.
+    fn only_moves(&self) -> bool {
+        matches!(self.mode, Mode::Normal)
+            && self.probe.is_over()
+            && self.stops.is_idle()
+            && self.drivers.off_at().is_none()
+            && !self.accessories.is_on()
+    }
+
+    /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
+    #[inline(never)]
+    fn look_round(&mut self) -> Option<Output> {
+        // What follows may end motion and begin a delay.
+        self.pins.disturb();
         let wanted = self.wants_line();
         self.settle();
         if !wanted && self.wants_line() {
@@ -282,28 +346,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(clear_noise) = self.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
         }
-        let short = self.step_supply.is_short(self.motion.queued_us());
-        let urgent = short && !self.motion.ends_at_rest();
-        if urgent
-            && room.step
-            && let Some(message) = self.step_message()
-        {
-            return Some(Output::Step(message));
-        }
-        self.answer_status();
-        if room.reply
-            && let Some(chunk) = self.replies.next_chunk()
-        {
-            return Some(Output::Reply(chunk));
-        }
-        if self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
-            return Some(Output::Worked);
-        }
-        self.auto_start();
-        if room.step
-            && let Some(message) = self.step_message()
-        {
-            return Some(Output::Step(message));
+        if self.only_moves() {
+            self.pins.calm_down();
         }
         None
     }
@@ -325,8 +369,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        if message.is_some() {
-            self.drivers.switch_on();
+        if message.is_some() && self.drivers.switch_on() {
+            self.pins.disturb();
         }
         message
     }
@@ -394,6 +438,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Takes a stored record at power-up. Records that make no sense are ignored.
     pub fn restore(&mut self, record: &Record) {
+        self.pins.disturb();
         self.records.restore(record, &mut self.settings, &mut self.interpreter);
     }
 }

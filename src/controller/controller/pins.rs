@@ -11,6 +11,8 @@ use crate::settings::{Key, Settings};
 pub(super) struct Pins {
     /// Motors of the ganged axis that take their steps: one alone in squaring.
     ganged_motors: GangedMotors,
+    /// Nothing has happened since that could change them.
+    calm: bool,
     levels: Option<SlowOutputs>,
     wiring: Option<Wiring>,
     /// What that was made of.
@@ -29,7 +31,25 @@ struct WiringSource {
 impl Pins {
     /// Nothing has been given out.
     pub(super) const UNKNOWN: Pins =
-        Pins { ganged_motors: GangedMotors::Both, levels: None, wiring: None, source: None };
+        Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
+
+    /// Whether nothing has happened since they were given out that could change them.
+    #[inline]
+    pub(super) fn are_calm(&self) -> bool {
+        self.calm
+    }
+
+    /// They are as they were given out, and only motion is under way.
+    #[inline]
+    pub(super) fn calm_down(&mut self) {
+        self.calm = true;
+    }
+
+    /// Something has happened: an event, a piece of a line, a driver switched on.
+    #[inline]
+    pub(super) fn disturb(&mut self) {
+        self.calm = false;
+    }
 
     /// Motors of the ganged axis that take their steps from now on.
     pub(super) fn drive(&mut self, motors: GangedMotors) {

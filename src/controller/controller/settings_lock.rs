@@ -74,7 +74,7 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, attention_ns: 0 }, false);
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false);
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }

@@ -34,7 +34,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return;
             }
             StepEvent::Underrun { stops, position } => {
-                self.stops.underrun(stops);
+                self.stops.failed(stops, Alarm::Underrun);
+                self.stopped_at(&position);
+            }
+            StepEvent::Miscounted { stops, position } => {
+                self.stops.failed(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
         }
@@ -99,7 +103,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if alarm == Alarm::HardLimit {
             self.tell_trip(stop.line);
         }
-        if alarm == Alarm::Underrun {
+        if matches!(alarm, Alarm::Underrun | Alarm::Miscounted) {
             if matches!(self.task, Task::JogWaits) {
                 self.lines.clear();
             }

@@ -27,10 +27,12 @@ impl Drivers {
         self.off_at
     }
 
-    /// Something moves.
+    /// Something moves. Whether that changes anything.
     #[inline]
-    pub fn switch_on(&mut self) {
+    pub fn switch_on(&mut self) -> bool {
+        let changes = !self.on || self.off_at.is_some();
         *self = Drivers { on: true, off_at: None };
+        changes
     }
 
     /// Sleep, or an emergency that wants the current off.

@@ -234,7 +234,7 @@ impl<const N: usize> Homing<N> {
         let by = PerAxis::from_axis(|axis| if axes.has(axis) { self.towards(axis) * distance } else { 0.0 });
         // Each axis at the rate: the path of n axes is sqrt(n) times as fast.
         let count = axes.0.count_ones() as f32;
-        Order::Move { by, rate: rate * oxmill_root::square_root(count), watch, motors }
+        Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
     /// Where the axes stand after their last pull-off: the machine's space is negative, from -travel to 0.

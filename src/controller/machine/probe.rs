@@ -67,6 +67,12 @@ impl<const N: usize> Probe<N> {
         self.phase == Some(Phase::Braking)
     }
 
+    /// Whether there is none under way, and the step task knows of it.
+    #[inline]
+    pub fn is_over(&self) -> bool {
+        self.phase.is_none() && self.watch.is_none()
+    }
+
     /// The step task has been stopped, for whatever reason: it has forgotten the watch.
     pub fn stopped(&mut self) {
         self.watch = None;

@@ -145,12 +145,17 @@ impl Stops {
         self.line = line;
     }
 
-    /// The step task has stopped at speed for want of segments.
-    pub fn underrun(&mut self, stops: u16) {
+    /// The step task has stopped at speed by itself: for want of segments, or as its outputs have failed.
+    pub fn failed(&mut self, stops: u16, alarm: Alarm) {
         self.count(1);
         self.seen = stops;
         self.moving = true;
-        self.awaited.get_or_insert(StopReason::Alarm(Alarm::Underrun));
+        if alarm == Alarm::Miscounted {
+            // Neither homing nor a probe continues from an unknown position.
+            self.wait_for(StopReason::Alarm(alarm));
+        } else {
+            self.awaited.get_or_insert(StopReason::Alarm(alarm));
+        }
     }
 
     /// The awaited stop, once every stop that was asked for has happened. The step task is opened again after it.
@@ -184,6 +189,25 @@ mod tests {
         assert!(!stops.is_idle() && stops.is_open());
         assert_eq!((stops.take_resume(), stops.take_resume()), (Some(1), None));
         assert!(stops.is_idle() && stops.finish().is_none());
+    }
+
+    #[test]
+    fn what_had_to_stop_does_not_continue_where_steps_were_miscounted() {
+        for (reason, wanted) in [
+            (StopReason::Switch, StopReason::Alarm(Alarm::Miscounted)),
+            (StopReason::Contact, StopReason::Alarm(Alarm::Miscounted)),
+            (StopReason::Alarm(Alarm::HardLimit), StopReason::Alarm(Alarm::HardLimit)),
+            (StopReason::Reset, StopReason::Reset),
+        ] {
+            let mut stops = Stops::NONE;
+            stops.order(reason);
+            assert!(stops.take_order());
+            stops.failed(1, Alarm::Miscounted);
+            assert!(stops.finish().is_none(), "{reason:?}: the stop that was asked for comes after it");
+            stops.happened(2, false, 0);
+            assert_eq!(stops.finish(), Some(Finished { reason: wanted, moving: true, line: 0 }));
+            assert!(stops.is_open());
+        }
     }
 
     #[test]
@@ -236,11 +260,11 @@ mod tests {
     #[test]
     fn an_underrun_counts_itself_and_yields_to_what_is_awaited() {
         let mut stops = Stops::NONE;
-        stops.underrun(1);
+        stops.failed(1, Alarm::Underrun);
         let reason = StopReason::Alarm(Alarm::Underrun);
         assert_eq!(stops.finish(), Some(Finished { reason, moving: true, line: 0 }));
         stops.begin(StopReason::Nothing);
-        stops.underrun(3);
+        stops.failed(3, Alarm::Underrun);
         assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Nothing));
     }
 }

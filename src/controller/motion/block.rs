@@ -2,7 +2,7 @@
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};
-use crate::messages::Leg;
+use crate::messages::AxisSteps;
 
 /// What a block's programmed speed means.
 pub(super) const RAPID: u8 = 1;
@@ -12,7 +12,7 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 pub(super) const SCALE_POWER: u8 = 4;
 
 /// Most steps of a block's dominant axis: 16 units of each, doubled by a counter that is about to step, fit 32 bits.
-pub(super) const MAX_STEPS: u32 = 1 << Leg::STEP_BITS;
+pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
 /// Factors on programmed feeds and on rapids.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +29,7 @@ impl OverrideFactors {
 /// A straight move. Lengths in mm, speeds in mm/s; `2` at the end of a name means squared.
 #[derive(Clone, Copy, Debug)]
 pub struct Block<const N: usize> {
-    pub(super) legs: [Leg; N],
+    pub(super) steps_by_axis: [AxisSteps; N],
     pub(super) line_number: u32,
     /// Path length, lengths of moves too short for a step included.
     pub(super) length: f32,
@@ -91,7 +91,7 @@ impl CurveLoad {
 
     #[inline]
     pub(super) fn is_none(self) -> bool {
-        self == Self::NONE
+        self.speed2 == Self::NONE.speed2
     }
 
     /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
@@ -140,8 +140,14 @@ impl CurveLoad {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
+    /// Once in the image, but for the walk over the queue.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
+        self.left_of(along, speed2)
+    }
+
+    #[inline(always)]
+    fn left_of(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
@@ -178,7 +184,7 @@ impl Ramp {
 
 impl<const N: usize> Block<N> {
     pub(super) const EMPTY: Self = Self {
-        legs: [Leg::on_steps(0); N],
+        steps_by_axis: [AxisSteps::on_steps(0); N],
         line_number: 0,
         length: 0.0,
         acceleration: 1.0,
@@ -214,6 +220,14 @@ impl<const N: usize> Block<N> {
         self.curve.left(self.acceleration, speed2)
     }
 
+    /// Greatest entry speed² from which it can be braked to an exit speed².
+    #[inline]
+    pub(super) fn entry_before(&self, exit2: f32) -> f32 {
+        let along = self.acceleration;
+        let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
+        lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
+    }
+
     /// What bounds changes of speed in the block.
     #[inline]
     ///
@@ -227,7 +241,7 @@ impl<const N: usize> Block<N> {
     /// Steps of the axis that has most.
     #[inline]
     pub(super) fn dominant(&self) -> u32 {
-        self.legs.iter().fold(0, |most, leg| most.max(leg.steps()))
+        self.steps_by_axis.iter().fold(0, |most, axis_steps| most.max(axis_steps.steps()))
     }
 }
 

@@ -22,7 +22,7 @@
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
 
 use super::block::CurveLoad;
-use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, radius_of, turn2};
+use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
@@ -144,10 +144,17 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
-    #[inline(never)]
+    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`. Most
+    /// turns are none at all: no call for them.
+    #[inline(always)]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
+        let noise = old.noise + self.noise;
+        if is_noise(all2, noise) { None } else { self.limit_of_turn(old, all2, between, fast2, rule) }
+    }
+
+    #[inline(never)]
+    fn limit_of_turn(&self, old: &Self, all2: f32, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let (turn2, sine) = certain(all2, old.noise + self.noise)?;
         let radius = (between + old.half() + self.half()) * radius_of(turn2, sine);
         let bend2 = rule.in_plane(&old.direction, &self.direction, all2) * rule.curve_share * radius;
@@ -214,7 +221,7 @@ impl<const N: usize> History<N> {
     /// two single pieces is known already ([`Chain::corner2`]).
     #[inline(never)]
     fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
-        let [first, second, third, _] = &self.0;
+        let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
@@ -256,7 +263,12 @@ impl<const N: usize> History<N> {
             let speed2 = greater(bend.speed2(), square);
             found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
         }
-        self.0 = [new, *first, *second, *third];
+        let [first, second, third, fourth] = &mut self.0;
+        // One after the other: an array of them would be made elsewhere first.
+        *fourth = *third;
+        *third = *second;
+        *second = *first;
+        *first = new;
     }
 }
 

@@ -11,7 +11,7 @@ use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Num
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};
-use crate::messages::Leg;
+use crate::messages::AxisSteps;
 use crate::units::Coordinate;
 
 /// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
@@ -19,16 +19,16 @@ const MOST_OVERRIDE: f32 = 2.0;
 
 /// The steps of a chord with its true ends, which are told in terms of the axes. With very many steps it is stepped as a
 /// line: a part of a step is nothing to it.
-fn legs_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [Leg; N] {
-    let mut legs = steps.map(Leg::on_steps);
+fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [AxisSteps; N] {
+    let mut steps_by_axis = steps.map(AxisSteps::on_steps);
     if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
         let [starts, ends] = ends;
-        for (bit, (leg, (start, end))) in legs.iter_mut().zip(starts.iter().zip(ends)).enumerate() {
+        for (bit, (axis_steps, (start, end))) in steps_by_axis.iter_mut().zip(starts.iter().zip(ends)).enumerate() {
             let sign = if directions >> bit & 1 != 0 { -1 } else { 1 };
-            *leg = Leg::with_ends(leg.steps(), sign * start, sign * end);
+            *axis_steps = AxisSteps::with_ends(axis_steps.steps(), sign * start, sign * end);
         }
     }
-    legs
+    steps_by_axis
 }
 
 /// Steps with their direction.
@@ -209,9 +209,9 @@ impl<const N: usize> AnyQueue<N> {
         block.flags =
             rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
         block.directions = motors.directions;
-        block.legs = match ends {
-            Some(ends) => legs_with_ends(&motors.steps, motors.directions, &ends),
-            None => motors.steps.map(Leg::on_steps),
+        block.steps_by_axis = match ends {
+            Some(ends) => steps_with_ends(&motors.steps, motors.directions, &ends),
+            None => motors.steps.map(AxisSteps::on_steps),
         };
         let fastest = lesser(block.limit, block.programmed * MOST_OVERRIDE);
         let piece = PathPiece {
@@ -458,7 +458,7 @@ impl<const N: usize> AnyQueue<N> {
         let mut block = Block::<N>::EMPTY;
         let steps;
         (steps, block.directions) = unsigned_steps(taken);
-        block.legs = steps.map(Leg::on_steps);
+        block.steps_by_axis = steps.map(AxisSteps::on_steps);
         block.line_number = line_number;
         block.length = length;
         (block.acceleration, block.limit) = self.limits.along(&way, length);

@@ -27,7 +27,7 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     };
     // The same that the chords go by: an arc of nearly no angle and one of nearly a turn end in the same place.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
-    let radius = |v: [f32; 2]| oxmill_root::square_root(v[0] * v[0] + v[1] * v[1]);
+    let radius = |v: [f32; 2]| oxmill_sqrt::square_root(v[0] * v[0] + v[1] * v[1]);
     let radius = Coordinate::from_mm_f32(radius(from).max(radius(to)));
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
     let farthest: [(f32, Axis, Coordinate); 4] = [

@@ -4,7 +4,7 @@
 use crate::axes::PerAxis;
 use crate::messages::SEGMENTS_DEPTH;
 
-/// The queue to the step task, its prefetched segment, and some for messages on their way.
+/// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.
 const MOST: usize = SEGMENTS_DEPTH + 4;
 /// The same, the segment begun last and the one before it.
 const RING: usize = MOST + 2;
@@ -54,8 +54,14 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 
 impl<const N: usize> SegmentsInFlight<N> {
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
-        let ring = [InFlightSegment::still(position, [0; N]); RING];
-        Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
+        Self {
+            ring: [InFlightSegment::still(position, [0; N]); RING],
+            first: 0,
+            len: 0,
+            queued: 0,
+            begun: 0,
+            moves: false,
+        }
     }
 
     #[inline]

@@ -1,7 +1,7 @@
 //! The rule of turns for two directions (junction deviation, `$11`): what a change of direction asks of the axes, and the
 //! speed at which a corner may be passed. [`super::curvature`] says where it is from and applies it to the whole path.
 
-use super::trapezoid::{lesser, square_root};
+use super::trapezoid::{greater, lesser, square_root};
 
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
@@ -35,13 +35,19 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
     square
 }
 
+/// Whether a turn is none, or may be the work of noise alone.
+#[inline]
+pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
+    turn2 < STRAIGHT || turn2 <= noise * noise
+}
+
 /// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
 #[inline]
 pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
-    if turn2 < STRAIGHT || turn2 <= noise * noise {
+    if is_noise(turn2, noise) {
         return None;
     }
-    let sine = square_root((1.0 - 0.25 * turn2).max(0.0));
+    let sine = square_root(greater(1.0 - 0.25 * turn2, 0.0));
     if noise * noise <= CERTAIN * CERTAIN * turn2 {
         return Some((turn2, sine));
     }

@@ -1,9 +1,15 @@
 //! How far the axes of a block have come: the arithmetic of steps, shared by the step generator, which counts down to the
 //! next step, and by the planner's side, which needs to know where a segment ends.
 //!
-//! See `stepper` for the formula. All of it is in whole numbers and exact; nothing here keeps a state.
+//! On a line an axis' rate is its steps, and the threshold is the steps of the dominant axis. A chord of an arc begins and ends
+//! between steps, at f and g of a step beside them ([`AxisSteps`]). An axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them
+//! after u of M units: none at the start and n at the end, for f and g are less than a half, and always within half a step of the
+//! true chord. In sevenths of a step that is the same arithmetic, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and 7·f·M
+//! less at the start.
+//!
+//! All of it is in whole numbers and exact; nothing here keeps a state.
 
-use crate::messages::{Leg, UNITS_PER_STEP};
+use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
 /// What the axes of a block are measured by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,31 +23,34 @@ pub(super) struct Measure {
 }
 
 impl Measure {
-    pub(super) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * Leg::PARTS);
+    pub(super) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * AxisSteps::PARTS);
 
     #[inline(always)]
-    pub(super) fn of<const N: usize>(legs: &[Leg; N]) -> Self {
+    pub(super) fn of<const N: usize>(steps_by_axis: &[AxisSteps; N]) -> Self {
         let (mut dominant, mut on_steps) = (0, true);
-        for leg in legs {
-            dominant = leg.steps().max(dominant);
-            on_steps &= leg.is_on_steps();
+        for axis_steps in steps_by_axis {
+            dominant = axis_steps.steps().max(dominant);
+            on_steps &= axis_steps.is_on_steps();
         }
         let total = dominant.wrapping_mul(UNITS_PER_STEP);
-        let scale = if on_steps { 1 } else { Leg::PARTS };
+        let scale = if on_steps { 1 } else { AxisSteps::PARTS };
         Self { total, threshold: total.wrapping_mul(scale), scale }
     }
 
     /// What a unit of the block takes off what is left until the next step of an axis. Below 0 (as a wrapped number) by
     /// less than a step in the whole block, for an axis without steps that turns back.
     #[inline(always)]
-    pub(super) fn rate(&self, leg: Leg) -> u32 {
-        leg.steps().wrapping_mul(self.scale).wrapping_add_signed(leg.end().wrapping_sub(leg.start()))
+    pub(super) fn rate(&self, axis_steps: AxisSteps) -> u32 {
+        axis_steps
+            .steps()
+            .wrapping_mul(self.scale)
+            .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
     /// What an axis has of its first step at the start, less 1: half a step, and what its true start is beyond the rounded one.
     #[inline(always)]
-    pub(super) fn credit(&self, leg: Leg) -> u32 {
-        (self.threshold / 2).wrapping_add(parts_beyond(self.total, leg)).wrapping_sub(1)
+    pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
+        (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
     }
 }
 
@@ -63,8 +72,8 @@ pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
 
 /// How far the true start of an axis is beyond the rounded one, in parts of the threshold; below 0 as a wrapped number.
 #[inline(always)]
-pub(super) fn parts_beyond(total: u32, leg: Leg) -> u32 {
-    (leg.start() as u32).wrapping_mul(total)
+pub(super) fn parts_beyond(total: u32, axis_steps: AxisSteps) -> u32 {
+    (axis_steps.start() as u32).wrapping_mul(total)
 }
 
 /// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
@@ -78,7 +87,7 @@ pub(super) fn advance(rate: u32, units: u32) -> u64 {
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;
-    for bit in (0..Leg::STEP_BITS).rev() {
+    for bit in (0..AxisSteps::STEP_BITS).rev() {
         let part = u64::from(threshold) << bit;
         if sum > part {
             sum -= part;
@@ -116,44 +125,44 @@ pub(super) mod tests {
 
     /// Steps taken by the definition: with n steps between f and g sevenths, the true way after u of M units is
     /// f/7 + (n + (g - f)/7)·u/M, and the step nearest to it has been taken, that before if two are.
-    pub fn defined(leg: Leg, total: u32, units: u32) -> i128 {
-        let (n, f, g) = (i128::from(leg.steps()), i128::from(leg.start()), i128::from(leg.end()));
+    pub fn defined(axis_steps: AxisSteps, total: u32, units: u32) -> i128 {
+        let (n, f, g) = (i128::from(axis_steps.steps()), i128::from(axis_steps.start()), i128::from(axis_steps.end()));
         let (u, m) = (i128::from(units), i128::from(total));
         let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
         // The least whole number that is not below the way less a half.
         -(below - 2 * above).div_euclid(2 * below)
     }
 
-    /// Three legs, of which one may have as many steps as the dominant axis, and one none.
-    pub fn legs(most: u32) -> impl Strategy<Value = [Leg; 3]> {
+    /// The steps of three axes, of which one may have as many steps as the dominant axis, and one none.
+    pub fn steps_by_axis(most: u32) -> impl Strategy<Value = [AxisSteps; 3]> {
         let ends = || prop_oneof![1 => Just([0; 3]), 3 => prop::array::uniform3(-3..=3)];
         let share = || prop_oneof![3 => 0.0..=1.0_f64, 1 => Just(1.0), 1 => Just(0.0)];
         let dominant = prop_oneof![1_u32..20, 1_u32..3000, 1_u32..=most];
         (dominant, share(), share(), ends(), ends()).prop_map(|(dominant, y, z, starts, ends)| {
             let steps = [dominant, (f64::from(dominant) * y) as u32, (f64::from(dominant) * z) as u32];
-            std::array::from_fn(|axis| Leg::with_ends(steps[axis], starts[axis], ends[axis]))
+            std::array::from_fn(|axis| AxisSteps::with_ends(steps[axis], starts[axis], ends[axis]))
         })
     }
 
     proptest! {
         #[test]
         fn a_leg_is_what_it_is_made_of(steps in 0_u32..1 << 26, start in -3..=3_i32, end in -3..=3_i32) {
-            let leg = Leg::with_ends(steps, start, end);
-            prop_assert_eq!((leg.steps(), leg.start(), leg.end()), (steps, start, end));
-            prop_assert_eq!(leg.is_on_steps(), start == 0 && end == 0);
-            prop_assert_eq!(Leg::with_ends(steps, 0, 0), Leg::on_steps(steps));
+            let axis_steps = AxisSteps::with_ends(steps, start, end);
+            prop_assert_eq!((axis_steps.steps(), axis_steps.start(), axis_steps.end()), (steps, start, end));
+            prop_assert_eq!(axis_steps.is_on_steps(), start == 0 && end == 0);
+            prop_assert_eq!(AxisSteps::with_ends(steps, 0, 0), AxisSteps::on_steps(steps));
         }
 
         #[test]
-        fn the_divisions_are_the_definition(legs in legs(Measure::MOST_STEPS), way in 0.0..=1.0_f64) {
-            let measure = Measure::of(&legs);
+        fn the_divisions_are_the_definition(steps_by_axis in steps_by_axis(Measure::MOST_STEPS), way in 0.0..=1.0_f64) {
+            let measure = Measure::of(&steps_by_axis);
             prop_assert!(measure.threshold <= 1 << 30);
             for units in [(f64::from(measure.total) * way) as u32, 0, measure.total] {
-                for leg in legs {
-                    let beyond = parts_beyond(measure.total, leg);
-                    let (rate, first) = (measure.rate(leg), (measure.threshold / 2).wrapping_sub(beyond));
-                    let taken = defined(leg, measure.total, units);
-                    let credit = measure.credit(leg);
+                for axis_steps in steps_by_axis {
+                    let beyond = parts_beyond(measure.total, axis_steps);
+                    let (rate, first) = (measure.rate(axis_steps), (measure.threshold / 2).wrapping_sub(beyond));
+                    let taken = defined(axis_steps, measure.total, units);
+                    let credit = measure.credit(axis_steps);
                     prop_assert_eq!(i128::from(steps_taken(rate, credit, measure.threshold, units)), taken);
                     let (slow, rest) = steps_and_rest(rate, first, measure.threshold, units);
                     prop_assert_eq!(i128::from(slow), taken);
@@ -161,7 +170,7 @@ pub(super) mod tests {
                     let whole = i128::from(rate as i32) * i128::from(units) + i128::from(rest) - i128::from(first);
                     prop_assert_eq!(whole, taken * i128::from(measure.threshold));
                     if units == 0 || units == measure.total {
-                        prop_assert_eq!(taken, if units == 0 { 0 } else { i128::from(leg.steps()) });
+                        prop_assert_eq!(taken, if units == 0 { 0 } else { i128::from(axis_steps.steps()) });
                     }
                 }
             }
@@ -170,15 +179,15 @@ pub(super) mod tests {
         /// Lines continue with a division that fits 32 bits where it did.
         #[test]
         fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
-            let legs = [x, y].map(Leg::on_steps);
-            let measure = Measure::of(&legs);
+            let steps_by_axis = [x, y].map(AxisSteps::on_steps);
+            let measure = Measure::of(&steps_by_axis);
             let total = x.max(y) * UNITS_PER_STEP;
             prop_assert_eq!((measure.total, measure.threshold), (total, total));
             let units = (f64::from(total) * way) as u32;
-            for leg in legs {
-                prop_assert_eq!((measure.rate(leg), measure.credit(leg)), (leg.steps(), total / 2 - 1));
-                let (taken, rest) = steps_and_rest(leg.steps(), total / 2, total, units);
-                prop_assert_eq!(i128::from(taken), defined(leg, total, units));
+            for axis_steps in steps_by_axis {
+                prop_assert_eq!((measure.rate(axis_steps), measure.credit(axis_steps)), (axis_steps.steps(), total / 2 - 1));
+                let (taken, rest) = steps_and_rest(axis_steps.steps(), total / 2, total, units);
+                prop_assert_eq!(i128::from(taken), defined(axis_steps, total, units));
                 prop_assert!(rest < total);
             }
         }

@@ -17,7 +17,9 @@ pub mod arc;
 mod axis_limits;
 mod backlash;
 mod block;
+mod course;
 mod curvature;
+mod dda;
 mod enqueue;
 mod extent;
 mod in_flight;
@@ -160,6 +162,10 @@ impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
+    /// Where the blocks lie in it, to its end.
+    pub(crate) const BLOCKS_AT: usize =
+        core::mem::offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
+
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz);
@@ -282,10 +288,15 @@ impl<const N: usize> AnyMotion<N> {
         self.next_message()
     }
 
-    /// The same without a new observation.
+    /// The same without a new observation. Asked before each output: no call for nothing.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
-        if !self.source.wants_more() || self.source.waits_for_rest() {
+        if self.source.wants_more() { self.wanted_message() } else { None }
+    }
+
+    #[inline(never)]
+    fn wanted_message(&mut self) -> Option<ToStep> {
+        if self.source.waits_for_rest() {
             return None;
         }
         self.queue.continue_long_move();
@@ -397,6 +408,12 @@ impl<const N: usize> AnyMotion<N> {
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
+    /// Whether a motion continues for which little time has been handed over.
+    #[inline]
+    pub fn is_short_of_segments(&self) -> bool {
+        self.source.is_short_of_segments()
+    }
+
     /// Whether nothing is in the step task and nothing will come before `start` or `resume`.
     pub fn is_at_rest(&self) -> bool {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
@@ -414,7 +431,7 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Time of what has been handed over and not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
-        self.source.in_flight.queued() / (self.source.step_clock_hz() / 1_000_000).max(1)
+        self.source.queued_us()
     }
 
     /// Machine position in steps at the end of the segment begun last.

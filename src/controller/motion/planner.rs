@@ -162,6 +162,9 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
 }
 
 impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
+    /// Where the blocks lie in it, to its end.
+    pub(super) const BLOCKS_AT: usize = core::mem::offset_of!(Self, blocks);
+
     #[inline(always)]
     pub(super) const fn new() -> Self {
         let groups = [Stretch::NONE; GROUPS];
@@ -364,25 +367,13 @@ impl<const N: usize> Planner<N, [Block<N>]> {
 
     /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
     fn reverse_pass(&mut self) {
-        let (mut exit2, mut place, changed) = (0.0, self.len, self.changed);
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
         let upper = self.len - wrapped;
         let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
-        // Whether the entry before may change too.
-        let mut walk = |block: &mut Block<N>| {
-            place -= 1;
-            let reachable2 = exit2 + 2.0 * block.acceleration_at(exit2) * block.length;
-            let entry2 = lesser(block.max_entry2, reachable2);
-            if entry2 == block.entry2 && place < changed {
-                return false;
-            }
-            block.entry2 = entry2;
-            exit2 = entry2;
-            true
-        };
         // Without the first block, which may be running.
-        if low.iter_mut().take(wrapped).rev().all(&mut walk) {
-            high.iter_mut().take(upper).skip(1).rev().all(&mut walk);
+        let (Some(low), Some(high)) = (low.get_mut(..wrapped), high.get_mut(1..upper)) else { return };
+        if let Some(exit2) = walk_back(low, 0.0, self.changed.saturating_sub(upper)) {
+            walk_back(high, exit2, self.changed.saturating_sub(1));
         }
     }
 
@@ -562,6 +553,26 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
         Bounds { acceleration: curve.left(straight_acceleration, speed2), jerk }
     }
+}
+
+/// Brings the entries of some blocks in a row into line, from the last of them to the first; the last one is left at a speed².
+/// The speed² at which the first is entered; `None` if the entries before it stay as they are, because one stays in front of the
+/// place from which limits have `changed`.
+#[inline(never)]
+fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: usize) -> Option<f32> {
+    let (same, changed) = blocks.split_at_mut(changed.min(blocks.len()));
+    for block in changed.iter_mut().rev() {
+        exit2 = block.entry_before(exit2);
+        block.entry2 = exit2;
+    }
+    for block in same.iter_mut().rev() {
+        exit2 = block.entry_before(exit2);
+        if block.entry2 == exit2 {
+            return None;
+        }
+        block.entry2 = exit2;
+    }
+    Some(exit2)
 }
 
 /// The next anchor, seen from a place before it.

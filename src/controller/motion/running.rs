@@ -5,7 +5,7 @@ use super::measure::{Measure, signed_add, steps_taken};
 use super::planner::Planner;
 use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::PerAxis;
-use crate::messages::{Leg, ToStep};
+use crate::messages::{AxisSteps, ToStep};
 
 /// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
 const CRAWL_S: f32 = 0.001;
@@ -53,7 +53,7 @@ impl PathMotion {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Running<const N: usize> {
     pub stage: BlockStage,
-    legs: [Leg; N],
+    steps_by_axis: [AxisSteps; N],
     directions: u8,
     flags: u8,
     power: u16,
@@ -77,7 +77,7 @@ pub(super) struct Running<const N: usize> {
 impl<const N: usize> Running<N> {
     pub(super) const NONE: Self = Self {
         stage: BlockStage::Nothing,
-        legs: [Leg::on_steps(0); N],
+        steps_by_axis: [AxisSteps::on_steps(0); N],
         directions: 0,
         flags: 0,
         power: 0,
@@ -96,19 +96,19 @@ impl<const N: usize> Running<N> {
     /// The beginning of a block.
     #[inline]
     pub(super) fn of(block: &Block<N>, overrides: OverrideFactors) -> Self {
-        let measure = Measure::of(&block.legs);
+        let measure = Measure::of(&block.steps_by_axis);
         let scale = measure.total as f32 / block.length;
         let nominal = block.nominal(overrides) * scale;
         Self {
             stage: Self::ANNOUNCE,
-            legs: block.legs,
+            steps_by_axis: block.steps_by_axis,
             directions: block.directions,
             flags: block.flags,
             power: block.power,
             line_number: block.line_number,
             threshold: measure.threshold,
-            rates: block.legs.map(|leg| measure.rate(leg)),
-            credits: block.legs.map(|leg| measure.credit(leg)),
+            rates: block.steps_by_axis.map(|axis_steps| measure.rate(axis_steps)),
+            credits: block.steps_by_axis.map(|axis_steps| measure.credit(axis_steps)),
             total: measure.total,
             done: 0,
             scale,
@@ -137,21 +137,21 @@ impl<const N: usize> Running<N> {
     /// The next message of the announcement; `None`: it is time for a segment.
     #[inline]
     pub(super) fn announce(&mut self) -> Option<ToStep> {
-        let mut legs = [Leg::default(); 3];
+        let mut steps_by_axis = [AxisSteps::default(); 3];
         match self.stage {
             BlockStage::UpperAxes => {
                 self.stage = BlockStage::Block;
-                for (out, own) in legs.iter_mut().zip(self.legs.iter().skip(3)) {
+                for (out, own) in steps_by_axis.iter_mut().zip(self.steps_by_axis.iter().skip(3)) {
                     *out = *own;
                 }
-                Some(ToStep::BlockRest { legs })
+                Some(ToStep::BlockRest { steps_by_axis })
             }
             BlockStage::Block => {
                 self.stage = if self.done > 0 { BlockStage::Reenter } else { BlockStage::FirstSegment };
-                for (out, own) in legs.iter_mut().zip(self.legs.iter()) {
+                for (out, own) in steps_by_axis.iter_mut().zip(self.steps_by_axis.iter()) {
                     *out = *own;
                 }
-                Some(ToStep::Block { legs, directions: self.directions })
+                Some(ToStep::Block { steps_by_axis, directions: self.directions })
             }
             BlockStage::Reenter => {
                 self.stage = BlockStage::FirstSegment;
@@ -188,13 +188,13 @@ impl<const N: usize> Running<N> {
     }
 
     /// Where the motors are that began the block here.
-    #[inline]
+    #[inline(always)]
     pub(super) fn steps_from(&self, start: &PerAxis<i32, N>) -> PerAxis<i32, N> {
         let mut position = *start;
-        let axes = self.legs.iter().zip(self.rates.iter().zip(self.credits));
-        for (bit, (value, (leg, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
+        let axes = self.steps_by_axis.iter().zip(self.rates.iter().zip(self.credits));
+        for (bit, (value, (axis_steps, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
             let taken = if self.done == self.total {
-                leg.steps()
+                axis_steps.steps()
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)
             };
@@ -204,7 +204,7 @@ impl<const N: usize> Running<N> {
     }
 
     /// The trapezoid of the rest of the block and how many units are left of it; `None` for a stop at this very position.
-    #[inline]
+    #[inline(always)]
     pub(super) fn trapezoid(
         &self,
         pace: Pace,
@@ -280,7 +280,13 @@ mod tests {
     }
 
     fn block<const N: usize>() -> Block<N> {
-        Block { legs: [Leg::on_steps(10); N], length: 1.0, programmed: 10.0, limit: 10.0, ..Block::EMPTY }
+        Block {
+            steps_by_axis: [AxisSteps::on_steps(10); N],
+            length: 1.0,
+            programmed: 10.0,
+            limit: 10.0,
+            ..Block::EMPTY
+        }
     }
 
     #[test]

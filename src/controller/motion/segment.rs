@@ -112,7 +112,7 @@ impl SegmentSize {
 }
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
-#[inline]
+#[inline(always)]
 pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace) -> Cut {
     let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);

@@ -21,6 +21,9 @@ const WAIT_MS: u32 = 1;
 /// with what gathers before a start. Its first segments are shorter than a small processor takes to prepare them: were they to
 /// follow at once, they would have to be there in time.
 const JOIN_MS: u32 = 2;
+/// With less than this queued of a motion that continues, segments come before lines: more than a line takes, and the segments of
+/// a stop from there.
+const SHORT_MS: u32 = 5;
 /// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
@@ -44,6 +47,11 @@ struct LongTick {
     time: u64,
 }
 
+/// For a clock slower than a microsecond. `Ord::max` is not for constants.
+const fn at_least_one(clocks: u32) -> u32 {
+    if clocks == 0 { 1 } else { clocks }
+}
+
 /// The running block, and what has been handed over to the segment buffer.
 #[derive(Clone, Debug)]
 #[repr(C)]
@@ -59,6 +67,9 @@ pub(super) struct SegmentSource<const N: usize> {
     last_rest: Motors<N>,
     long_tick: Option<LongTick>,
     step_clock_hz: u32,
+    /// The same for shorter times, without a division.
+    clocks_per_ms: u32,
+    clocks_per_us: u32,
     pacer: Pacer,
     pub(super) in_flight: SegmentsInFlight<N>,
 }
@@ -75,6 +86,8 @@ impl<const N: usize> SegmentSource<N> {
             last_rest: Motors::ZERO,
             long_tick: None,
             step_clock_hz,
+            clocks_per_ms: step_clock_hz / 1000,
+            clocks_per_us: at_least_one(step_clock_hz / 1_000_000),
             pacer: Pacer::new(step_clock_hz),
             in_flight: SegmentsInFlight::new(PerAxis::all(0)),
         }
@@ -83,12 +96,20 @@ impl<const N: usize> SegmentSource<N> {
     /// Takes over the step clock.
     pub(super) fn configure(&mut self, step_clock_hz: u32) {
         self.step_clock_hz = step_clock_hz.max(10_000);
+        self.clocks_per_ms = self.step_clock_hz / 1000;
+        self.clocks_per_us = at_least_one(self.step_clock_hz / 1_000_000);
         self.pacer = Pacer::new(self.step_clock_hz);
     }
 
     /// Ticks of the step timer per second.
     pub(super) fn step_clock_hz(&self) -> u32 {
         self.step_clock_hz
+    }
+
+    /// Time of what has been handed over and not begun, in microseconds.
+    #[inline]
+    pub(super) fn queued_us(&self) -> u32 {
+        self.in_flight.queued() / self.clocks_per_us
     }
 
     /// The running block is forgotten; the machine rests with the motors here.
@@ -155,13 +176,23 @@ impl<const N: usize> SegmentSource<N> {
     /// Whether a message is wanted: something is handed over, and there is not enough of it in the segment buffer.
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
-        self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms() * QUEUED_TIME_MS
+        self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
     }
 
     /// Whether what follows a rest waits until the step task has come to it: too little is queued up to there.
     #[inline]
     pub(super) fn waits_for_rest(&self) -> bool {
-        self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms() * JOIN_MS
+        self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
+    }
+
+    /// Whether a motion continues for which little time has been handed over.
+    #[inline]
+    pub(super) fn is_short_of_segments(&self) -> bool {
+        let has_begun = self.in_flight.moves() || !self.in_flight.is_empty();
+        has_begun
+            && self.in_flight.queued() < self.clocks_per_ms * SHORT_MS
+            && !self.in_flight.is_full()
+            && !self.ends_at_rest()
     }
 
     /// The state of motion on the path, and how much of the first block is left, mm.
@@ -201,9 +232,12 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The motors at the end of what has been handed over.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
-        if !self.running.is_active() {
-            return self.block_start;
-        }
+        if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
+    }
+
+    /// The same within a block.
+    #[inline(always)]
+    fn motors_in_block(&self, backlash: &Backlash<N>) -> Motors<N> {
         let steps = self.running.steps_from(&self.block_start.steps);
         if backlash.is_on() {
             return backlash.followed(&self.block_start, steps);
@@ -252,31 +286,41 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The next segment of the running block.
     fn segment(&mut self, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
-        let far_fixed = u64::from(self.pacer.whole(self.clocks_per_ms() * FAR_MS));
         let braking = self.state == FeedState::Braking;
-        let (cut, time) = if let Some(LongTick { cut, time }) = self.long_tick {
-            if braking {
-                return self.rest_here(backlash);
-            }
-            if time > far_fixed {
-                return self.wait(cut, time, backlash);
-            }
-            self.long_tick = None;
-            (cut, time as u32)
-        } else {
-            let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
-            let time = self.pacer.fixed(cut.seconds);
-            if cut.ticks == 1 && time > far_fixed {
-                return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
-            }
-            (cut, u32::try_from(time).unwrap_or(u32::MAX))
-        };
-        self.emit(&cut, time, planner, backlash)
+        if let Some(long) = self.long_tick {
+            return self.segment_of(long, braking, planner, backlash);
+        }
+        let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
+        let time = self.pacer.fixed(cut.seconds);
+        if cut.ticks == 1 && time > self.far() {
+            return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
+        }
+        self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
     }
 
+    /// The next part of the time until a tick that is far away, or that tick.
+    #[inline(never)]
+    fn segment_of(
+        &mut self,
+        LongTick { cut, time }: LongTick,
+        braking: bool,
+        planner: &mut Planner<N, [Block<N>]>,
+        backlash: &Backlash<N>,
+    ) -> Segment {
+        if braking {
+            return self.rest_here(backlash);
+        }
+        if time > self.far() {
+            return self.wait(cut, time, backlash);
+        }
+        self.long_tick = None;
+        self.emit(&cut, time as u32, planner, backlash)
+    }
+
+    /// Time of a tick that is far away, in fixed point.
     #[inline]
-    fn clocks_per_ms(&self) -> u32 {
-        self.step_clock_hz / 1000
+    fn far(&self) -> u64 {
+        u64::from(self.pacer.whole(self.clocks_per_ms * FAR_MS))
     }
 
     /// The next piece of the running block; `None` for a stop at this very position.
@@ -292,7 +336,7 @@ impl<const N: usize> SegmentSource<N> {
     /// A part of the time until a tick that is far away.
     #[inline(never)]
     fn wait(&mut self, cut: Cut, time: u64, backlash: &Backlash<N>) -> Segment {
-        let wait = self.clocks_per_ms() * WAIT_MS;
+        let wait = self.clocks_per_ms * WAIT_MS;
         let wait_fixed = self.pacer.whole(wait);
         self.long_tick = Some(LongTick { cut, time: time - u64::from(wait_fixed) });
         self.rest = false;
@@ -307,7 +351,7 @@ impl<const N: usize> SegmentSource<N> {
         self.motion.stop();
         self.rest = true;
         self.state = FeedState::Held;
-        let clocks = (self.step_clock_hz / 1_000_000).max(1) * REST_US;
+        let clocks = self.clocks_per_us * REST_US;
         let still = Cut { units: 0, level: 0, ticks: 1, seconds: 1.0, end: Pace::REST, ramp: 0.0, acceleration: 0.0 };
         let interval = self.pacer.whole(clocks);
         let motors = self.motors(backlash);
@@ -340,7 +384,7 @@ impl<const N: usize> SegmentSource<N> {
                 self.state = FeedState::Held;
             }
         }
-        let motors = self.motors(backlash);
+        let motors = self.motors_in_block(backlash);
         let ticks = cut.ticks as u16;
         let segment = self.hand_over(cut, &motors, flags, intervals.interval, intervals.ramp, ticks, intervals.clocks);
         if ends {

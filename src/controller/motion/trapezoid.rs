@@ -10,7 +10,7 @@
 //! falls by 2·a per unit until it meets it, over the end of the block if it must.
 
 /// The one square root of the controller: IEEE, so the same on every machine.
-pub(super) use oxmill_root::square_root;
+pub(super) use oxmill_sqrt::square_root;
 
 /// The lesser of two numbers. `f32::min` is a call of a library function on a Cortex-M4, this three instructions.
 #[inline]

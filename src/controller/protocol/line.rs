@@ -43,6 +43,8 @@ pub struct Line {
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     after_cr: bool,
+    /// So many bytes of text may follow for which nothing else need be looked at.
+    plain: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +71,7 @@ impl Line {
             remark: heapless::Vec::new(),
             overflow: false,
             after_cr: false,
+            plain: 0,
         }
     }
 
@@ -98,6 +101,15 @@ impl Line {
         self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
+        self.plain = 0;
+    }
+
+    /// Whether text may follow for which nothing else need be looked at, once it has begun. To be told after each
+    /// [`Line::push`], and when that ends.
+    #[inline]
+    pub fn expect_plain(&mut self, plain: bool) {
+        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None;
+        self.plain = if in_text { GRBL_LENGTH.saturating_sub(self.text.len()) as u8 } else { 0 };
     }
 
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
@@ -107,13 +119,16 @@ impl Line {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it belongs to the text and the text has begun; what [`Line::push`] would do with it, in brief.
+    /// Takes the next byte if it belongs to the text and [`Line::expect_plain`] allows it; what [`Line::push`] would do
+    /// with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
         let of_text = byte > b' ' && !matches!(byte, b'(' | b';' | b'/');
-        let in_text = !self.text.is_empty() && self.text.len() < GRBL_LENGTH && self.comment == Comment::None;
-        let taken = of_text && in_text && self.text.push(byte.to_ascii_uppercase()).is_ok();
-        self.after_cr &= !taken;
+        let taken = of_text && self.plain > 0 && self.text.push(byte.to_ascii_uppercase()).is_ok();
+        if taken {
+            self.plain -= 1;
+            self.after_cr = false;
+        }
         taken
     }
 

@@ -100,11 +100,7 @@ impl LineIntake {
     /// Takes a byte from the middle of a line, if nothing has happened for which it would be held or dropped.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
-        byte.epoch == self.epoch
-            && !byte.damaged
-            && !self.drop_rest
-            && (self.drop_bytes | self.jog_bytes) == 0
-            && self.line.push_plain(byte.byte)
+        byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
     /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
@@ -142,6 +138,7 @@ impl LineIntake {
             self.line_before_cancel = before_cancel;
         }
         let pushed = self.line.push(byte.byte, rules);
+        self.line.expect_plain(self.jog_bytes == 0);
         self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
         Taken { lost: byte.damaged, cut: false, pushed }
     }
@@ -216,6 +213,7 @@ impl LineIntake {
     /// A jog ends without an epoch: of the `received` bytes no jog shall move any more.
     pub fn end_received_jogs(&mut self, received: u16) {
         self.jog_bytes = received;
+        self.line.expect_plain(false);
         self.line_before_cancel = true;
         self.keeps_later_jogs = false;
     }
@@ -223,6 +221,7 @@ impl LineIntake {
     /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
+        self.line.expect_plain(false);
     }
 
     /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.

@@ -82,15 +82,21 @@ impl Replies {
         }
     }
 
-    /// The next bytes to be sent.
+    /// The next bytes to be sent. Asked before each segment: no call for nothing.
+    #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
+        if self.queue.is_empty() { None } else { Some(self.chunk()) }
+    }
+
+    #[inline(never)]
+    fn chunk(&mut self) -> Chunk {
         let mut chunk = Chunk { len: 0, bytes: [0; 15] };
         for slot in &mut chunk.bytes {
             let Some(byte) = self.queue.pop_front() else { break };
             *slot = byte;
             chunk.len += 1;
         }
-        (chunk.len > 0).then_some(chunk)
+        chunk
     }
 
     /// `?`

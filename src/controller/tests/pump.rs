@@ -1,7 +1,8 @@
 //! The pump's order, seen by one that writes down what it is asked for.
 
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, PinView, Realtime, Room, Sensed, StepEvent, input,
+    Event, LineByte, Observed, Output, PinView, Realtime, Room, SEGMENTS_DEPTH, Segment, Sensed, StepEvent, ToStep,
+    input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
@@ -26,7 +27,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
         let mut controller = Controller::new(Profile {
             name: "test",
             step_clock_hz: 1_000_000,
-            rates: StepRates { safe_hz: 100_000, attention_ns: 0 },
+            rates: StepRates { safe_hz: 100_000 },
             has_second_motor: false,
             has_store: true,
         });
@@ -263,4 +264,93 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     scribe.epoch += 1;
     assert_eq!(scribe.answer_to("$101=82\n"), "ok\r\n");
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
+}
+
+/// A host that sends comments without end, each of which takes as long to read as a segment takes to step.
+struct Flooded {
+    controller: Controller<3, 16>,
+    text: VecDeque<u8>,
+    sent: u32,
+    begun: u32,
+    lines: u32,
+    /// The last segment of the motion has been handed over.
+    ended: bool,
+    /// Fewest segments that were queued while lines were read and more were to come.
+    fewest: u32,
+}
+
+impl Pump<3, 16> for Flooded {
+    const IS_WOKEN: bool = true;
+
+    fn controller(&mut self) -> &mut Controller<3, 16> {
+        &mut self.controller
+    }
+
+    fn begin(&mut self) -> Instant {
+        Instant::from_ticks(0)
+    }
+
+    fn observed(&mut self) -> Observed {
+        // As long as more lines wait a motion does not begin.
+        let received = if self.sent == 0 { 0 } else { 255 };
+        Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received }
+    }
+
+    fn next_event(&mut self, _: Source) -> Option<Event<3>> {
+        None
+    }
+
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        let byte = self.text.pop_front().unwrap_or_else(|| {
+            self.text.extend(b"a)\n");
+            b'('
+        });
+        if byte == b'\n' {
+            self.lines += 1;
+            // Motion begins with some segments ahead, as the step task has it.
+            if self.begun > 0 || self.sent >= 8 {
+                self.begun = self.sent.min(self.begun + 1);
+                if !self.ended {
+                    self.fewest = self.fewest.min(self.sent - self.begun);
+                }
+            }
+        }
+        Some(LineByte { byte, epoch: 0, damaged: false })
+    }
+
+    fn make_room(&mut self, _: bool) -> bool {
+        false
+    }
+
+    fn room(&mut self) -> Room {
+        Room { step: self.sent - self.begun < SEGMENTS_DEPTH as u32, reply: true }
+    }
+
+    fn carry(&mut self, output: Output) {
+        if let Output::Step(ToStep::Segment(segment)) = output {
+            self.sent += 1;
+            self.ended |= segment.flags & Segment::FLAG_LAST != 0;
+        }
+    }
+}
+
+#[test]
+fn a_host_that_floods_does_not_starve_the_step_task() {
+    let mut scribe = Scribe::<true>::new();
+    for setting in ["$110=10000\n", "$120=5000\n"] {
+        assert_eq!(scribe.answer_to(setting), "ok\r\n");
+    }
+    let Scribe { controller, .. } = scribe;
+    let text = b"G1X40F9000\n".iter().copied().collect();
+    let mut pump = Flooded { controller, text, sent: 0, begun: 0, lines: 0, ended: false, fewest: u32::MAX };
+    for _ in 0..20_000 {
+        round(&mut pump);
+        if pump.ended && pump.begun == pump.sent {
+            break;
+        }
+    }
+    assert!(pump.ended && pump.sent > 200, "{} segments, {} lines", pump.sent, pump.lines);
+    // A segment lasts a millisecond at most, and a line comes first only where more than 5 ms are queued.
+    assert!((3..=6).contains(&pump.fewest), "{} segments were left", pump.fewest);
+    assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }

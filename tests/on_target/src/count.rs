@@ -8,9 +8,12 @@
 #![no_std]
 #![no_main]
 
+use boards::Due;
 use core::hint::black_box;
 use core::mem::MaybeUninit;
-use oxmill_boards::stm32f4::step::Place;
+use core::sync::atomic::Ordering;
+use oxmill_boards::stm32f4::registers::Map;
+use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
@@ -25,36 +28,45 @@ use step_timer::Step;
 
 // The step task is compiled once more, for the board below: it takes its timer and its pins as types of `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
-#[path = "../../../src/firmware/shared.rs"]
+#[path = "../../../src/step_task/shared.rs"]
 mod shared;
-#[path = "../../../src/firmware/step_timer.rs"]
+#[path = "../../../src/step_task/step_timer.rs"]
 mod step_timer;
 
 /// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
 mod boards {
-    pub use oxmill_boards::SecondMotor;
+    use oxmill_boards::stm32f4::registers::Map;
     use oxmill_boards::stm32f4::step;
-    pub use oxmill_boards::stm32f4::step::Due;
+    pub use oxmill_boards::{Due, Free, SecondMotor, StepOutput, Undone};
     use oxmill_controller::{Profile, StepRates};
 
     pub const CORE_HZ: u32 = 96_000_000;
+    pub const RUN_CYCLES: u32 = 4_450;
 
     pub const AXES: usize = 3;
     pub const PROFILE: Profile = Profile {
         name: "count",
         step_clock_hz: 96_000_000,
-        rates: StepRates { safe_hz: 300_000, attention_ns: 5_670 },
+        rates: StepRates { safe_hz: 490_000 },
         has_second_motor: false,
         has_store: false,
     };
-    /// Memory of the emulated machine that nothing else uses.
-    pub const TIMER: usize = 0x2100_0000;
-    pub const PWM: usize = 0x2100_0400;
-    pub const GPIO: usize = 0x2110_0000;
     pub const FAR_PLANNER: usize = 0x2120_0000;
     pub const CONTROLLER: usize = 0x2130_0000;
-    pub type StepPins = step::StepPins<GPIO, PWM, 1, 1, ()>;
-    pub type StepTimer = step::StepTimer<TIMER, ()>;
+    pub const FAR_RINGS: usize = 0x2140_0000;
+    /// Memory of the emulated machine that nothing else uses.
+    pub struct Memory;
+    // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
+    unsafe impl Map for Memory {
+        const GPIO: usize = 0x2110_0000;
+        const TIM2: usize = 0x2100_0000;
+        const TIM3: usize = 0x2100_0400;
+        const TIM1: usize = 0x2100_0800;
+        const DMA1: usize = 0x2100_0C00;
+        const DMA2: usize = 0x2100_1000;
+        const RCC: usize = 0x2100_1400;
+    }
+    pub type StepPins = step::StepPins<Memory, 1, ()>;
 }
 
 /// Names the row that the following units belong to.
@@ -70,7 +82,7 @@ macro_rules! rows {
 }
 
 rows! {
-    row_tick_3 row_tick_1 row_tick_0 row_pulse_off row_worst_tick row_wait row_receive row_stop row_none
+    row_batch_3 row_batch_1 row_segment row_single row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
     row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far
 }
@@ -93,23 +105,29 @@ fn register(address: usize) -> *mut u32 {
     address as *mut u32
 }
 
-/// The registers behind which there is no hardware.
-struct Registers;
+/// The registers behind which there is no hardware, and as much of it as puts events out.
+struct Registers {
+    /// Events that are out, and the moment of the last.
+    out: usize,
+    last: u32,
+}
 
 impl Registers {
-    const SR: usize = boards::TIMER + 0x10;
-    const EGR: usize = boards::TIMER + 0x14;
-    const CNT: usize = boards::TIMER + 0x24;
-    const CCR1: usize = boards::TIMER + 0x34;
-    const CCR2: usize = boards::TIMER + 0x38;
-    const CCR3: usize = boards::TIMER + 0x3C;
-    const TICK: u32 = 2;
-    const PULSE_END: u32 = 4;
-    const SETTLED: u32 = 8;
-    const CALLED: u32 = 16;
+    const RING: usize = 128;
+    const SR: usize = boards::Memory::TIM2 + 0x10;
+    const CNT: usize = boards::Memory::TIM2 + 0x24;
+    const CCR1: usize = boards::Memory::TIM2 + 0x34;
+    const CCR2: usize = boards::Memory::TIM2 + 0x38;
+    /// NDTR of the stream of edges; NDTR and M0AR of that of moments.
+    const EDGES_LEFT: usize = boards::Memory::DMA2 + 0x10 + 0x18 + 0x04;
+    /// NDTR of the stream that ends pulses.
+    const ENDS_LEFT: usize = boards::Memory::DMA2 + 0x10 + 4 * 0x18 + 0x04;
+    const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x04;
+    const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x0C;
 
     fn read(&self, address: usize) -> u32 {
-        // SAFETY: unsafe because of the raw address; safe because it is in memory that only these registers use.
+        // SAFETY: unsafe because of the raw address; safe because it is in memory that only these registers use, or in the ring
+        // whose address they hold.
         unsafe { register(address).read_volatile() }
     }
 
@@ -119,48 +137,71 @@ impl Registers {
     }
 
     /// The interrupt, with these flags, at a moment of the step clock.
-    fn interrupt(&mut self, flags: u32, now: u32) {
+    fn interrupt(&mut self, flags: Due, now: u32) {
         self.write(Self::CNT, now);
-        self.write(Self::SR, flags);
-        self.write(Self::EGR, 0);
+        self.write(Self::SR, flags.0);
         unit_step();
         // So that it is called and not jumped to.
         cortex_m::asm::nop();
     }
 
-    fn called(&self) -> bool {
-        self.read(Self::EGR) & Self::CALLED != 0
+    fn moment(&self, event: usize) -> u32 {
+        self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
 
-    /// Everything the task has asked for beside ticks.
-    fn follow_up(&mut self) {
-        for _ in 0..16 {
-            if !self.called() {
-                return;
-            }
-            self.interrupt(Self::CALLED, self.read(Self::CNT));
-        }
+    /// Events that are ahead: behind the last one is the moment right before its own.
+    fn ahead(&self) -> usize {
+        let mut last = self.last;
+        (self.out..self.out + Self::RING)
+            .take_while(|event| {
+                let moment = self.moment(*event);
+                let follows = moment.wrapping_sub(last) as i32 > 0;
+                last = moment;
+                follows
+            })
+            .count()
     }
 
-    /// The next tick in time; its pulse ends before the next.
-    fn tick(&mut self, row: extern "C" fn()) {
-        let due = self.read(Self::CCR1);
-        self.write(Self::CCR2, due);
-        self.write(Self::CCR3, due);
-        row();
-        self.interrupt(Self::TICK, due);
-        row_none();
-        self.follow_up();
-        let (pulse_end, settled) = (self.read(Self::CCR2), self.read(Self::CCR3));
-        if pulse_end != due {
-            row_pulse_off();
-            self.interrupt(Self::PULSE_END, pulse_end);
-            row_none();
+    /// Events come out until so many are left.
+    fn put_out(&mut self, left: usize) {
+        for _ in left..self.ahead() {
+            self.last = self.moment(self.out);
+            self.out += 1;
         }
-        if settled != due {
-            // Long after the end of the pulse: memory does not forget its flag as the register does.
-            self.interrupt(Self::SETTLED, settled + 500);
-            self.follow_up();
+        self.write(Self::EDGES_LEFT, (Self::RING - self.out % Self::RING) as u32);
+        self.write(Self::ENDS_LEFT, (Self::RING - self.out % Self::RING) as u32);
+        self.write(Self::MOMENTS_LEFT, (Self::RING - (self.out + 1) % Self::RING) as u32);
+    }
+
+    /// From a rest to the first events, all of which are ahead.
+    fn start(&mut self) {
+        self.interrupt(Due::CALLED, 0);
+        // It says when it wants to be called next, until it has begun.
+        self.write(Self::MOMENTS_AT, 0);
+        let mut calls = 0;
+        while self.read(Self::MOMENTS_AT) == 0 {
+            // A task that does not start, as after an underrun, is not to be waited for: its trace would fill the disk.
+            assert!(calls < 20, "the step task does not start");
+            calls += 1;
+            self.interrupt(Due::MORE, self.read(Self::CCR2));
+        }
+        (self.out, self.last) = (0, self.read(Self::CNT));
+        self.put_out(Self::RING);
+    }
+
+    /// The call that the task has asked for, at its moment: what was to come out before it has done so.
+    fn called(&mut self) {
+        let now = self.read(Self::CCR2);
+        let ahead = self.ahead();
+        let out = (0..ahead).take_while(|place| self.moment(self.out + place).wrapping_sub(now) as i32 <= 0).count();
+        self.put_out(ahead - out);
+        self.interrupt(Due::MORE, now);
+    }
+
+    /// All comes out, and the task comes to rest.
+    fn finish(&mut self) {
+        while !shared::STEP.at_rest.load(Ordering::Relaxed) {
+            self.called();
         }
     }
 }
@@ -168,8 +209,8 @@ impl Registers {
 /// A block and one segment of it.
 fn block(steps: [u32; 3], directions: u8, ticks: u16, level: u8, flags: u8) -> [ToStep; 2] {
     let flags = flags | Segment::FLAG_NEW_BLOCK;
-    let segment = Segment { interval: 8000 << INTERVAL_FRACTION_BITS, ramp: -77, ticks, power: 500, level, flags };
-    [ToStep::Block { legs: steps.map(Leg::on_steps), directions }, ToStep::Segment(segment)]
+    let segment = Segment { interval: 200 << INTERVAL_FRACTION_BITS, ramp: 7, ticks, power: 500, level, flags };
+    [ToStep::Block { steps_by_axis: steps.map(AxisSteps::on_steps), directions }, ToStep::Segment(segment)]
 }
 
 fn send(to: &mut Sender<'static, ToStep, SEGMENTS_DEPTH>, messages: &[ToStep]) {
@@ -184,88 +225,119 @@ fn step_task() {
     let events = cortex_m::singleton!(: Channel<StepEvent<3>, EVENTS_DEPTH> = Channel::new()).expect("main runs once");
     let wake = cortex_m::singleton!(: Signal<()> = Signal::new()).expect("main runs once");
     let (mut to_step, from_control) = segments.split();
-    let (_wiring_in, wiring_out) = wiring.split();
+    let (mut wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
     let pin = |pin| Place { port: 0, pin };
-    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), 96_000_000, ());
-    let step = Step::new(boards::StepTimer::at(()), pins, from_control, wiring_out, events_in, wake.writer());
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and this runs once.
+    let rings = unsafe { (boards::FAR_RINGS as *mut MaybeUninit<Rings<1>>).as_mut_unchecked() }.write(Rings::EMPTY);
+    let clocks = Clocks { pulse_mhz: 96, pwm_hz: 96_000_000 };
+    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), clocks, rings, ());
+    let step = Step::new(pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };
-    let mut registers = Registers;
+    let mut registers = Registers { out: 0, last: 0 };
     row_none();
-    let all = [1000; 3];
-    let power = shared::Power { level: 100, from_segments: true };
-    power.want();
+    let _ = wiring_in.try_send(SHORT_PULSES);
+    registers.interrupt(Due::CALLED, 0);
+    shared::Power { level: 100, from_segments: true }.want();
 
-    // Steady ticks of one segment each; the first begins to move and the last comes to rest.
-    let rows: [(extern "C" fn(), [u32; 3], u8); 3] =
-        [(row_tick_3, all, 0), (row_tick_1, [1000, 0, 0], 0), (row_tick_0, [1; 3], 4)];
-    for (row, steps, level) in rows {
-        let ticks = if level == 0 { 100 } else { 16 };
-        send(&mut to_step, &block(steps, 0, ticks, level, Segment::FLAG_LAST));
-        registers.interrupt(Registers::CALLED, 0);
-        registers.follow_up();
-        registers.tick(row_none);
-        for tick in 1..ticks {
-            // Of sixteen ticks of a step the eighth steps.
-            registers.tick(if level == 0 || tick != 8 { row } else { row_none });
+    // Runs that make 32 events each, with 31 ahead. Of the three axes two count down, the third steps at each tick.
+    let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
+    for (row, steps) in rows {
+        send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
+        registers.start();
+        registers.interrupt(Due::MORE, registers.last);
+        for _ in 0..20 {
+            registers.put_out(31);
+            row();
+            registers.interrupt(Due::MORE, registers.last);
+            row_none();
         }
-        registers.tick(row_none);
+        registers.finish();
     }
 
-    // The worst: every tick begins a block in the other direction, with other power, while the probe is waited for and
-    // touches at that very tick. Before it, each message is received in an interrupt of its own and taken in in another.
-    let probe_port = boards::GPIO + 0x10;
-    for turn in 0..20 {
-        send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
-        send(&mut to_step, &block([3; 3], 7, 3, 0, 0));
-        registers.interrupt(Registers::CALLED, 0);
-        registers.follow_up();
-        registers.write(probe_port, u32::MAX);
-        registers.tick(row_none);
-        send(&mut to_step, &block([2; 3], 0, 2, 0, Segment::FLAG_LAST));
-        // Too near the next tick: it only sees that, and asks to be called later.
-        row_wait();
-        registers.interrupt(Registers::CALLED, registers.read(Registers::CCR1) - 100);
-        row_none();
-        registers.tick(row_none);
-        for _ in 0..4 {
-            row_receive();
-            // Long after the end of the pulse: it is not looked for.
-            registers.interrupt(Registers::CALLED, registers.read(Registers::CNT) + 500);
+    // The longest runs: in each a block begins in another direction and with other power, both of its messages are received,
+    // and the rest of the batch is made. Before them as much is ahead as a run needs, or more, and messages for more than a run
+    // wait.
+    let mut turning = |turn: u8, last: u8| {
+        let ticks = 17 + u16::from(turn) * 29 % 97;
+        let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
+        let ToStep::Segment(segment) = second else { return };
+        send(&mut to_step, &[first, ToStep::Segment(Segment { power: 100 + u16::from(turn), ..segment })]);
+    };
+    let before = shared::STEP.segments_begun.load(Ordering::Relaxed);
+    let mut sent = 4;
+    (0..sent).for_each(|turn| turning(turn, 0));
+    registers.start();
+    for turn in 0..160_usize {
+        let begun = shared::STEP.segments_begun.load(Ordering::Relaxed).wrapping_sub(before);
+        if u32::from(sent) < begun + 10 {
+            turning(sent, 0);
+            sent += 1;
         }
+        registers.put_out(28 + turn * 7 % 23);
+        row_segment();
+        registers.interrupt(Due::MORE, registers.last);
         row_none();
-        registers.tick(row_none);
-        shared::Power { level: 100, from_segments: turn & 1 == 0 }.want();
-        registers.write(probe_port, 0);
-        registers.tick(row_worst_tick);
-        power.want();
-        // Braking so hard that it ends at once.
-        registers.tick(row_none);
-        while events_out.try_recv().is_ok() {}
-        send(&mut to_step, &[ToStep::Resume { stops: 0 }]);
-        registers.interrupt(Registers::CALLED, 0);
+        registers.interrupt(Due::MARK, registers.last);
+    }
+    turning(sent, Segment::FLAG_LAST);
+    registers.finish();
+
+    // One by one, with the probe watched, which does not touch.
+    registers.write(boards::Memory::GPIO + 0x10, u32::MAX);
+    send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
+    send(&mut to_step, &block([100; 3], 0, 100, 0, Segment::FLAG_LAST));
+    registers.interrupt(Due::CALLED, 0);
+    let (before, mut calls) = (registers.read(Registers::CCR1), 0);
+    while registers.read(Registers::CCR1) == before {
+        assert!(calls < 20, "the step task does not start");
+        calls += 1;
+        registers.interrupt(Due::MORE, registers.read(Registers::CCR2));
+    }
+    for event in 0..90 {
+        if event > 3 {
+            row_single();
+        }
+        registers.write(Registers::EDGES_LEFT, (Registers::RING - (event + 1) % Registers::RING) as u32);
+        registers.interrupt(Due::OUT, registers.read(Registers::CCR1));
+        row_none();
     }
 
-    // A stop at speed, asked for while a tick is due.
+    // A stop at speed, with a full ring.
+    shared::ask_for_stop();
+    registers.interrupt(Due::CALLED, registers.last);
     for stops in 1..10 {
-        send(&mut to_step, &block(all, 7, 100, 0, 0));
-        registers.interrupt(Registers::CALLED, 0);
-        registers.follow_up();
-        for _ in 0..50 {
-            registers.tick(row_none);
+        registers.interrupt(Due::MORE, registers.read(Registers::CCR2));
+        while events_out.try_recv().is_ok() {}
+        send(&mut to_step, &[ToStep::Resume { stops }]);
+        send(&mut to_step, &block([900, 700, 500], 7, 900, 0, 0));
+        registers.start();
+        for _ in 0..5 {
+            registers.interrupt(Due::MORE, registers.last);
         }
         shared::ask_for_stop();
         row_stop();
-        registers.interrupt(Registers::CALLED | Registers::TICK, registers.read(Registers::CCR1));
+        registers.interrupt(Due::CALLED, registers.last);
         row_none();
-        registers.interrupt(Registers::SETTLED, registers.read(Registers::CNT) + 2_000);
-        send(&mut to_step, &[ToStep::Resume { stops }]);
-        registers.interrupt(Registers::CALLED, 0);
-        registers.follow_up();
-        while events_out.try_recv().is_ok() {}
     }
 }
+
+/// `$0` = 1, `$29` = 0.
+const SHORT_PULSES: Wiring = Wiring {
+    pulse_us: 1,
+    direction_setup_us: 0,
+    step_invert: 0,
+    direction_invert: 0,
+    enable_invert: false,
+    pwm_hz: 5_000,
+    probe_invert: false,
+    inputs: InputWiring::PULL_UPS,
+    armed: 0,
+    ganged: 0,
+    ganged_invert: false,
+    ganged_motors: GangedMotors::Both,
+};
 
 /// 80 steps/mm, 10 m/min, 500 mm/s²: the settings that the peers' figures were taken with.
 fn motion_settings() -> MotionSettings<3> {
@@ -491,7 +563,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
 fn whole_line(place: &'static mut MaybeUninit<Whole>) {
-    const PROFILE: Profile = Profile { rates: StepRates { safe_hz: 1_000_000, attention_ns: 0 }, ..boards::PROFILE };
+    const PROFILE: Profile = Profile { rates: StepRates { safe_hz: 1_000_000 }, ..boards::PROFILE };
     // Computed by the compiler: the stack has no room for it.
     let controller = place.write(const { Controller::new(PROFILE) });
     let now = Instant::from_ticks(0);

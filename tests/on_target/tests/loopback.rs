@@ -18,8 +18,8 @@ use oxmill_boards::{
     pac::{self, interrupt},
 };
 use oxmill_controller::messages::{
-    EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, Leg, SEGMENTS_DEPTH, Segment, StepEvent, ToStep,
-    Wiring,
+    AxisSteps, EVENTS_DEPTH, GangedMotors, INTERVAL_FRACTION_BITS, InputWiring, SEGMENTS_DEPTH, Segment, StepEvent,
+    ToStep, Wiring,
 };
 use oxmill_firmware::shared;
 use oxmill_firmware::step_timer::Step;
@@ -47,14 +47,15 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// A pulse is never shorter than `$0`, and this much longer at most: its end is an interrupt, and waits for the rest of the
-/// tick and for half a message.
-const LATEST_PULSE_END_US: i32 = 5;
-/// How far a period may be off: a tick that comes late for the same reasons, before or after one that does not.
-const PERIOD_ERROR_US: i32 = 3;
-/// How far the last pulse but one of a train may be from where it belongs: no error adds up. The last one comes later,
-/// for its tick looks for a message that does not follow.
-const DRIFT_US: i32 = 2;
+/// A pulse is longer than `$0` by this at most, and shorter by no more than [`EDGE_NS`]: both edges are transfers of DMA, which may
+/// wait for others.
+const LATEST_PULSE_END_US: i32 = 1;
+/// How much later one edge may be: the recorder's own transfers are among those that it waits for.
+const EDGE_NS: i32 = 200;
+/// How far a period may be off, for the same reason.
+const PERIOD_ERROR_US: i32 = 1;
+/// How far the last pulse but one of a train may be from where it belongs: no error adds up.
+const DRIFT_US: i32 = 1;
 /// How far apart pulses of one tick may be: ports are written one after the other.
 const SKEW_NS: i32 = 500;
 /// Drivers want this even if `$29` asks for less.
@@ -125,7 +126,7 @@ impl Bench {
         let mut ticks = 0;
         for (k, piece) in pieces.iter().enumerate() {
             let steps = core::array::from_fn(|axis| if piece.axes >> axis & 1 != 0 { piece.steps } else { 0 });
-            self.send(ToStep::Block { legs: steps.map(Leg::on_steps), directions: piece.backwards });
+            self.send(ToStep::Block { steps_by_axis: steps.map(AxisSteps::on_steps), directions: piece.backwards });
             let mut left = piece.steps;
             while left > 0 {
                 let now = left.min(SEGMENT_TICKS);
@@ -313,7 +314,7 @@ fn train(bench: &mut Bench, rate: u32, pulses: u32, pulse_us: u8) {
         skew.see(between(rise(x, pulse), rise(y, pulse)));
     }
     let (errors, drift) = periods(x, interval);
-    let width = us(pulse_us.into())..=us(i32::from(pulse_us) + LATEST_PULSE_END_US);
+    let width = us(pulse_us.into()) - us(EDGE_NS) / 1_000..=us(i32::from(pulse_us) + LATEST_PULSE_END_US);
     let mut table = Table { rate, pulse_us, setup_us, good: true };
     table.row("pulse of X", widths(x), width.clone());
     table.row("pulse of Y", widths(y), width);
@@ -344,7 +345,8 @@ fn zigzag(bench: &mut Bench, rate: u32, pulse_us: u8, setup_us: u8) {
         }
     }
     let mut table = Table { rate, pulse_us, setup_us, good: true };
-    table.row("direction before pulse", setup, us(LEAST_SETUP_US.max(setup_us.into()))..=i32::MAX);
+    let least = us(LEAST_SETUP_US.max(setup_us.into())) - us(EDGE_NS) / 1_000;
+    table.row("direction before pulse", setup, least..=i32::MAX);
     table.row("direction after pulse", hold, 0..=i32::MAX);
     table.judge();
 }
@@ -384,7 +386,7 @@ mod suite {
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
         let parts = boards::setup(device, low_voltage);
-        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and DMA1 here,
+        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and the recorder's streams of DMA1,
         // and of port B and the clocks only what the recorder's own pins and timer need is changed.
         let again = unsafe { pac::Peripherals::steal() };
         let capture = Capture::new(again.TIM4, again.DMA1, &again.GPIOB, &again.RCC);
@@ -396,7 +398,7 @@ mod suite {
         let (segments_in, segments_out) = segments.split();
         let (wiring_in, wiring_out) = wiring.split();
         let (events_in, events_out) = events.split();
-        let step = Step::new(parts.step_timer, parts.step_pins, segments_out, wiring_out, events_in, wake.writer());
+        let step = Step::new(parts.step_pins, segments_out, wiring_out, events_in, wake.writer());
         // SAFETY: unsafe because a static is changed and an interrupt is let in; safe because the interrupt is masked until the
         // task is in its place, and the tests share nothing with it but channels and atomics.
         unsafe {

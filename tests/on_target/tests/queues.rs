@@ -9,7 +9,7 @@ use oxmill_on_target as _;
 mod suite {
     use oxmill_controller::Stepper;
     use oxmill_controller::machine::filter::Filter;
-    use oxmill_controller::messages::{LINES_DEPTH, Leg, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
+    use oxmill_controller::messages::{AxisSteps, LINES_DEPTH, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
     use rtic_sync::channel::Channel;
 
     #[test]
@@ -43,7 +43,7 @@ mod suite {
         let segment =
             Segment { interval: 100 << 12, ramp: 0, ticks: 5, power: 9, level: 0, flags: Segment::FLAG_NEW_BLOCK };
         for _ in 0..8 {
-            let block = ToStep::Block { legs: [10, 5, 0].map(Leg::on_steps), directions: 0 };
+            let block = ToStep::Block { steps_by_axis: [10, 5, 0].map(AxisSteps::on_steps), directions: 0 };
             defmt::assert!(send.try_send(block).is_ok());
             defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
         }
@@ -74,7 +74,9 @@ mod suite {
         defmt::assert!(stepper.is_idle());
         let resume = ToStep::Resume { stops: stops.wrapping_add(1) };
         defmt::assert!(send.try_send(resume).is_ok());
-        defmt::assert!(send.try_send(ToStep::Block { legs: [10, 5, 0].map(Leg::on_steps), directions: 1 }).is_ok());
+        defmt::assert!(
+            send.try_send(ToStep::Block { steps_by_axis: [10, 5, 0].map(AxisSteps::on_steps), directions: 1 }).is_ok()
+        );
         defmt::assert!(send.try_send(ToStep::Segment(segment)).is_ok());
         load(&mut stepper, &mut receive);
         defmt::assert!(!stepper.is_idle());

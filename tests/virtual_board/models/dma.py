@@ -67,6 +67,8 @@ class Dma(Peripheral):
         self.fetched = [None] * 8
         """(index, word) that a stream to a peripheral holds; the index is that of the ring."""
         self.switched_on = [-SETTLE] * 8
+        self.under_way = {}
+        """Requests that have been made and not been served, by who made them."""
         self.unserved = set()
         """Requests that no stream has taken."""
 
@@ -100,6 +102,7 @@ class Dma(Peripheral):
                 self._begin(stream, base, value)
             if register == CR and on and not value & EN:
                 self._check_fetched(stream, base)
+                self.fetched[stream] = None
         super().write(offset, value)
 
     def _begin(self, stream, base, cr):
@@ -169,10 +172,12 @@ class Dma(Peripheral):
         """A compare event asks for a transfer, at this cycle, unless its pulse has been cut by then."""
         streams = [stream for (name, stream, _), asks in REQUESTS.items() if name == self.name and asks == who]
         if streams:
+            self.under_way[who] = self.under_way.get(who, 0) + 1
             self._later(at, lambda at: self._serve(who, streams, at, pulse))
 
     def _serve(self, who, streams, at, pulse):
         if pulse is not None and pulse.cut_at is not None and pulse.cut_at <= at:
+            self.under_way[who] -= 1
             return
         for stream in streams:
             base = 0x10 + 0x18 * stream
@@ -180,11 +185,13 @@ class Dma(Peripheral):
             if cr & EN and REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25)) == who:
                 done = max(at + (TO_APB if cr & TO_PERIPHERAL else TO_AHB), self.busy_until + BUSY)
                 self.busy_until = done
-                self._later(done, functools.partial(self._transfer, stream, base))
+                self._later(done, functools.partial(self._transfer, who, stream, base))
                 return
+        self.under_way[who] -= 1
         self.unserved.add(who)
 
-    def _transfer(self, stream, base, at):
+    def _transfer(self, who, stream, base, at):
+        self.under_way[who] -= 1
         cr = self.values[base + CR]
         if not cr & EN:
             return

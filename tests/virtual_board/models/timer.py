@@ -151,6 +151,9 @@ class Timer(Peripheral):
             return
         if value & ~self.top and offset in (CNT, ARR) + COMPARE:
             raise Misuse(f"{self.name} has 16 bits: {value:#x}")
+        if offset == DIER and self.values[DIER] & ~value & 1 << 9:
+            if any(dma.under_way.get(f"{self.name}_CH1") for dma in self.board.dma):
+                raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
         before = self.running
         if offset == CNT:
             self._hold(value)

@@ -3,7 +3,7 @@
 use super::super::{Arc, ArcGeometry, Motion, Speed};
 use super::rig::{Rig, mm, settings, to};
 use crate::axes::{Arrangement, Axis, PerAxis};
-use crate::messages::{Leg, ToStep};
+use crate::messages::{AxisSteps, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE};
 use proptest::prelude::*;
 
@@ -362,20 +362,20 @@ fn six_axes_have_their_ends() {
     let mut observed = crate::messages::Observed { step_idle: true, ..Default::default() };
     while let Some(message) = motion.next(&observed) {
         match message {
-            ToStep::BlockRest { legs } => blocks.push(legs),
-            ToStep::Block { legs, directions } => {
+            ToStep::BlockRest { steps_by_axis } => blocks.push(steps_by_axis),
+            ToStep::Block { steps_by_axis, directions } => {
                 let rest = blocks.pop().unwrap();
                 assert_eq!(directions, if blocks.len() == 2 { 0b00_0101 } else { 0b00_1010 });
-                blocks.extend([legs, rest]);
+                blocks.extend([steps_by_axis, rest]);
             }
             ToStep::Segment(_) => observed.segments_begun += 1,
             _ => {}
         }
     }
-    let with = |ends: [(u32, i32, i32); 3]| ends.map(|(steps, start, end)| Leg::with_ends(steps, start, end));
+    let with = |ends: [(u32, i32, i32); 3]| ends.map(|(steps, start, end)| AxisSteps::with_ends(steps, start, end));
     let there = [with([(6, 0, 1), (6, 0, 1), (7, 0, -2)]), with([(7, 0, -2), (0, 0, 0), (0, 0, 2)])];
     let back = [with([(6, -1, 0), (6, -1, 0), (7, 2, 0)]), with([(7, 2, 0), (0, 0, 0), (0, 2, 0)])];
-    let line = [[6, 6, 7].map(Leg::on_steps), [7, 0, 0].map(Leg::on_steps)];
+    let line = [[6, 6, 7].map(AxisSteps::on_steps), [7, 0, 0].map(AxisSteps::on_steps)];
     assert_eq!(blocks, [there, back, line].concat());
 }
 
@@ -392,11 +392,11 @@ fn a_chord_of_very_many_steps_is_a_line() {
     let mut blocks = Vec::new();
     while let Some(message) = motion.next(&observed) {
         match message {
-            ToStep::Block { legs, .. } => blocks.push(legs),
+            ToStep::Block { steps_by_axis, .. } => blocks.push(steps_by_axis),
             ToStep::Segment(_) => observed.segments_begun += 1,
             _ => {}
         }
     }
-    let ends = [Leg::with_ends(9_586_980, 0, 2), Leg::with_ends(10_000, 0, 2), Leg::on_steps(0)];
-    assert_eq!(blocks, [ends, [9_586_981, 0, 0].map(Leg::on_steps)]);
+    let ends = [AxisSteps::with_ends(9_586_980, 0, 2), AxisSteps::with_ends(10_000, 0, 2), AxisSteps::on_steps(0)];
+    assert_eq!(blocks, [ends, [9_586_981, 0, 0].map(AxisSteps::on_steps)]);
 }

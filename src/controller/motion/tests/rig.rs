@@ -2,7 +2,7 @@
 
 use super::super::{Arc, Motion, MotionSettings, Move, Speed, Stepper};
 use crate::axes::{Arrangement, PerAxis};
-use crate::messages::{Leg, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
+use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
 
@@ -146,14 +146,14 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             let observed = self.observed();
             let Some(message) = self.motion.next(&observed) else { return };
             match message {
-                ToStep::Block { legs, .. } => {
+                ToStep::Block { steps_by_axis, .. } => {
                     let run = &self.motion.source.running;
                     self.blocks.push(BlockFacts {
                         units: run.total,
                         length: f64::from(run.total) / f64::from(run.scale),
                         nominal: f64::from(run.nominal2).sqrt() / f64::from(run.scale),
                         acceleration: f64::from(run.acceleration / run.scale),
-                        steps: legs.map(Leg::steps),
+                        steps: steps_by_axis.map(AxisSteps::steps),
                     });
                 }
                 ToStep::Segment(segment) => {

@@ -4,14 +4,14 @@ use super::super::Speed;
 use super::super::measure::steps_taken;
 use super::super::stepper::Stepper;
 use super::rig::{Rig, mm, settings, to};
-use crate::messages::{Leg, Segment, ToStep};
+use crate::messages::{AxisSteps, Segment, ToStep};
 use proptest::prelude::*;
 
 /// Runs one block at one level and gives the step bits of each tick.
 fn bits_of(steps: [u32; 3], level: u8) -> Vec<u8> {
     let most = *steps.iter().max().unwrap();
     let mut stepper = Stepper::<3>::new();
-    stepper.load(ToStep::Block { legs: steps.map(Leg::on_steps), directions: 0 });
+    stepper.load(ToStep::Block { steps_by_axis: steps.map(AxisSteps::on_steps), directions: 0 });
     let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
     let ticks = (most << level) as u16;
     stepper.load(ToStep::Segment(Segment { interval: 100 << 12, ramp: 0, ticks, power: 7, level, flags }));
@@ -214,11 +214,11 @@ fn moves_beyond_a_block_are_cut() {
     loop {
         match rig.motion.next(&observed) {
             None => break,
-            Some(ToStep::Block { legs, directions }) => {
+            Some(ToStep::Block { steps_by_axis, directions }) => {
                 assert_eq!(directions & 1, 1);
                 for axis in 0..3 {
-                    assert!(legs[axis].is_on_steps());
-                    steps[axis] += i64::from(legs[axis].steps());
+                    assert!(steps_by_axis[axis].is_on_steps());
+                    steps[axis] += i64::from(steps_by_axis[axis].steps());
                 }
             }
             Some(ToStep::Segment(_)) => observed.segments_begun += 1,

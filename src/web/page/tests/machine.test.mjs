@@ -9,19 +9,11 @@ const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
-/** Waits until the job has been answered and the machine says after it that it is idle: a machine that is faster than its host is
- * idle in the midst of a job, too. */
-async function jobDone(page) {
-  await page.waitForFunction(() => {
-    const { sender, status } = oxmill.app.machine;
-    globalThis.__before = status;
-    return sender.lines.length > 0 && !sender.busy;
-  }, null, { timeout: PATIENCE });
-  await page.waitForFunction(() => {
-    const { status } = oxmill.app.machine;
-    return status !== __before && status.state === "Idle";
-  }, null, { timeout: PATIENCE });
-}
+/** Waits until the job has been answered and the machine is idle. */
+const jobDone = page => page.waitForFunction(() => {
+  const { sender, status } = oxmill.app.machine;
+  return sender.lines.length > 0 && !sender.busy && status.state === "Idle";
+}, null, { timeout: PATIENCE });
 
 async function powered(browser) {
   const opened = await open(browser, file);

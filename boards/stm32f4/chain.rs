@@ -1,0 +1,497 @@
+//! Edges by timers and DMA: an event comes out at its moment whatever the processor is doing.
+//!
+//! ```text
+//!  TIM2 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM2)
+//!   CC1 ─┬─TRGO──────────────────────────────▶ CC1 (CC3) ─▶ DMA2 ─▶ BSRR   step on, directions; second port
+//!        │                                     CC4 (CC2) ─▶ DMA2 ─▶ BSRR   step off, $0 later; of two ports the first
+//!        └─▶ DMA1 S5 ─▶ TIM2_CCR1: the moment of the next event
+//!   CC2, CC3: calls at a moment   CC4: calls by software
+//! ```
+//! Moments are absolute, so no error adds up; and an event that was not committed in time has no moment: behind the last one
+//! is a moment that is just past, which the counter comes to after 2^32 ticks. So pulses end by themselves when nothing
+//! is committed, whatever the reason.
+//!
+//! Events that must not wait for each other (a probe is watched) are put out one by one: then the processor writes CCR1, and
+//! CC1 calls it. Nothing else differs.
+//!
+//! What the parts demand, all of it held by the models of `tests/virtual_board`:
+//!
+//! * GPIO is written through DMA2's memory port, and DMA2 does nothing for APB2 meanwhile: ES0287 2.2.11 (F411). So
+//!   rings are read as a "peripheral" that counts up.
+//! * DMA1 fetches a word ahead: the moment of an event must be in the ring before the one but one before it is out.
+//! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM2: the streams' counts differ.
+//! * A request from before would be served at once: TIM1 is reset before each begin.
+//! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.
+//!
+//! Emulated; no bench has confirmed it yet.
+
+use super::registers::{Map, bsrr_of, read, timer::*, write};
+use crate::contract::{Due, Free};
+use core::marker::PhantomData;
+use core::sync::atomic::{Ordering, compiler_fence};
+
+/// Places of the ring. That behind the last event stays free.
+const RING: usize = 128;
+/// Events that can be ahead, [`crate::StepOutput::DEPTH`]: a stop counts as many in less time than two bytes of the UART take.
+/// 1 is the way back to an interrupt for each event, on all boards.
+pub(super) const DEPTH: usize = 96;
+/// Ticks of TIM1 from its start to the edge; the pulse ends so many later.
+const EDGE_COUNT: u32 = 1;
+/// More cycles than it takes from a match of TIM2 to the last word that comes of it, but for the end of the pulse.
+const SERVED_CYCLES: u32 = 48;
+/// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
+const LISTENS_TICKS: u32 = 48;
+/// More ticks than it takes to begin once more, with all moments of the ring put off.
+const AGAIN_TICKS: u32 = 2_200;
+/// Ticks from a moment within which its request may be under way.
+const NEAR_TICKS: u32 = 48;
+/// Ticks after which an event that is not out never will be.
+const STANDS_TICKS: i32 = 500;
+/// Looks at the counts that must all differ, besides the first.
+const MORE_LOOKS: u32 = 8;
+/// Between two streams that are switched on.
+const APART_CYCLES: u32 = 12;
+
+/// Registers of a DMA controller: the flags of streams 0 to 3 and 4 to 7, and where these are cleared; the first stream.
+const LISR: usize = 0x00;
+const HISR: usize = 0x04;
+const LIFCR: usize = 0x08;
+const HIFCR: usize = 0x0C;
+const STREAMS: usize = 0x10;
+const STREAM_SIZE: usize = 0x18;
+/// Registers of a stream.
+const CR: usize = 0x00;
+const NDTR: usize = 0x04;
+const PAR: usize = 0x08;
+const M0AR: usize = 0x0C;
+/// CR of a stream: on; memory is read; circular; either address counts up; words on both sides; very high priority.
+const EN: u32 = 1;
+const TO_PERIPHERAL: u32 = 1 << 6;
+const CIRCULAR: u32 = 1 << 8;
+const PERIPHERAL_COUNTS: u32 = 1 << 9;
+const MEMORY_COUNTS: u32 = 1 << 10;
+const WORDS: u32 = 2 << 11 | 2 << 13;
+const VERY_HIGH: u32 = 3 << 16;
+/// Flags of a stream, six bits at these places; transfer error and direct mode error among them, of four streams.
+const FLAGS: u32 = 0x3D;
+const ERRORS: u32 = 0b1100 | 0b1100 << 6 | 0b1100 << 16 | 0b1100 << 22;
+const MOMENT_ERRORS: u32 = 0b1100 << flags_at(MOMENTS);
+const fn flags_at(stream: usize) -> u32 {
+    [0, 6, 16, 22][stream % 4]
+}
+
+/// The stream of the moments, and its channel.
+const MOMENTS: usize = 5;
+const MOMENTS_CHANNEL: u32 = 3 << 25;
+/// Channel of TIM1's compare events.
+const EDGES_CHANNEL: u32 = 6 << 25;
+
+/// Streams of DMA2 for a port, and the compare channels of TIM1 that ask them: of the edge and of the end of the pulse.
+/// With one port stream 2, the receiver's on a Black Pill, stays free.
+struct Streams {
+    on: usize,
+    off: usize,
+    requests: u32,
+}
+
+const fn streams(port: usize, ports: usize) -> Streams {
+    match (port, ports) {
+        (0, 1) => Streams { on: 1, off: 4, requests: 1 << 9 | 1 << 12 },
+        (0, _) => Streams { on: 1, off: 2, requests: 1 << 9 | 1 << 10 },
+        _ => Streams { on: 6, off: 4, requests: 1 << 11 | 1 << 12 },
+    }
+}
+
+/// SMCR of TIM1: TIM2 is its trigger (TS = 001), which starts it (SMS = 110) or is ignored.
+const IGNORED: u32 = 1 << 4;
+const STARTS: u32 = IGNORED | 0b110;
+/// CR1 of TIM1: one pulse.
+const ONE_PULSE: u32 = 1 << 3;
+/// CR2 of TIM2: its event of channel 1 is the trigger output (MMS = 011).
+#[cfg(feature = "stm32f4")]
+pub(super) const COMPARE_PULSE: u32 = 0b011 << 4;
+/// DIER of TIM2: the DMA request of channel 1.
+const ASKS_FOR_MOMENT: u32 = 1 << 9;
+/// DIER of TIM2: what calls at any time.
+pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
+/// RCC: reset of APB2, TIM1's bit.
+const APB2RSTR: usize = 0x24;
+const TIM1_RESET: u32 = 1;
+
+/// What DMA reads, at an address that stays.
+#[repr(C, align(4))]
+pub struct Rings<const P: usize> {
+    /// For each port.
+    words: [[u32; RING]; P],
+    moments: [u32; RING],
+    /// All pulses end.
+    off: [u32; P],
+}
+
+impl<const P: usize> Rings<P> {
+    /// Empty.
+    pub const EMPTY: Self = Rings { words: [[0; RING]; P], moments: [0; RING], off: [0; P] };
+}
+
+/// The chain on `P` ports.
+pub(super) struct Chain<M, const P: usize> {
+    rings: &'static mut Rings<P>,
+    ports: [usize; P],
+    /// Where the next event goes.
+    head: usize,
+    /// Length of a pulse in ticks of TIM1.
+    pulse: u32,
+    /// Events are put out.
+    begun: bool,
+    one_by_one: bool,
+    /// One by one: an event has been committed and is not out.
+    pending: bool,
+    map: PhantomData<M>,
+}
+
+#[inline(always)]
+const fn stream(dma: usize, number: usize) -> usize {
+    dma + STREAMS + STREAM_SIZE * number
+}
+
+/// Makes it start with no pulse out, and puts no edge out after it. For a program that ends: nothing is counted any more.
+#[cfg(feature = "stm32f4")]
+pub(super) fn cut<M: Map>() {
+    write(M::TIM1 + SMCR, 0);
+    write(M::TIM1 + CR1, 0);
+    for number in [1, 2, 4, 6] {
+        write(stream(M::DMA2, number) + CR, 0);
+    }
+    for number in [1, 2, 4, 6] {
+        // A write under way ends before the stream is off. A stream that never ends would be the last thing to wait for.
+        let mut looks = SERVED_CYCLES;
+        while read(stream(M::DMA2, number) + CR) & EN != 0 && looks > 0 {
+            looks -= 1;
+        }
+    }
+}
+
+impl<M: Map, const P: usize> Chain<M, P> {
+    /// Places that stay free: that behind the last event, and the one of which only the first port's word may be out.
+    const SPARE: usize = if P > 1 { 2 } else { 1 };
+
+    pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
+        Chain { rings, ports, head: 0, pulse: 1, begun: false, one_by_one: false, pending: false, map: PhantomData }
+    }
+
+    /// At rest: the word of each port that ends all pulses, and their length.
+    pub(super) fn set_off(&mut self, off: [u32; P]) {
+        self.rings.off = off;
+    }
+
+    pub(super) fn set_pulse(&mut self, ticks: u32) {
+        self.pulse = ticks;
+    }
+
+    /// What the step task has been called for.
+    #[inline(always)]
+    pub(super) fn take(&mut self) -> Due {
+        let mut due = Due(read(M::TIM2 + SR));
+        if !self.one_by_one {
+            // Events that follow by themselves raise the flag, too, and DMA1 may be about to take it for its request.
+            due = Due(due.0 & !Due::OUT.0);
+        }
+        // Flags are cleared by writing 0; a 1 leaves them alone.
+        write(M::TIM2 + SR, !due.0);
+        if due.has(Due::OUT) {
+            self.pending = false;
+        }
+        due
+    }
+
+    /// Sets the moment of a compare channel that calls. The moment before, if it has come meanwhile, calls no more.
+    #[inline(always)]
+    pub(super) fn call_at(&mut self, what: Due, moment: u32) {
+        write(M::TIM2 + if what == Due::MORE { CCR2 } else { CCR3 }, moment);
+        write(M::TIM2 + SR, !what.0);
+        if read(M::TIM2 + CNT).wrapping_sub(moment) as i32 >= 0 {
+            write(M::TIM2 + EGR, what.0);
+        }
+    }
+
+    /// Where the event is that comes next.
+    #[inline(always)]
+    fn tail(&self) -> usize {
+        RING.wrapping_sub(read(stream(M::DMA2, streams(0, P).on) + NDTR) as usize) % RING
+    }
+
+    #[inline(always)]
+    pub(super) fn ahead(&self) -> usize {
+        match (self.begun, self.one_by_one) {
+            (false, _) => self.head,
+            (true, true) => usize::from(self.pending),
+            (true, false) => self.head.wrapping_sub(self.tail()) % RING,
+        }
+    }
+
+    /// Places for words of the last port, or for what is to become words (see `translate`), and for moments.
+    #[inline(always)]
+    pub(super) fn free<'a>(&'a mut self, table: &'a [u32; 8]) -> Free<'a> {
+        let room = if self.one_by_one {
+            1 - usize::from(self.pending)
+        } else {
+            (DEPTH + 1 - Self::SPARE).saturating_sub(self.ahead())
+        };
+        let end = (self.head + room).min(RING);
+        let words = self.rings.words.last_mut().and_then(|words| words.get_mut(self.head..end)).unwrap_or_default();
+        let moments = self.rings.moments.get_mut(self.head..end).unwrap_or_default();
+        Free { table, words, moments }
+    }
+
+    /// Where words lie on several ports, an event holds the steps until it is committed: then each port gets its word.
+    #[inline(always)]
+    pub(super) fn translate(&mut self, tables: &[[u32; 8]; P], events: usize) {
+        for at in (self.head..RING).take(events) {
+            let steps = self.rings.words.last().and_then(|words| words.get(at)).copied().unwrap_or(0) as usize;
+            for (words, table) in self.rings.words.iter_mut().zip(tables) {
+                if let Some(word) = words.get_mut(at) {
+                    *word = table.get(steps & 7).copied().unwrap_or(0);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn commit(&mut self, events: usize) -> u32 {
+        let last = self.moment_at(self.head.wrapping_add(events).wrapping_sub(1));
+        self.head = self.head.wrapping_add(events) % RING;
+        if let Some(behind) = self.rings.moments.get_mut(self.head) {
+            *behind = last.wrapping_sub(1);
+        }
+        // DMA reads what has been written.
+        compiler_fence(Ordering::SeqCst);
+        if self.begun && self.one_by_one {
+            self.pending = true;
+            return self.set_moment(last);
+        }
+        0
+    }
+
+    #[inline(always)]
+    fn moment_at(&self, place: usize) -> u32 {
+        self.rings.moments.get(place % RING).copied().unwrap_or(0)
+    }
+
+    /// One by one: the moment of the event that has just been committed. Gives the ticks by which it was too late.
+    #[inline(always)]
+    fn set_moment(&mut self, moment: u32) -> u32 {
+        write(M::TIM2 + CCR1, moment);
+        let late = read(M::TIM2 + CNT).wrapping_sub(moment) as i32;
+        if late >= 0 && read(M::TIM2 + SR) & Due::OUT.0 == 0 {
+            let soon = read(M::TIM2 + CNT).wrapping_add(SERVED_CYCLES);
+            write(M::TIM2 + CCR1, soon);
+            return soon.wrapping_sub(moment);
+        }
+        0
+    }
+
+    #[inline(always)]
+    pub(super) fn moment_before(&self, left: usize) -> u32 {
+        if self.begun && self.ahead() <= left {
+            return read(M::TIM2 + CNT);
+        }
+        self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
+    }
+
+    /// DMA1 fetches the moment of an event when the one but one before it comes out: so it will, once events are begun.
+    #[inline(always)]
+    pub(super) fn joins_until(&self, next: u32) -> u32 {
+        let is_alone = self.one_by_one || !self.begun && self.head < 2;
+        if is_alone { next } else { self.moment_before(1) }
+    }
+
+    /// No request for a moment, and none before there is a moment again.
+    fn expect_no_moment(&mut self) {
+        write(M::TIM2 + DIER, CALLS);
+        write(M::TIM2 + CCR1, read(M::TIM2 + CNT).wrapping_sub(1));
+        write(M::TIM2 + SR, !Due::OUT.0);
+        compiler_fence(Ordering::SeqCst);
+    }
+
+    /// Waits until no request for a moment is under way, nor soon will be: moments are further apart than this takes.
+    fn await_served(&self) {
+        let moment = read(M::TIM2 + CCR1);
+        // A look takes a tick at least.
+        for _ in 0..3 * NEAR_TICKS {
+            if (read(M::TIM2 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
+                return;
+            }
+        }
+    }
+
+    /// Gives the ticks by which all events had to be put off, as the first was not to be had in time.
+    pub(super) fn begin(&mut self, one_by_one: bool) -> u32 {
+        self.begun = true;
+        self.one_by_one = one_by_one;
+        self.pending = one_by_one;
+        // Whatever TIM1 may still ask for is forgotten.
+        write(M::RCC + APB2RSTR, TIM1_RESET);
+        write(M::RCC + APB2RSTR, 0);
+        let off = EDGE_COUNT + self.pulse;
+        for (register, value) in [(CCR1, EDGE_COUNT), (CCR3, EDGE_COUNT), (CCR2, off), (CCR4, off), (ARR, off + 1)] {
+            write(M::TIM1 + register, value);
+        }
+        write(M::TIM1 + SMCR, IGNORED);
+        write(M::TIM1 + CR1, ONE_PULSE);
+        self.expect_no_moment();
+        let mut requests = 0;
+        for port in 0..P {
+            let Streams { on, off, requests: own } = streams(port, P);
+            let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return 0 };
+            let pins = self.ports.get(port).copied().map_or(0, bsrr_of::<M>);
+            let common = CIRCULAR | WORDS | VERY_HIGH | EDGES_CHANNEL;
+            switch_on(M::DMA2, on, words.as_ptr() as usize, pins, common | PERIPHERAL_COUNTS);
+            switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, common);
+            requests |= own;
+        }
+        if one_by_one {
+            write(M::TIM1 + DIER, requests);
+            write(M::TIM1 + SMCR, STARTS);
+            write(M::TIM2 + DIER, CALLS | Due::OUT.0);
+            return self.set_moment(self.moment_at(0));
+        }
+        let how = CIRCULAR | WORDS | VERY_HIGH | MOMENTS_CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS;
+        let (mut put_off, mut again) = (0_u32, AGAIN_TICKS);
+        loop {
+            switch_on(M::DMA1, MOMENTS, M::TIM2 + CCR1, self.rings.moments.as_ptr() as usize, how);
+            cortex_m::asm::delay(SERVED_CYCLES);
+            // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
+            write(M::TIM2 + DIER, CALLS | ASKS_FOR_MOMENT);
+            write(M::TIM2 + EGR, Due::OUT.0);
+            cortex_m::asm::delay(SERVED_CYCLES);
+            write(M::TIM1 + DIER, requests);
+            let left = self.moment_at(0).wrapping_sub(read(M::TIM2 + CNT));
+            if left as i32 > LISTENS_TICKS as i32 {
+                write(M::TIM1 + SMCR, STARTS);
+                return put_off;
+            }
+            // It has passed, or would before TIM1 listens: nothing has come out, and all of it comes later by as much.
+            self.await_served();
+            write(stream(M::DMA1, MOMENTS) + CR, 0);
+            self.expect_no_moment();
+            let by = again.wrapping_sub(left);
+            // Whatever this takes, it comes to an end.
+            again = again.wrapping_add(AGAIN_TICKS);
+            for moment in &mut self.rings.moments {
+                *moment = moment.wrapping_add(by);
+            }
+            put_off = put_off.wrapping_add(by);
+        }
+    }
+
+    /// Whether the parts that count events disagree, or have failed. What differs while an event comes out agrees right after.
+    #[inline(always)]
+    pub(super) fn fault(&self) -> bool {
+        if !self.begun {
+            return false;
+        }
+        if self.one_by_one {
+            // A trigger that TIM1 has missed: the event that was out has left its words behind.
+            return !self.pending && self.lags() && (0..MORE_LOOKS).all(|_| self.lags());
+        }
+        if self.stands() {
+            return true;
+        }
+        if (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0 || read(M::DMA1 + HISR) & MOMENT_ERRORS != 0 {
+            return true;
+        }
+        !self.counts_agree() && self.still_disagree()
+    }
+
+    #[inline(always)]
+    fn lags(&self) -> bool {
+        self.tail() != self.head
+    }
+
+    /// The moment of the event that comes next has passed.
+    #[inline(always)]
+    fn stands(&self) -> bool {
+        let tail = self.tail();
+        let since = read(M::TIM2 + CNT).wrapping_sub(self.moment_at(tail)) as i32;
+        since > STANDS_TICKS && tail != self.head && tail == self.tail()
+    }
+
+    /// An event that comes out during a look makes that one differ, and the next at most. Counts that differ for good never agree.
+    #[cold]
+    #[inline(never)]
+    fn still_disagree(&self) -> bool {
+        (0..MORE_LOOKS).all(|_| !self.counts_agree())
+    }
+
+    /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.
+    #[inline(always)]
+    fn counts_agree(&self) -> bool {
+        let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
+        let edges = left(streams(0, P).on);
+        let mut agree = edges.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING == 1;
+        for port in 0..P {
+            let Streams { on, off, .. } = streams(port, P);
+            agree &= port == 0 || left(on) == edges;
+            agree &= left(off).wrapping_sub(edges) % RING <= 1;
+        }
+        agree
+    }
+
+    /// No event begins after this. Gives how many were not out, and whether the counts disagree, and has `each` see the words of
+    /// those on each port.
+    pub(super) fn halt(&mut self, mut each: impl FnMut(&[u32; P])) -> (usize, bool) {
+        let (tail, fault) = if self.begun { self.silence() } else { (0, false) };
+        let mut events = 0;
+        let mut at = tail;
+        while at != self.head % RING {
+            let mut words = [0; P];
+            for (word, ring) in words.iter_mut().zip(&self.rings.words) {
+                *word = ring.get(at).copied().unwrap_or(0);
+            }
+            each(&words);
+            events += 1;
+            at = (at + 1) % RING;
+        }
+        (self.begun, self.one_by_one, self.pending) = (false, false, false);
+        self.head = 0;
+        (events, fault)
+    }
+
+    /// Ends what has been begun: where the event is that did not come out any more, and whether the counts disagree.
+    fn silence(&mut self) -> (usize, bool) {
+        write(M::TIM1 + SMCR, IGNORED);
+        // A request that came right before is served: one of TIM2 that is taken back half-way would stay.
+        self.await_served();
+        write(M::TIM2 + DIER, CALLS);
+        cortex_m::asm::delay(SERVED_CYCLES);
+        let tail = self.tail();
+        let mut fault = false;
+        for port in 1..P {
+            fault |= read(stream(M::DMA2, streams(port, P).on) + NDTR) as usize % RING != (RING - tail) % RING;
+        }
+        fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
+        if !self.one_by_one {
+            // One more than events; two, if the next match came after TIM1 had ceased to listen.
+            let moments = RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize).wrapping_sub(tail) % RING;
+            fault |= moments != 1 && moments != 2 || read(M::DMA1 + HISR) & MOMENT_ERRORS != 0;
+        }
+        write(stream(M::DMA1, MOMENTS) + CR, 0);
+        (tail, fault)
+    }
+}
+
+/// Programs a stream and switches it on, in direct mode as after a reset; `peripheral` and `memory` as the manual names the ports.
+fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, how: u32) {
+    let at = stream(dma, number);
+    write(at + CR, 0);
+    let clear = if number < 4 { LIFCR } else { HIFCR };
+    // A stream that was on ends its transfer first.
+    cortex_m::asm::delay(APART_CYCLES);
+    write(dma + clear, FLAGS << flags_at(number));
+    write(at + PAR, peripheral as u32);
+    write(at + M0AR, memory as u32);
+    write(at + NDTR, RING as u32);
+    write(at + CR, how);
+    write(at + CR, how | EN);
+    cortex_m::asm::delay(APART_CYCLES);
+}

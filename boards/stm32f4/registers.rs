@@ -1,0 +1,98 @@
+//! Registers that the step interrupt touches, written as addresses, because there each instruction counts.
+//!
+//! Where the peripherals are is a type, [`Map`], so that the benchmark can run this very code on memory. Addresses and bits:
+//! reference manual RM0383, the same in RM0390 for the F446.
+
+/// Addresses of the peripherals.
+///
+/// # Safety
+///
+/// Each is the address of the peripheral that it names, whose clock is on while it is used, or of memory that nothing else uses:
+/// all of them are written to as they are.
+pub unsafe trait Map {
+    /// Port A; the others follow.
+    const GPIO: usize;
+    /// The step clock.
+    const TIM2: usize;
+    /// PWM of the spindle.
+    const TIM3: usize;
+    /// Pulses.
+    const TIM1: usize;
+    /// Moments.
+    const DMA1: usize;
+    /// Edges.
+    const DMA2: usize;
+    /// Reset and clocks.
+    const RCC: usize;
+}
+
+/// Those of the STM32F4.
+pub struct Chip;
+
+// SAFETY: unsafe because writes go there; safe because these are the addresses of the reference manuals' memory maps.
+unsafe impl Map for Chip {
+    const GPIO: usize = 0x4002_0000;
+    const TIM2: usize = 0x4000_0000;
+    const TIM3: usize = 0x4000_0400;
+    const TIM1: usize = 0x4001_0000;
+    const DMA1: usize = 0x4002_6000;
+    const DMA2: usize = 0x4002_6400;
+    const RCC: usize = 0x4002_3800;
+}
+
+/// Registers of a port, and the distance of two ports.
+const IDR: usize = 0x10;
+const BSRR: usize = 0x18;
+const PORT_SIZE: usize = 0x400;
+
+/// Registers of a timer.
+pub mod timer {
+    #![allow(missing_docs, reason = "the manual's names")]
+    pub const CR1: usize = 0x00;
+    pub const CR2: usize = 0x04;
+    pub const SMCR: usize = 0x08;
+    pub const DIER: usize = 0x0C;
+    pub const SR: usize = 0x10;
+    pub const EGR: usize = 0x14;
+    pub const CNT: usize = 0x24;
+    pub const PSC: usize = 0x28;
+    pub const ARR: usize = 0x2C;
+    pub const CCR1: usize = 0x34;
+    pub const CCR2: usize = 0x38;
+    pub const CCR3: usize = 0x3C;
+    pub const CCR4: usize = 0x40;
+}
+
+#[inline(always)]
+pub(super) fn write(address: usize, value: u32) {
+    // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with addresses of
+    // registers of ports, timers, DMA controllers and RCC that have one owner each and whose clocks are on since `setup`
+    // (BSRR changes the pins it names and no others, EGR is a request that whoever may make). Of these, only DMA streams
+    // reach memory: `chain` alone switches them on, to read its own rings and to write registers.
+    unsafe { (address as *mut u32).write_volatile(value) }
+}
+
+#[inline(always)]
+pub(super) fn read(address: usize) -> u32 {
+    // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses of
+    // registers that may be read at any time without effect.
+    unsafe { (address as *const u32).read_volatile() }
+}
+
+/// Address of the register that sets and resets pins of a port at one moment: low half sets, high half resets.
+#[inline(always)]
+pub(super) const fn bsrr_of<M: Map>(port: usize) -> usize {
+    M::GPIO + PORT_SIZE * port + BSRR
+}
+
+/// Sets and resets pins of a port at one moment.
+#[inline(always)]
+pub fn write_bsrr<M: Map>(port: usize, value: u32) {
+    write(bsrr_of::<M>(port), value);
+}
+
+/// Levels of the pins of a port.
+#[inline(always)]
+pub fn read_idr<M: Map>(port: usize) -> u32 {
+    read(M::GPIO + PORT_SIZE * port + IDR)
+}
