@@ -4,7 +4,9 @@
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::thread;
 
 /// Boards whose parts are modelled, and the cases that are tried on them; none named: all.
 const BOARDS: [(&str, &[&str]); 5] = [
@@ -30,8 +32,8 @@ const SIBLING: &[&str] = &[
     "fault",
 ];
 
-/// Boards of these that have room for the loop-back suite.
-const LOOPBACK: [&str; 2] = ["blackpill_f411", "nucleo_f446re"];
+/// Boards of these that are tried with the wires of the loop-back suite: one of each part.
+const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
 
 /// The cases of one board, or of all of them, two at a time, and the loop-back suite; or the cases named.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
@@ -58,24 +60,39 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         command.arg(board).arg(suites::loopback(board)?);
         runs.push((board, command));
     }
-    let mut failed = Vec::new();
-    for pair in runs.chunks_mut(2) {
-        let running: Vec<Result<Child, Failure>> = pair.iter_mut().map(|(_, command)| start(command)).collect();
-        for ((board, _), child) in pair.iter().zip(running) {
-            let output = child?.wait_with_output().map_err(|error| error.to_string())?;
-            print!("{}", String::from_utf8_lossy(&output.stdout));
-            if !output.status.success() {
-                eprint!("{}", String::from_utf8_lossy(&output.stderr));
-                failed.push(*board);
-            }
-        }
-    }
+    let failed = two_at_a_time(runs);
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed: {}", failed.join(", "))) }
 }
 
-fn start(cases: &mut Command) -> Result<Child, Failure> {
-    let child = cases.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
-    child.map_err(|error| format!("{}: {error}", cases.get_program().to_string_lossy()))
+/// Runs the commands, a new one as soon as one of two has ended, and prints what each says at its end: the names of those that
+/// failed.
+fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
+    let waiting = Mutex::new(runs.into_iter());
+    let failed = Mutex::new(Vec::new());
+    let work = || {
+        loop {
+            let next = waiting.lock().expect("no worker panics with the lock").next();
+            let Some((board, mut command)) = next else { return };
+            let output = command.stdin(Stdio::null()).output();
+            // Printed with the lock held, so that two reports do not mix.
+            let mut failed = failed.lock().expect("no worker panics with the lock");
+            match output {
+                Ok(output) => {
+                    print!("{}", String::from_utf8_lossy(&output.stdout));
+                    if !output.status.success() {
+                        eprint!("{}", String::from_utf8_lossy(&output.stderr));
+                        failed.push(board.to_string());
+                    }
+                }
+                Err(error) => failed.push(format!("{board} ({}: {error})", command.get_program().to_string_lossy())),
+            }
+        }
+    };
+    thread::scope(|scope| {
+        scope.spawn(work);
+        work();
+    });
+    failed.into_inner().expect("no worker panics with the lock")
 }
 
 fn module(python: &Path, name: &str) -> Command {

@@ -51,7 +51,7 @@ const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 /// wait for others.
 const LATEST_PULSE_END_US: i32 = 1;
 /// How much later one edge may be: the recorder's own transfers are among those that it waits for.
-const EDGE_NS: i32 = 200;
+const EDGE_NS: i32 = 250;
 /// How far a period may be off, for the same reason.
 const PERIOD_ERROR_US: i32 = 1;
 /// How far the last pulse but one of a train may be from where it belongs: no error adds up.
