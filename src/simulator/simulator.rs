@@ -178,8 +178,14 @@ impl Simulator {
         }
     }
 
-    /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong.
+    /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong. `steps` asks what the step
+    /// outputs have done: position of the motors, pulses of each, and the hash of all step events in their order.
     pub fn pin_line(&mut self, line: &str) -> String {
+        if line.trim() == "steps" {
+            let ([x, y, z], [pulses_x, pulses_y, pulses_z]) = (self.machine().position(), self.machine().pulses());
+            let order = self.trace().digest().order_hash();
+            return format!("steps {x} {y} {z} pulses {pulses_x} {pulses_y} {pulses_z} order {order:016x}");
+        }
         match crate::pins::disturbed(self.board.axes, line) {
             Some(Ok(bit)) => {
                 let low = self.inputs.low();

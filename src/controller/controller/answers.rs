@@ -20,6 +20,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
+        if report::is_answer(&text)
+            && let Some(checked) = self.lines.checked_answer(&text)
+        {
+            text = checked;
+        }
         self.replies.push(&text, self.lines.hosts_cut());
     }
 
@@ -37,7 +42,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::program_message(out, &text));
     }
 
+    /// The answer to a line that is not carried out, or not to its end.
     pub(super) fn refuse(&mut self, error: Error) {
+        self.lines.fail(error);
         self.say(|out| report::error(out, error.code()));
     }
 
@@ -78,6 +85,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The welcome line. What a host is told once, it may not have heard before.
     pub(super) fn greet(&mut self) {
         self.records.host_greeted();
+        // A host that has not begun to check its lines cannot know that it has to.
+        self.lines.end_check();
         self.say(report::welcome);
         if let Some(failure) = self.replies.failure().cloned() {
             self.say(|out| report::failure(out, &failure));

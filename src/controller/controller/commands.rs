@@ -72,6 +72,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.inputs.ask_view(true);
                 self.say(report::ok);
             }
+            System::CheckLines(on) => {
+                self.lines.check_lines(on);
+                self.say(report::ok);
+            }
             System::Sleep => self.sleep(),
             System::Set(number, value) => self.set(number, value)?,
         }
@@ -122,6 +126,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.changed(number, soft_limits);
         if self.dialect() != dialect {
             self.interpreter.change_dialect();
+            self.end_check();
             // Rotations act in one dialect only, and G92 with them.
             self.replies.offset_changed();
             self.apply_overrides();

@@ -7,6 +7,7 @@ use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
 use crate::machine::state::Mode;
 use crate::messages::LineByte;
+use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
@@ -36,6 +37,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         match taken.pushed {
             Pushed::More => {}
+            _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
                 self.lines.clear();
                 self.refuse(Error::LineTooLong);
@@ -53,6 +55,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.dispatch(&text, &remark);
                 }
             }
+        }
+    }
+
+    /// Lines are not checked any more; a host that does is told.
+    pub(super) fn end_check(&mut self) {
+        if self.lines.end_check() {
+            self.say(|out| report::message(out, "Lines are not checked any more"));
+        }
+    }
+
+    /// A line that the check has not let through is answered; the host sends it again if it has to.
+    fn answer_invalid(&mut self, verdict: Verdict) {
+        self.lines.clear();
+        match self.lines.failed() {
+            Some(error) => self.refuse(error),
+            None if verdict == Verdict::Known => self.say(report::known),
+            None => self.refuse(Error::DamagedLine),
         }
     }
 

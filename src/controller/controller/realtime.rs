@@ -25,6 +25,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::Stop => {
                 self.lines.reset();
+                self.end_check();
                 self.stop_softly(false);
                 self.release_held();
             }

@@ -108,7 +108,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.lines.clear();
             }
             if self.task.abandon() {
-                self.say(|out| report::error(out, Error::Locked.code()));
+                self.refuse(Error::Locked);
             }
             self.mode = Mode::Alarm(Some(alarm));
         } else {

@@ -119,6 +119,11 @@ impl Line {
         self.after_cr = false;
     }
 
+    /// A byte has come that is neither of the text nor its end: an LF after it is not the second half of a line end.
+    pub fn separate(&mut self) {
+        self.after_cr = false;
+    }
+
     /// Takes the next byte if it belongs to the text and [`Line::expect_plain`] allows it; what [`Line::push`] would do
     /// with it, in brief.
     #[inline]

@@ -11,7 +11,10 @@
 //! What has no epoch of its own counts the bytes received by then instead: a reset button drops them, a feed hold and a door
 //! end the jogs among them.
 
+use super::checked_line::{LineCheck, Verdict};
 use super::line::{Line, LineRules, Pushed};
+use super::text::Text;
+use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
 /// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
@@ -26,10 +29,12 @@ pub struct Taken {
     pub cut: bool,
     /// What it completed.
     pub pushed: Pushed,
+    /// Whether that may be carried out.
+    pub verdict: Verdict,
 }
 
 impl Taken {
-    const NOTHING: Taken = Taken { lost: false, cut: false, pushed: Pushed::More };
+    const NOTHING: Taken = Taken { lost: false, cut: false, pushed: Pushed::More, verdict: Verdict::Valid };
 }
 
 /// The received lines, as far as they count.
@@ -55,6 +60,7 @@ pub struct LineIntake {
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     line: Line,
+    check: LineCheck,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
     hosts_cut: u16,
     /// Lines completed (wrapping).
@@ -82,6 +88,7 @@ impl LineIntake {
             line_before_cancel: false,
             keeps_later_jogs: false,
             line: Line::new(),
+            check: LineCheck::OFF,
             hosts_cut: 0,
             lines_read: 0,
         }
@@ -128,19 +135,67 @@ impl LineIntake {
         }
         if byte.byte == HOST_CHANGED {
             self.line = Line::new();
+            self.check.end();
             return Taken { cut: true, ..Taken::NOTHING };
         }
         if byte.damaged {
             self.line.damage();
+            self.check.damage();
         }
-        if self.line.is_empty() {
+        if self.line.is_empty() && !self.check.has_begun() {
             self.line_epoch = byte.epoch;
             self.line_before_cancel = before_cancel;
         }
-        let pushed = self.line.push(byte.byte, rules);
-        self.line.expect_plain(self.jog_bytes == 0);
+        let (pushed, verdict) = self.push(byte.byte, rules);
+        self.line.expect_plain(self.jog_bytes == 0 && !self.check.is_on());
         self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
-        Taken { lost: byte.damaged, cut: false, pushed }
+        Taken { lost: byte.damaged, cut: false, pushed, verdict }
+    }
+
+    fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> (Pushed, Verdict) {
+        if !matches!(byte, b'\n' | b'\r') {
+            let Some(byte) = self.check.take(byte) else {
+                self.line.separate();
+                return (Pushed::More, Verdict::Valid);
+            };
+            return (self.line.push(byte, rules), Verdict::Valid);
+        }
+        let pushed = self.line.push(byte, rules);
+        let verdict = match pushed {
+            Pushed::More => Verdict::Valid,
+            Pushed::Complete => self.check.finish(self.line.text()),
+            Pushed::TooLong => self.check.finish(&[]),
+        };
+        (pushed, verdict)
+    }
+
+    /// From now on lines are checked, from the number 0 on, or not.
+    pub fn check_lines(&mut self, on: bool) {
+        if on {
+            self.check.begin();
+        } else {
+            self.check.end();
+        }
+    }
+
+    /// Lines are not checked any more. Whether they were.
+    pub fn end_check(&mut self) -> bool {
+        self.check.end()
+    }
+
+    /// The line taken last was refused for what it says.
+    pub fn fail(&mut self, error: Error) {
+        self.check.fail(error);
+    }
+
+    /// The error that answers each checked line behind one that was refused for what it says.
+    pub fn failed(&self) -> Option<Error> {
+        self.check.failed()
+    }
+
+    /// An answer in the form of a checked line, while lines are checked.
+    pub fn checked_answer(&self, text: &[u8]) -> Option<Text> {
+        self.check.answer(text)
     }
 
     /// Whether a byte waits for its realtime command: no other may come before it.
@@ -166,6 +221,7 @@ impl LineIntake {
     /// The current line has been read, or is void.
     pub fn clear(&mut self) {
         self.line.clear();
+        self.check.clear();
     }
 
     /// Whether the current line, a jog, was sent before the end of a jog was ordered.
@@ -193,7 +249,7 @@ impl LineIntake {
         self.drop_bytes = 0;
         self.drop_rest = false;
         self.jog_bytes = 0;
-        self.line.clear();
+        self.clear();
     }
 
     /// A command that opens an epoch and does nothing else.
@@ -369,8 +425,8 @@ mod tests {
         give(&mut intake, b"G1X", 0);
         let damaged = LineByte { damaged: true, ..byte(b'5', 0) };
         assert!(!intake.take_plain(damaged));
-        assert_eq!(intake.take(damaged, rules), Taken { lost: true, cut: false, pushed: Pushed::More });
-        assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { lost: false, cut: false, pushed: Pushed::TooLong });
+        assert_eq!(intake.take(damaged, rules), Taken { lost: true, ..Taken::NOTHING });
+        assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { pushed: Pushed::TooLong, ..Taken::NOTHING });
     }
 
     /// A bare jog cancel at each key that is released, for as long as the machine is on.

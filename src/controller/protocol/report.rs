@@ -37,9 +37,14 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// Whether a text is the one answer that a line gets.
+/// `known`: nothing to be done for a checked line.
+pub fn known(out: &mut Text) {
+    put(out, b"known\r\n");
+}
+
+/// Whether a text is the one answer that a line gets; that to a checked line begins with a colon.
 pub fn is_answer(text: &[u8]) -> bool {
-    text == b"ok\r\n" || text.starts_with(b"error:")
+    matches!(text, b"ok\r\n" | b"known\r\n") || text.starts_with(b"error:") || text.starts_with(b":")
 }
 
 /// `ALARM:N`

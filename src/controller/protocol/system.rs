@@ -44,6 +44,8 @@ pub enum System<'a> {
     Pins,
     /// `$PINS=0`
     ClearNoise,
+    /// `$LC=1`, `$LC=0`
+    CheckLines(bool),
     /// `$SLP`
     Sleep,
     /// `$n=v`
@@ -68,7 +70,7 @@ impl System<'_> {
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
     pub fn known_to_grbl(&self) -> Result<(), Error> {
         match self {
-            System::Pins | System::ClearNoise | System::Describe(_) => Err(Error::BadNumber),
+            System::Pins | System::ClearNoise | System::Describe(_) | System::CheckLines(_) => Err(Error::BadNumber),
             System::MoreBuildInfo => Err(Error::InvalidStatement),
             _ => Ok(()),
         }
@@ -113,7 +115,7 @@ pub enum Allowed {
 /// The states that a line's command letter allows (the line begins with `$`).
 pub fn allowed(line: &[u8]) -> Allowed {
     match line.get(1) {
-        None | Some(b'$' | b'G' | b'C' | b'X') => Allowed::Always,
+        None | Some(b'$' | b'G' | b'C' | b'X' | b'L') => Allowed::Always,
         Some(b'P') if line.starts_with(b"$PINS") => Allowed::Always,
         Some(b'J') => Allowed::ForJog,
         Some(_) => Allowed::AtRest,
@@ -135,6 +137,12 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
         Some(b'X') => alone(System::Unlock),
         Some(b'#') => alone(System::Parameters),
         Some(b'J') => rest.strip_prefix(b"=").map(System::Jog).ok_or(Error::InvalidStatement),
+        Some(b'L') => match rest {
+            b"C=0" => Ok(System::CheckLines(false)),
+            b"C=1" => Ok(System::CheckLines(true)),
+            _ if rest.starts_with(b"C") => Err(Error::InvalidStatement),
+            _ => Err(Error::BadNumber),
+        },
         Some(b'S') if rest == b"LP" => Ok(System::Sleep),
         Some(b'S') => Err(Error::InvalidStatement),
         Some(b'I') if rest.is_empty() => Ok(System::BuildInfo),

@@ -73,6 +73,7 @@ fn pins_are_moved_by_lines() {
     mill.send("?");
     assert!(mill.take_output().contains("Pn:X"));
     assert!(mill.pin_line("lamp 1").starts_with("error: "));
+    assert!(mill.pin_line("steps").starts_with("steps 0 0 0 pulses 0 0 0 order "), "{}", mill.pin_line("steps"));
 }
 
 #[test]

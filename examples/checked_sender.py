@@ -1,0 +1,285 @@
+#!/usr/bin/env python3
+"""Streams a job in checked lines: over a link that damages, drops or doubles bytes it runs as it was written.
+
+    python3 examples/checked_sender.py JOB.nc --tcp 127.0.0.1:2323
+    python3 examples/checked_sender.py JOB.nc --serial /dev/ttyACM0 [--baud 115200]
+
+`docs/senders.md` describes the lines. While the machine holds (M0, M6, a feed hold), Enter resumes it. Ends with 0 when all
+lines have been taken, with 1 when the machine refuses one, locks itself or is reset. Needs Python 3.9 and nothing else.
+"""
+
+import argparse
+import binascii
+import re
+import select
+import socket
+import sys
+import threading
+import time
+
+DIGITS = "ABDGHKNPSUVZcefi"
+SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
+NUMBERS = 4096
+# Bytes of lines that may be under way; the machine has room for 255.
+WINDOW = 120
+# Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
+PATIENCE = 0.5
+QUESTIONS = 32
+# Longest line without its header, as the machine counts it.
+LONGEST = 256
+
+
+class Stopped(Exception):
+    """The job cannot go on."""
+
+
+def digits(value, count):
+    return "".join(DIGITS[value >> (4 * place) & 15] for place in reversed(range(count)))
+
+
+def value(letters):
+    """The number that letters stand for, or None."""
+    number = 0
+    for letter in letters:
+        place = DIGITS.find(letter)
+        if place < 0:
+            return None
+        number = number << 4 | place
+    return number
+
+
+def line_of(number, text):
+    """A text as a checked line."""
+    text = text.translate(SUBSTITUTES)
+    covered = digits(number % NUMBERS, 3) + digits(len(text) % 256, 2)
+    check = binascii.crc32((covered + text).encode("ascii"))
+    return f":{covered}{digits(check, 8)}{text}\n".encode("ascii")
+
+
+def answer_in(line):
+    """Number and text of an answer, if the line is one and undamaged."""
+    number, length, check, text = value(line[1:4]), value(line[4:6]), value(line[6:14]), line[14:]
+    if not line.startswith(":") or len(line) < 14 or None in (number, length, check) or len(text) != length:
+        return None
+    if check != binascii.crc32((line[1:6] + text).encode("ascii", "replace")):
+        return None
+    return number, text
+
+
+def text_of(line):
+    """A line of a program as it is sent: in capitals, without what no line may have on its way."""
+    line = line.strip()
+    if "(" not in line:
+        line = re.sub(r"\s", "", line.split(";")[0])
+    # Of realtime commands and characters of other languages, which should stand in remarks only, one is made that no line may
+    # have anywhere else.
+    return "".join(c if " " <= c <= "_" and c not in "!?^" else "@" for c in re.sub(r"\s", " ", line).upper())
+
+
+def program(path):
+    """The lines to send, each with its number in the file."""
+    with open(path, encoding="utf-8", errors="replace") as file:
+        texts = [(number, text_of(line)) for number, line in enumerate(file, 1)]
+    return [(number, text) for number, text in texts if text]
+
+
+class Tcp:
+    def __init__(self, address):
+        host, port = address.rsplit(":", 1)
+        self.socket = socket.create_connection((host, int(port)))
+
+    def send(self, data):
+        self.socket.sendall(data)
+
+    def receive(self, seconds):
+        """What has come, after that time at most."""
+        if not select.select([self.socket], [], [], seconds)[0]:
+            return b""
+        data = self.socket.recv(4096)
+        if not data:
+            raise Stopped("the machine has closed the connection")
+        return data
+
+
+class Serial:
+    def __init__(self, path, baud):
+        import os
+        import termios
+        import tty
+
+        self.os = os
+        self.file = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self.file)
+        settings = termios.tcgetattr(self.file)
+        settings[4] = settings[5] = getattr(termios, f"B{baud}")
+        termios.tcsetattr(self.file, termios.TCSANOW, settings)
+
+    def send(self, data):
+        while data:
+            data = data[self.os.write(self.file, data) :]
+
+    def receive(self, seconds):
+        if not select.select([self.file], [], [], seconds)[0]:
+            return b""
+        data = self.os.read(self.file, 4096)
+        if not data:
+            raise Stopped("the port is gone")
+        return data
+
+
+class Sender:
+    """Lines under way are sent again from the first that the machine has not taken: it takes none out of its order."""
+
+    def __init__(self, link, lines, tell=print):
+        self.link, self.lines, self.tell = link, lines, tell
+        # Lines that the machine has taken, and lines sent.
+        self.taken = self.sent = 0
+        # Bytes of each line under way, the first in front.
+        self.sizes = []
+        # What is under way is awaited, then sent again as far as it is wanted.
+        self.is_draining = False
+        # Questions without an answer, and plain answers that came instead.
+        self.questions = self.plain = 0
+        self.received = b""
+        self.last_answer = 0.0
+        self.state = ""
+        self.counts = {"lines sent again": 0, "answers damaged": 0, "refusals": 0, "questions": 0}
+
+    def run(self):
+        self.begin()
+        while self.taken < len(self.lines):
+            self.fill()
+            for line in self.receive():
+                self.read(line)
+            if time.monotonic() - self.last_answer > PATIENCE:
+                self.ask()
+        self.end()
+
+    def receive(self):
+        data = self.link.receive(PATIENCE / 4)
+        *lines, self.received = (self.received + data).split(b"\n")
+        return [line.decode("ascii", "replace").strip("\r") for line in lines]
+
+    def begin(self):
+        """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
+        for _ in range(20):
+            self.link.send(b"\n$LC=1\n")
+            until = time.monotonic() + 2 * PATIENCE
+            while time.monotonic() < until:
+                for line in self.receive():
+                    if answer_in(line) == (0, "ok"):
+                        self.last_answer = time.monotonic()
+                        return
+        raise Stopped("the machine does not check lines: it is no Oxmill, or in the dialect of Grbl ($900)")
+
+    def end(self):
+        for _ in range(20):
+            self.link.send(b"\n$LC=0\n")
+            until = time.monotonic() + PATIENCE
+            while time.monotonic() < until:
+                if "ok" in self.receive():
+                    return
+        self.tell("the machine may still check lines: $LC=0 ends that")
+
+    def fill(self):
+        while not self.is_draining and self.sent < len(self.lines):
+            line = line_of(self.sent, self.lines[self.sent][1])
+            if self.sizes and sum(self.sizes) + len(line) > WINDOW:
+                return
+            self.link.send(line)
+            self.sizes.append(len(line))
+            self.sent += 1
+
+    def read(self, line):
+        answer = answer_in(line)
+        if answer is None:
+            return self.read_other(line)
+        self.last_answer, self.questions, self.plain = time.monotonic(), 0, 0
+        number, text = answer
+        more = (number - self.taken) % NUMBERS
+        if more > self.sent - self.taken:
+            # Only after another host has begun again.
+            raise Stopped(f"the machine wants line {number}, which was not sent")
+        self.taken += more
+        del self.sizes[:more]
+        if text == "known":
+            # All that was under way has arrived.
+            if self.is_draining:
+                self.counts["lines sent again"] += self.sent - self.taken
+                self.is_draining, self.sent, self.sizes = False, self.taken, []
+        elif text == "error:129":
+            self.counts["refusals"] += 1
+            self.drain()
+        elif text != "ok":
+            number, text_sent = self.lines[max(self.taken, 1) - 1]
+            raise Stopped(f"line {number}, `{text_sent}`: {text}")
+
+    def drain(self):
+        if not self.is_draining:
+            self.is_draining = True
+            self.question()
+
+    def ask(self):
+        """No answer for a while: one has been lost, or the machine is busy."""
+        self.last_answer = time.monotonic()
+        self.is_draining = True
+        self.question()
+        self.link.send(b"?")
+
+    def question(self):
+        if self.questions < QUESTIONS:
+            self.questions += 1
+            self.counts["questions"] += 1
+            self.link.send(b"\n")
+
+    def read_other(self, line):
+        if line.startswith("ALARM:"):
+            raise Stopped(line)
+        if line.startswith("Grbl ") or "Lines are not checked any more" in line:
+            raise Stopped("the machine has been reset or stopped")
+        if line.startswith("[MSG:"):
+            self.tell(line)
+        elif line.startswith(":"):
+            self.counts["answers damaged"] += 1
+        elif line.startswith("<"):
+            state = re.split("[|:>]", line[1:])[0]
+            if state != self.state and state in ("Hold", "Door", "Alarm", "Sleep"):
+                self.tell(f"the machine is in {state}" + (": Enter resumes" if state in ("Hold", "Door") else ""))
+            self.state = state
+        elif line == "ok" or line.startswith("error:"):
+            # One may be a checked answer that has lost its head.
+            self.plain += 1
+            if self.plain > 8:
+                raise Stopped("the machine does not check lines any more")
+
+
+def resume_on_enter(link):
+    for _ in sys.stdin:
+        link.send(b"~")
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Streams a job in checked lines.")
+    parser.add_argument("job")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--tcp", metavar="HOST:PORT")
+    where.add_argument("--serial", metavar="DEVICE")
+    parser.add_argument("--baud", type=int, default=115200)
+    options = parser.parse_args()
+    sender = Sender(None, program(options.job))
+    begin = time.monotonic()
+    try:
+        sender.link = Tcp(options.tcp) if options.tcp else Serial(options.serial, options.baud)
+        if sys.stdin.isatty():
+            threading.Thread(target=resume_on_enter, args=(sender.link,), daemon=True).start()
+        sender.run()
+    except (Stopped, OSError) as why:
+        print(f"{why}; {sender.taken} of {len(sender.lines)} lines taken", file=sys.stderr)
+        return 1
+    counts = ", ".join(f"{count} {name}" for name, count in sender.counts.items())
+    print(f"{len(sender.lines)} lines in {time.monotonic() - begin:.1f} s; {counts}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,480 @@
+//! Lines with a number, a length and a checksum, for links that damage, drop or double bytes (`$LC=1`). What is carried out is
+//! exactly what was sent, in its order and once.
+//!
+//! ```text
+//!  : NNN LL CCCCCCCC text LF
+//!  │  │  │     └ CRC-32 (IEEE 802.3) of number, length and text as they are on the line
+//!  │  │  └ bytes of the text on the line, modulo 256
+//!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=1`
+//!  └ the line is checked
+//! ```
+//! **Letters.** N, L and C are hexadecimal digits, written as the letters of [`DIGITS`]. Any two of these differ in two bits, and
+//! none is one bit away from a line end or from a realtime command that acts. For the same reason a text is in capitals, and
+//! characters that one bit turns into such a command are written as small letters ([`SUBSTITUTES`]): `8` is one bit away from
+//! 0x18, and `1` from `!`.
+//!
+//! **What is found.** One or two damaged bits always: a byte that has become a command or is thrown away is missing in the
+//! length, and of a line that a line end has split both parts are refused. As long as each byte stays one of its line, also up
+//! to four damaged bits (texts of up to 250 bytes) and bursts of up to 32 bits within the text. Of everything else one in 4,000
+//! million passes.
+//!
+//! **Answers** have the same form, with the number of the line that is wanted next: all before it have been taken, so an answer
+//! that is lost does no harm. A line that is not the wanted one is not carried out: to one that is known already and to an empty
+//! line, which is a question, the answer is `known`; to any other [`Error::DamagedLine`]. Behind a line that was refused for what
+//! it says nothing is carried out until `$LC=1` begins again: each answer is that error.
+//!
+//! Checking ends with `$LC=0`, which may be sent as a plain line as `$LC=1` may, with another host, and with whatever makes the
+//! machine greet its host.
+
+use super::text::{END, Text, put};
+use crate::error::Error;
+
+/// The digits 0 to 15.
+const DIGITS: &[u8; 16] = b"ABDGHKNPSUVZcefi";
+/// What a small letter of the text stands for.
+const SUBSTITUTES: [(u8, u8); 10] = [
+    (b's', b' '),
+    (b'h', b'#'),
+    (b'p', b'%'),
+    (b'd', b')'),
+    (b'l', b'1'),
+    (b'b', b'8'),
+    (b'g', b'9'),
+    (b't', b'>'),
+    (b'x', b'X'),
+    (b'y', b'Y'),
+];
+
+/// Digits of the parts of a header.
+const NUMBER: usize = 3;
+const LENGTH: usize = 2;
+const SUM: usize = 8;
+/// Where the parts end, with the colon.
+const NUMBER_END: u16 = 1 + NUMBER as u16;
+const LENGTH_END: u16 = NUMBER_END + LENGTH as u16;
+const HEADER_END: u16 = LENGTH_END + SUM as u16;
+
+/// Numbers of lines are below this.
+const NUMBERS: u16 = 1 << (4 * NUMBER);
+
+/// What a line is that has come to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is to be carried out: the wanted one, or lines are not checked.
+    Valid,
+    /// An empty line, or one that has been taken already: only answered.
+    Known,
+    /// To be refused.
+    Damaged,
+}
+
+/// How far the checked lines are. One byte after the other.
+#[derive(Clone, Debug)]
+pub struct LineCheck {
+    /// The number of the line that may come next; none while lines are not checked.
+    wanted: Option<u16>,
+    /// Why a line before was refused.
+    failed: Option<Error>,
+    /// Bytes of the current line.
+    place: u16,
+    /// Whether it begins as a checked line, all digits are digits, and no byte was lost.
+    is_whole: bool,
+    number: u16,
+    length: u8,
+    sum: u32,
+    crc: Crc,
+}
+
+impl LineCheck {
+    /// Lines are not checked.
+    pub const OFF: Self =
+        Self { wanted: None, failed: None, place: 0, is_whole: true, number: 0, length: 0, sum: 0, crc: Crc::START };
+
+    /// Lines are checked from now on; the first has the number 0.
+    pub fn begin(&mut self) {
+        *self = Self { wanted: Some(0), ..Self::OFF };
+    }
+
+    /// Lines are not checked any more. Whether they were.
+    pub fn end(&mut self) -> bool {
+        core::mem::replace(self, Self::OFF).wanted.is_some()
+    }
+
+    /// Whether lines are checked.
+    #[inline]
+    pub fn is_on(&self) -> bool {
+        self.wanted.is_some()
+    }
+
+    /// Whether bytes of a line have come, its header among them.
+    pub fn has_begun(&self) -> bool {
+        self.place > 0
+    }
+
+    /// What has come of a line is void.
+    pub fn clear(&mut self) {
+        *self = Self { wanted: self.wanted, failed: self.failed, ..Self::OFF };
+    }
+
+    /// Bytes of the line were lost.
+    pub fn damage(&mut self) {
+        self.is_whole = false;
+    }
+
+    /// The line taken last was refused for what it says.
+    pub fn fail(&mut self, error: Error) {
+        if self.is_on() && error != Error::DamagedLine {
+            self.failed = Some(error);
+        }
+    }
+
+    /// The error that answers a line that is refused or known.
+    pub fn failed(&self) -> Option<Error> {
+        self.failed
+    }
+
+    /// Takes a byte of a line, not its end: the byte of the text that it stands for, if it is one.
+    pub fn take(&mut self, byte: u8) -> Option<u8> {
+        if !self.is_on() {
+            return Some(byte);
+        }
+        let place = self.place;
+        self.place = place.saturating_add(1);
+        match place {
+            0 => {
+                self.number = 0;
+                self.sum = 0;
+                self.crc = Crc::START;
+                self.length = 0;
+                self.is_whole &= byte == b':';
+                return (byte != b':').then_some(byte);
+            }
+            _ if !self.is_whole => return Some(byte),
+            1..NUMBER_END => self.number = self.number << 4 | u16::from(self.digit(byte)),
+            NUMBER_END..LENGTH_END => self.length = self.length << 4 | self.digit(byte),
+            LENGTH_END..HEADER_END => {
+                self.sum = self.sum << 4 | u32::from(self.digit(byte));
+                return None;
+            }
+            _ => {}
+        }
+        self.crc.add(byte);
+        if place < HEADER_END {
+            return None;
+        }
+        let stands_for = SUBSTITUTES.iter().find(|(letter, _)| *letter == byte);
+        Some(stands_for.map_or(byte, |(_, character)| *character))
+    }
+
+    /// The value of a digit; the line is damaged if it is none.
+    fn digit(&mut self, letter: u8) -> u8 {
+        let value = DIGITS.iter().position(|digit| *digit == letter);
+        self.is_whole &= value.is_some();
+        value.unwrap_or(0) as u8
+    }
+
+    /// The end of a line of this text (filtered), which is the next if it is valid.
+    pub fn finish(&mut self, text: &[u8]) -> Verdict {
+        let Some(wanted) = self.wanted else { return Verdict::Valid };
+        let line = core::mem::replace(self, Self { wanted: self.wanted, failed: self.failed, ..Self::OFF });
+        if line.place == 0 && line.is_whole {
+            return Verdict::Known;
+        }
+        // Whoever does not know that lines are checked can end that.
+        if matches!(text, b"$LC=0" | b"$LC=1") && line.place == text.len() as u16 {
+            return Verdict::Valid;
+        }
+        let length = line.place.wrapping_sub(HEADER_END);
+        let is_whole = line.is_whole && line.place >= HEADER_END && length as u8 == line.length;
+        if !is_whole || line.crc.value() != line.sum {
+            return Verdict::Damaged;
+        }
+        let behind = wanted.wrapping_sub(line.number) % NUMBERS;
+        if behind == 0 && self.failed.is_none() {
+            self.wanted = Some((wanted + 1) % NUMBERS);
+            return Verdict::Valid;
+        }
+        if (1..=NUMBERS / 2).contains(&behind) { Verdict::Known } else { Verdict::Damaged }
+    }
+
+    /// An answer in the form of a checked line, while lines are checked.
+    pub fn answer(&self, text: &[u8]) -> Option<Text> {
+        let number = self.wanted?;
+        let text = text.strip_suffix(END).unwrap_or(text);
+        let mut out = Text::new();
+        put(&mut out, b":");
+        digits(&mut out, u32::from(number), NUMBER);
+        digits(&mut out, text.len() as u32, LENGTH);
+        let mut crc = Crc::START;
+        out.iter().skip(1).chain(text).for_each(|byte| crc.add(*byte));
+        digits(&mut out, crc.value(), SUM);
+        put(&mut out, text);
+        put(&mut out, END);
+        Some(out)
+    }
+}
+
+/// Appends the last `count` hexadecimal digits of a value.
+fn digits(out: &mut Text, value: u32, count: usize) {
+    for place in (0..count).rev() {
+        let digit = DIGITS.get((value >> (4 * place) & 15) as usize).unwrap_or(&b' ');
+        put(out, &[*digit]);
+    }
+}
+
+/// CRC-32 of IEEE 802.3: polynomial 0x04C11DB7, reflected, begun and ended with all ones.
+#[derive(Clone, Copy, Debug)]
+struct Crc(u32);
+
+impl Crc {
+    const START: Self = Self(u32::MAX);
+
+    #[inline]
+    fn add(&mut self, byte: u8) {
+        self.0 ^= u32::from(byte);
+        for _ in 0..8 {
+            self.0 = if self.0 & 1 == 0 { self.0 >> 1 } else { (self.0 >> 1) ^ 0xEDB8_8320 };
+        }
+    }
+
+    fn value(self) -> u32 {
+        !self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{LineByte, Realtime};
+    use crate::protocol::line::{LENGTH as LONGEST, LineRules, Pushed};
+    use crate::protocol::line_intake::LineIntake;
+    use crate::protocol::realtime::{Received, command};
+    use proptest::prelude::*;
+
+    fn crc(bytes: impl IntoIterator<Item = u8>) -> u32 {
+        let mut crc = Crc::START;
+        bytes.into_iter().for_each(|byte| crc.add(byte));
+        crc.value()
+    }
+
+    /// A checked line as a host writes it, without its end.
+    fn line(number: u16, text: &str) -> Vec<u8> {
+        let letter = |character: u8| SUBSTITUTES.iter().find(|(_, c)| *c == character).map_or(character, |(l, _)| *l);
+        let text: Vec<u8> = text.bytes().map(letter).collect();
+        let mut covered = Text::new();
+        digits(&mut covered, number.into(), NUMBER);
+        digits(&mut covered, text.len() as u32, super::LENGTH);
+        let mut sum = Text::new();
+        digits(&mut sum, crc(covered.iter().chain(&text).copied()), SUM);
+        [b":", covered.as_slice(), &sum, &text].concat()
+    }
+
+    /// What comes in passes through the same parts as on a board.
+    struct Host {
+        intake: LineIntake,
+        taken: Vec<String>,
+        commands: Vec<Realtime>,
+        answers: Vec<Verdict>,
+    }
+
+    impl Host {
+        fn new() -> Self {
+            let mut intake = LineIntake::new();
+            intake.check_lines(true);
+            Self { intake, taken: Vec::new(), commands: Vec::new(), answers: Vec::new() }
+        }
+
+        fn send(&mut self, bytes: &[u8]) -> &mut Self {
+            let rules = || LineRules {
+                length: LONGEST,
+                merge_crlf: true,
+                nested_remarks: false,
+                expressions: true,
+                block_delete: false,
+            };
+            for byte in bytes {
+                let byte = match Received::of(*byte) {
+                    Received::Realtime(command) => {
+                        self.commands.push(command);
+                        continue;
+                    }
+                    Received::Line(byte) => LineByte { byte, epoch: 0, damaged: false },
+                    Received::Nothing => continue,
+                };
+                if self.intake.take_plain(byte) {
+                    continue;
+                }
+                let taken = self.intake.take(byte, rules);
+                if taken.pushed == Pushed::More {
+                    continue;
+                }
+                self.answers.push(taken.verdict);
+                if taken.verdict == Verdict::Valid {
+                    assert_eq!(taken.pushed, Pushed::Complete);
+                    self.taken.push(String::from_utf8(self.intake.text().to_vec()).unwrap());
+                }
+                self.intake.clear();
+            }
+            self
+        }
+
+        fn line(&mut self, number: u16, text: &str) -> &mut Self {
+            self.send(&[line(number, text).as_slice(), b"\n"].concat())
+        }
+    }
+
+    use Verdict::{Damaged, Known, Valid};
+
+    #[test]
+    fn lines_run_in_their_order_and_once() {
+        let mut host = Host::new();
+        host.line(0, "G0 X1").line(1, "G1X18Y-9.1F800").line(1, "G1X18Y-9.1F800").line(0, "G0 X1");
+        host.line(3, "M5").line(2, "M3").line(4, "M8").line(3, "").line(4, "#1=[1 GT 8]%");
+        assert_eq!(host.taken, ["G0X1", "G1X18Y-9.1F800", "M3", "", "#1=[1GT8]%"]);
+        assert_eq!(host.answers, [Valid, Valid, Known, Known, Damaged, Valid, Damaged, Valid, Valid]);
+    }
+
+    #[test]
+    fn numbers_wrap() {
+        let mut host = Host::new();
+        for round in 0..3 {
+            for number in 0..NUMBERS {
+                host.line(number, &format!("N{number}")).line(number, &format!("N{number}"));
+                assert_eq!(host.taken.len(), usize::from(number) + 1 + round * usize::from(NUMBERS));
+            }
+        }
+    }
+
+    #[test]
+    fn a_plain_line_is_refused_and_an_empty_one_is_a_question() {
+        let mut host = Host::new();
+        host.send(b"G0X1\n\n\r\n$LC=0X\n $LC=0\n;\n");
+        assert_eq!(host.answers, [Damaged, Known, Known, Damaged, Damaged, Damaged]);
+        host.send(b"$LC=0\n$lc=1\n");
+        assert_eq!(host.taken, ["$LC=0", "$LC=1"]);
+        // A header leaves no CR behind to which the end of an empty line would belong.
+        host.send(b"\r").line(0, "").line(1, "M5");
+        assert_eq!(host.taken, ["$LC=0", "$LC=1", "", "M5"]);
+    }
+
+    #[test]
+    fn nothing_runs_behind_a_line_that_was_refused() {
+        let mut host = Host::new();
+        host.line(0, "G0X1").line(1, "G0XX");
+        host.intake.fail(Error::BadNumber);
+        host.intake.fail(Error::DamagedLine);
+        host.line(2, "G0X2").line(1, "G0XX").send(b"\n");
+        assert_eq!(host.answers, [Valid, Valid, Damaged, Known, Known]);
+        assert_eq!(host.intake.failed(), Some(Error::BadNumber));
+        host.intake.check_lines(true);
+        host.line(0, "G0X3");
+        assert_eq!((host.taken.last().map(String::as_str), host.intake.failed()), (Some("G0X3"), None));
+    }
+
+    #[test]
+    fn answers_have_the_form_of_lines() {
+        let mut check = LineCheck::OFF;
+        assert_eq!(check.answer(b"ok\r\n"), None);
+        check.begin();
+        let answer = check.answer(b"error:20\r\n").unwrap();
+        // As binascii.crc32 of Python has it.
+        assert_eq!(answer.as_slice(), b":AAAASPHeiNeGNerror:20\r\n");
+        assert_eq!(crc(*b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
+    }
+
+    /// Whether one damaged bit makes a command of a byte that moves, stops or switches anything.
+    fn is_near_a_command(byte: u8) -> bool {
+        (0..8).any(|bit| command(byte ^ (1 << bit)).is_some_and(|command| command != Realtime::Status))
+    }
+
+    #[test]
+    fn one_damaged_bit_makes_no_command_of_a_byte() {
+        let capitals: String = (b' '..=b'_').filter(|c| command(*c).is_none() && *c != b'^').map(char::from).collect();
+        let written = line(0x5A5, &capitals);
+        for byte in written.iter().chain(DIGITS) {
+            assert!(!is_near_a_command(*byte), "{}", char::from(*byte));
+        }
+        for (_, character) in SUBSTITUTES {
+            assert!(is_near_a_command(character), "{} needs no other letter", char::from(character));
+        }
+        for (n, one) in DIGITS.iter().enumerate() {
+            let is_near = |byte: u8, ends: &[u8]| ends.iter().any(|end| (end ^ byte).count_ones() < 2);
+            assert!(!is_near(*one, &DIGITS[n + 1..]) && !is_near(*one, b"\r\n"), "{}", char::from(*one));
+        }
+    }
+
+    /// One and two damaged bits anywhere in a line, its end among them.
+    #[test]
+    fn no_two_damaged_bits_pass() {
+        let first = [line(0, "G1X-98.1J2"), b"\n".to_vec()].concat();
+        let second = [line(1, "M5"), b"\n".to_vec()].concat();
+        let bits = first.len() * 8;
+        for one in 0..bits {
+            for other in one..bits {
+                let mut damaged = first.clone();
+                damaged[one / 8] ^= 1 << (one % 8);
+                if other != one {
+                    damaged[other / 8] ^= 1 << (other % 8);
+                }
+                let mut host = Host::new();
+                host.send(&damaged).send(&second);
+                // A line end that is damaged joins two lines, and an added one makes an empty line of none.
+                assert_eq!(host.taken, [""; 0], "bits {one} and {other}");
+                let acts = host.commands.iter().any(|command| *command != Realtime::Status);
+                assert!(other != one || !acts, "bit {one}: {:?}", host.commands);
+                // Sent again, it runs.
+                host.send(b"\n").send(&first).send(&second);
+                let again: Vec<&str> = host.taken.iter().map(String::as_str).collect();
+                assert_eq!(again, ["G1X-98.1J2", "M5"], "bits {one} and {other}");
+            }
+        }
+    }
+
+    /// Up to four damaged bits. A digit of the sum with one of them is none, so of the sum only whole digits can be changed:
+    /// no one or two bits of what it covers may change it in one digit alone, and no four (nor three) may cancel out.
+    #[test]
+    fn no_four_damaged_bits_pass() {
+        const COVERED: usize = NUMBER + super::LENGTH + 250;
+        let zeros = crc([0; COVERED]);
+        let single: Vec<u32> = (0..COVERED * 8)
+            .map(|bit| crc((0..COVERED).map(|n| if n == bit / 8 { 1 << (bit % 8) } else { 0 })) ^ zeros)
+            .collect();
+        let in_one_digit = |difference: u32| (0..8).any(|digit| difference & !(15 << (4 * digit)) == 0);
+        let mut all = single.clone();
+        for (n, one) in single.iter().enumerate() {
+            all.extend(single[..n].iter().map(|other| one ^ other));
+        }
+        assert!(!all.iter().any(|difference| in_one_digit(*difference)));
+        // Different from each other: no two of these, which are up to four bits, cancel out.
+        let count = all.len();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), count);
+    }
+
+    proptest! {
+        #[test]
+        fn no_burst_passes(text in "[A-Z0-9.]{8,250}", at in 0..1968_usize, length in 1..=32_usize, burst: u32) {
+            let mut written = line(0, &text);
+            let first = HEADER_END as usize * 8;
+            let at = first + at % (written.len() * 8 - first - length);
+            for bit in (0..length).filter(|bit| *bit == 0 || *bit == length - 1 || burst >> bit & 1 != 0) {
+                written[(at + bit) / 8] ^= 1 << ((at + bit) % 8);
+            }
+            let mut check = LineCheck::OFF;
+            check.begin();
+            for byte in written {
+                check.take(byte);
+            }
+            prop_assert_eq!(check.finish(b"text"), Damaged);
+        }
+
+        /// Whatever comes, the only thing that runs is the line that is wanted.
+        #[test]
+        fn garbage_does_not_run(bytes: Vec<u8>) {
+            let mut host = Host::new();
+            host.send(&bytes);
+            prop_assert!(host.taken.iter().all(|text| text.starts_with("$LC=")));
+        }
+    }
+}
