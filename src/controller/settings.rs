@@ -203,6 +203,8 @@ table! {
         OptionalStop: 919, "M1 pauses", "", Program, "", Kind::Switch, 0.0, false;
         BlockDelete: 920, "Lines that begin with / are skipped", "", Program, "", Kind::Switch, 0.0, false;
         PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Program, "", Kind::Real, 0.254, false;
+        HostSilence: 922, "Longest silence of the host in mid-job", "s", General, "", Kind::Real, 0.0, false;
+        JogSilence: 923, "Longest silence of the host during a jog", "s", General, "", Kind::Real, 0.0, false;
     }
 }
 
@@ -616,6 +618,7 @@ mod tests {
             (Key::HoldWithoutHost, 914),
             (Key::AtSpeedWithin, 916),
             (Key::CurveAcceleration, 917),
+            (Key::JogSilence, 923),
         ] {
             assert_eq!(SCALARS[key as usize].number, number);
         }

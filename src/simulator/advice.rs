@@ -85,7 +85,9 @@ pub fn for_error(error: Error) -> &'static str {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
-        Error::DamagedLine => "The host sends it again; one that does not know that lines are checked ends that with $LC=0.",
+        Error::DamagedLine => {
+            "The host sends it again; one that does not know that lines are checked ends that with $LC=0."
+        }
         Error::EndlessLoop => "Look for a condition that never becomes false.",
     }
 }

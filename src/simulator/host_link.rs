@@ -67,6 +67,8 @@ pub struct HostLink {
     unused_link: Link<1>,
     arbiter: HostArbiter,
     queues: ToControl,
+    /// Bytes that the link has fetched (wrapping).
+    heard: u16,
     connected: bool,
     disconnected: bool,
 }
@@ -79,6 +81,7 @@ impl Default for HostLink {
             unused_link: Link::new(UNUSED),
             arbiter: HostArbiter::new(),
             queues: ToControl::default(),
+            heard: 0,
             connected: false,
             disconnected: false,
         }
@@ -118,6 +121,7 @@ impl HostLink {
     /// Fetches a byte from the port, if there are one and room for it; whether something was queued.
     pub fn fetch(&mut self, controller_is_free: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
+        self.heard = self.heard.wrapping_add(1);
         self.queues.free = self.queues.lines.is_empty() && controller_is_free;
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
@@ -161,6 +165,11 @@ impl HostLink {
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut())
+    }
+
+    /// Bytes that the link has fetched (wrapping).
+    pub fn heard(&self) -> u16 {
+        self.heard
     }
 
     /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the port.

@@ -180,7 +180,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
         self.step_supply.observe(observed);
-        self.lines.observe(observed.received);
+        self.lines.observe(observed.received, observed.heard);
         self.motion.observe(&observed);
         self.door.observe(&observed);
     }
@@ -203,7 +203,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn take(&mut self, event: Event<N>) {
         self.pins.disturb();
         match event {
-            Event::Realtime(command) => self.realtime(command),
+            Event::Realtime(command) => {
+                self.lines.heartbeat_mut().hear();
+                self.realtime(command);
+            }
             Event::Line(byte) => self.line_byte(byte),
             Event::Step(event) => self.step_event(&event),
             Event::Signals(sensed) => self.signals_changed(&sensed),
@@ -256,7 +259,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => self.task.wakeup(|until| self.next_look_at_spindle(until)),
         };
         let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
-        [moving, door, task, self.drivers.off_at(), spinning_up].into_iter().flatten().min()
+        let silent = self.lines.heartbeat().silent_at();
+        [moving, door, task, self.drivers.off_at(), spinning_up, silent].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
@@ -317,6 +321,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.stops.is_idle()
             && self.drivers.off_at().is_none()
             && !self.accessories.is_on()
+            && self.lines.heartbeat().silent_at().is_none()
     }
 
     /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
@@ -410,6 +415,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => {}
         }
         self.drivers.look(self.now);
+        self.look_for_host();
     }
 
     /// Starts queued motion when there is no reason to wait for more of it.

@@ -6,6 +6,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::machine::state::{Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::{Coolant, Realtime};
+use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::Duration;
 
@@ -102,14 +103,35 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// No operator can stop what moves or see where it goes: it is held if `$914` says so. In any case a jog ends, as
     /// the key that would end it has no wire any more.
     pub(super) fn host_left(&mut self) {
-        let at_work = self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none();
         match self.mode {
-            Mode::Jog { .. } => {
-                self.cancel_jog();
-                self.forget_received_jogs();
-            }
-            Mode::Normal if at_work && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
+            Mode::Jog { .. } => self.end_jog_of_no_host(),
+            Mode::Normal if self.is_at_work() && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
             _ => {}
         }
+    }
+
+    /// A host that has said nothing for too long (`$922`, `$923`) may have gone: on some links nobody can see that.
+    pub(super) fn look_for_host(&mut self) {
+        let longest = match self.mode {
+            Mode::Jog { cancelling: false } => self.settings.seconds(Key::JogSilence),
+            Mode::Normal if self.is_at_work() => self.settings.seconds(Key::HostSilence),
+            _ => Duration::from_ticks(0),
+        };
+        if self.lines.heartbeat_mut().is_silent(self.now, longest) {
+            self.say(|out| report::message(out, "The host is silent"));
+            match self.mode {
+                Mode::Jog { .. } => self.end_jog_of_no_host(),
+                _ => self.feed_hold(),
+            }
+        }
+    }
+
+    fn is_at_work(&self) -> bool {
+        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
+    }
+
+    fn end_jog_of_no_host(&mut self) {
+        self.cancel_jog();
+        self.forget_received_jogs();
     }
 }

@@ -12,6 +12,7 @@
 //! end the jogs among them.
 
 use super::checked_line::{LineCheck, Verdict};
+use super::heartbeat::Heartbeat;
 use super::line::{Line, LineRules, Pushed};
 use super::text::Text;
 use crate::error::Error;
@@ -61,6 +62,7 @@ pub struct LineIntake {
     keeps_later_jogs: bool,
     line: Line,
     check: LineCheck,
+    heartbeat: Heartbeat,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
     hosts_cut: u16,
     /// Lines completed (wrapping).
@@ -89,6 +91,7 @@ impl LineIntake {
             keeps_later_jogs: false,
             line: Line::new(),
             check: LineCheck::OFF,
+            heartbeat: Heartbeat::NONE,
             hosts_cut: 0,
             lines_read: 0,
         }
@@ -234,8 +237,10 @@ impl LineIntake {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
 
-    /// So many bytes have been received and not been given yet. Those of a host that has gone have gone with it.
-    pub fn observe(&mut self, received: u16) {
+    /// So many bytes have been received and not been given yet; those of a host that has gone have gone with it. `heard`: so many
+    /// have been received at all (wrapping).
+    pub fn observe(&mut self, received: u16, heard: u16) {
+        self.heartbeat.observe(heard);
         self.drop_bytes = self.drop_bytes.min(received);
         self.jog_bytes = self.jog_bytes.min(received);
     }
@@ -250,6 +255,16 @@ impl LineIntake {
         self.drop_rest = false;
         self.jog_bytes = 0;
         self.clear();
+    }
+
+    /// When the host is heard.
+    pub fn heartbeat(&self) -> &Heartbeat {
+        &self.heartbeat
+    }
+
+    /// When the host is heard, to be told of it.
+    pub fn heartbeat_mut(&mut self) -> &mut Heartbeat {
+        &mut self.heartbeat
     }
 
     /// A command that opens an epoch and does nothing else.
@@ -365,7 +380,7 @@ mod tests {
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
         // Bytes that went with their host are not dropped from the next host's.
         intake.drop_received(6);
-        intake.observe(0);
+        intake.observe(0, 0);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
     }
 

@@ -1,11 +1,12 @@
 //! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine.
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`line_intake`]
-//! knows which of their bytes still count, [`checked_line`] whether a line is what was sent, [`system`] reads `$`
+//! knows which of their bytes still count, [`checked_line`] whether a line is what was sent, [`heartbeat`] whether anything comes at all, [`system`] reads `$`
 //! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`descriptions`] those that put numbers into words, [`replies`] keeps them until they are sent.
 
 pub mod checked_line;
 pub mod descriptions;
+pub mod heartbeat;
 pub mod line;
 pub mod line_intake;
 pub mod link;

@@ -81,7 +81,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     fn observed(&mut self) -> Observed {
         self.log.push("observed".into());
         let received = self.lines.len() as u16;
-        Observed { segments_begun: 0, step_idle: true, rx_free: 255 - received, received }
+        Observed { segments_begun: 0, step_idle: true, rx_free: 255 - received, received, heard: 0 }
     }
 
     fn next_event(&mut self, source: Source) -> Option<Event<3>> {
@@ -293,7 +293,7 @@ impl Pump<3, 16> for Flooded {
     fn observed(&mut self) -> Observed {
         // As long as more lines wait a motion does not begin.
         let received = if self.sent == 0 { 0 } else { 255 };
-        Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received }
+        Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received, heard: 0 }
     }
 
     fn next_event(&mut self, _: Source) -> Option<Event<3>> {

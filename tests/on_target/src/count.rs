@@ -550,7 +550,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
     }
     loop {
         let segments_begun = begun.wrapping_add(segments).saturating_sub(WAITING);
-        let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1 };
+        let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1, heard: 0 };
         controller.observe(observed);
         match &controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => return segments,

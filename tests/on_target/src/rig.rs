@@ -146,6 +146,7 @@ impl Pump<AXES, BLOCKS> for Rig {
             step_idle: self.is_idle(),
             rx_free: free as u16,
             received: u16::from(free == 0),
+            heard: 0,
         }
     }
 

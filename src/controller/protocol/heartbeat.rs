@@ -1,0 +1,74 @@
+//! A host that has gone silent: where nobody sees a pulled cable, as on a UART, any received byte counts as a sign of life.
+
+use crate::units::{Duration, Instant};
+
+/// When the host was heard last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// Bytes received when the host was heard last (wrapping).
+    bytes: u16,
+    /// It has been heard, and the time of that is not taken yet.
+    heard: bool,
+    heard_at: Instant,
+    /// When it will have been silent for too long.
+    silent_at: Option<Instant>,
+}
+
+impl Heartbeat {
+    /// Not heard yet.
+    pub const NONE: Heartbeat = Heartbeat { bytes: 0, heard: false, heard_at: Instant::from_ticks(0), silent_at: None };
+
+    /// So many bytes of lines have been received (wrapping).
+    #[inline]
+    pub fn observe(&mut self, bytes: u16) {
+        self.heard |= bytes != self.bytes;
+        self.bytes = bytes;
+    }
+
+    /// A realtime command has come.
+    #[inline]
+    pub fn hear(&mut self) {
+        self.heard = true;
+    }
+
+    /// Whether the host has been silent for longer than this; not if that is 0.
+    #[inline]
+    pub fn is_silent(&mut self, now: Instant, longest: Duration) -> bool {
+        if core::mem::take(&mut self.heard) {
+            self.heard_at = now;
+        }
+        self.silent_at = (longest > Duration::from_ticks(0)).then(|| self.heard_at + longest);
+        self.silent_at.is_some_and(|at| now >= at)
+    }
+
+    /// When it will have been, if it says nothing more; none while silence is allowed.
+    #[inline]
+    pub fn silent_at(&self) -> Option<Instant> {
+        self.silent_at
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_byte_is_a_sign_of_life() {
+        let at = |ms: u64| Instant::from_ticks(0) + Duration::millis(ms);
+        let longest = Duration::millis(500);
+        let mut heartbeat = Heartbeat::NONE;
+        assert!(!heartbeat.is_silent(at(10), Duration::from_ticks(0)) && heartbeat.silent_at().is_none());
+        heartbeat.observe(7);
+        assert!(!heartbeat.is_silent(at(100), longest));
+        heartbeat.observe(7);
+        assert!(!heartbeat.is_silent(at(599), longest));
+        assert_eq!(heartbeat.silent_at(), Some(at(600)));
+        assert!(heartbeat.is_silent(at(600), longest));
+        heartbeat.hear();
+        assert!(!heartbeat.is_silent(at(700), longest));
+        // The count wraps.
+        heartbeat.observe(6);
+        assert!(!heartbeat.is_silent(at(800), longest));
+        assert_eq!(heartbeat.silent_at(), Some(at(1300)));
+    }
+}
