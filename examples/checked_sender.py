@@ -4,12 +4,15 @@
     python3 examples/checked_sender.py JOB.nc --tcp 127.0.0.1:2323
     python3 examples/checked_sender.py JOB.nc --serial /dev/ttyACM0 [--baud 115200]
 
-`docs/senders.md` describes the lines. While the machine holds (M0, M6, a feed hold), Enter resumes it. Ends with 0 when all
-lines have been taken, with 1 when the machine refuses one, locks itself or is reset. Needs Python 3.9 and nothing else.
+`docs/senders.md` describes the lines. While the machine holds (M0, M6, a feed hold), Enter resumes it; Ctrl-C holds it and ends.
+Ends with 0 when all lines have been taken, with 1 when the machine refuses one, locks itself or is reset. Needs Python 3.9 and
+nothing else; a serial port needs Linux or macOS.
 """
 
 import argparse
 import binascii
+import contextlib
+import os
 import re
 import select
 import socket
@@ -25,8 +28,10 @@ WINDOW = 120
 # Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
 PATIENCE = 0.5
 QUESTIONS = 32
-# Longest line without its header, as the machine counts it.
-LONGEST = 256
+# Seconds after which it is asked beyond that: all of them may have been lost.
+LONG = 30
+# Longest line, remarks among it. Of a longer one the machine would not carry out anything either.
+LONGEST = 1000
 
 
 class Stopped(Exception):
@@ -68,18 +73,21 @@ def answer_in(line):
 
 def text_of(line):
     """A line of a program as it is sent: in capitals, without what no line may have on its way."""
-    line = line.strip()
+    # The machine throws such characters away.
+    line = re.sub("[^ -~]", "", re.sub(r"\s", " ", line)).strip()
     if "(" not in line:
-        line = re.sub(r"\s", "", line.split(";")[0])
-    # Of realtime commands and characters of other languages, which should stand in remarks only, one is made that no line may
-    # have anywhere else.
-    return "".join(c if " " <= c <= "_" and c not in "!?^" else "@" for c in re.sub(r"\s", " ", line).upper())
+        line = line.split(";")[0].replace(" ", "")
+    # Realtime commands should stand in remarks only: of one is made what no line may have anywhere else.
+    return "".join(c if c <= "_" and c not in "!?^" else "@" for c in line.upper())
 
 
 def program(path):
     """The lines to send, each with its number in the file."""
-    with open(path, encoding="utf-8", errors="replace") as file:
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
         texts = [(number, text_of(line)) for number, line in enumerate(file, 1)]
+    for number, text in texts:
+        if len(text) > LONGEST:
+            raise Stopped(f"line {number} has more than {LONGEST} characters")
     return [(number, text) for number, text in texts if text]
 
 
@@ -103,25 +111,30 @@ class Tcp:
 
 class Serial:
     def __init__(self, path, baud):
-        import os
-        import termios
-        import tty
-
-        self.os = os
-        self.file = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            import termios
+            import tty
+        except ImportError:
+            raise Stopped("a serial port needs Linux or macOS") from None
+        speed = getattr(termios, f"B{baud}", None)
+        if speed is None:
+            raise Stopped(f"this machine knows no {baud} baud")
+        # Not to wait for a modem's carrier.
+        self.file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.set_blocking(self.file, True)
         tty.setraw(self.file)
         settings = termios.tcgetattr(self.file)
-        settings[4] = settings[5] = getattr(termios, f"B{baud}")
+        settings[4] = settings[5] = speed
         termios.tcsetattr(self.file, termios.TCSANOW, settings)
 
     def send(self, data):
         while data:
-            data = data[self.os.write(self.file, data) :]
+            data = data[os.write(self.file, data) :]
 
     def receive(self, seconds):
         if not select.select([self.file], [], [], seconds)[0]:
             return b""
-        data = self.os.read(self.file, 4096)
+        data = os.read(self.file, 4096)
         if not data:
             raise Stopped("the port is gone")
         return data
@@ -132,16 +145,17 @@ class Sender:
 
     def __init__(self, link, lines, tell=print):
         self.link, self.lines, self.tell = link, lines, tell
-        # Lines that the machine has taken, and lines sent.
-        self.taken = self.sent = 0
+        # Lines that the machine has taken, lines sent, and the most that ever were: of those some may still be under way.
+        self.taken = self.sent = self.furthest = 0
         # Bytes of each line under way, the first in front.
         self.sizes = []
         # What is under way is awaited, then sent again as far as it is wanted.
         self.is_draining = False
-        # Questions without an answer, and plain answers that came instead.
-        self.questions = self.plain = 0
+        # Questions without an answer, lines that had been sent when the last was asked, and plain answers that came instead.
+        self.questions = self.asked_at = self.plain = 0
         self.received = b""
-        self.last_answer = 0.0
+        # When an answer came last, when anything did, and when the machine was asked last.
+        self.last_answer = self.last_heard = self.last_asked = 0.0
         self.state = ""
         self.counts = {"lines sent again": 0, "answers damaged": 0, "refusals": 0, "questions": 0}
 
@@ -157,13 +171,15 @@ class Sender:
 
     def receive(self):
         data = self.link.receive(PATIENCE / 4)
+        if data:
+            self.last_heard = time.monotonic()
         *lines, self.received = (self.received + data).split(b"\n")
         return [line.decode("ascii", "replace").strip("\r") for line in lines]
 
     def begin(self):
         """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
         for _ in range(20):
-            self.link.send(b"\n$LC=1\n")
+            self.link.send(b"\n$LC=ON\n")
             until = time.monotonic() + 2 * PATIENCE
             while time.monotonic() < until:
                 for line in self.receive():
@@ -174,36 +190,47 @@ class Sender:
 
     def end(self):
         for _ in range(20):
-            self.link.send(b"\n$LC=0\n")
+            self.link.send(b"\n$LC=OFF\n")
             until = time.monotonic() + PATIENCE
             while time.monotonic() < until:
                 if "ok" in self.receive():
                     return
-        self.tell("the machine may still check lines: $LC=0 ends that")
+        self.tell("the machine may still check lines: $LC=OFF ends that")
+
+    def give_up(self):
+        """Nobody listens to the answers any more: another host should not have to check its lines."""
+        with contextlib.suppress(Stopped, OSError):
+            self.link.send(b"\n$LC=OFF\n")
 
     def fill(self):
         while not self.is_draining and self.sent < len(self.lines):
             line = line_of(self.sent, self.lines[self.sent][1])
-            if self.sizes and sum(self.sizes) + len(line) > WINDOW:
+            if self.sizes and sum(self.sizes) + self.questions + len(line) > WINDOW:
                 return
             self.link.send(line)
             self.sizes.append(len(line))
             self.sent += 1
+            self.furthest = max(self.furthest, self.sent)
 
     def read(self, line):
         answer = answer_in(line)
         if answer is None:
             return self.read_other(line)
-        self.last_answer, self.questions, self.plain = time.monotonic(), 0, 0
+        self.last_answer, self.plain = time.monotonic(), 0
         number, text = answer
         more = (number - self.taken) % NUMBERS
-        if more > self.sent - self.taken:
+        if more > self.furthest - self.taken:
             # Only after another host has begun again.
             raise Stopped(f"the machine wants line {number}, which was not sent")
         self.taken += more
         del self.sizes[:more]
+        self.sent = max(self.sent, self.taken)
+        if self.taken > self.asked_at:
+            # What came before a line that was sent later has been answered.
+            self.questions = 0
         if text == "known":
-            # All that was under way has arrived.
+            self.questions = max(0, self.questions - 1)
+            # What was under way at the question has arrived; at least some, if it was a line end that came twice.
             if self.is_draining:
                 self.counts["lines sent again"] += self.sent - self.taken
                 self.is_draining, self.sent, self.sizes = False, self.taken, []
@@ -227,8 +254,11 @@ class Sender:
         self.link.send(b"?")
 
     def question(self):
-        if self.questions < QUESTIONS:
-            self.questions += 1
+        now = time.monotonic()
+        if self.questions < QUESTIONS or now - self.last_asked > LONG:
+            # Those that went into a dead link do not wait in the machine.
+            self.questions += self.last_heard > self.last_asked
+            self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1
             self.link.send(b"\n")
 
@@ -266,14 +296,20 @@ def main():
     where.add_argument("--serial", metavar="DEVICE")
     parser.add_argument("--baud", type=int, default=115200)
     options = parser.parse_args()
-    sender = Sender(None, program(options.job))
     begin = time.monotonic()
+    sender = Sender(None, [])
     try:
+        sender.lines = program(options.job)
         sender.link = Tcp(options.tcp) if options.tcp else Serial(options.serial, options.baud)
         if sys.stdin.isatty():
             threading.Thread(target=resume_on_enter, args=(sender.link,), daemon=True).start()
         sender.run()
-    except (Stopped, OSError) as why:
+    except (Stopped, OSError, KeyboardInterrupt) as why:
+        if sender.link:
+            if isinstance(why, KeyboardInterrupt):
+                why = "held: ~ resumes, Ctrl-X resets"
+                sender.link.send(b"!")
+            sender.give_up()
         print(f"{why}; {sender.taken} of {len(sender.lines)} lines taken", file=sys.stderr)
         return 1
     counts = ", ".join(f"{count} {name}" for name, count in sender.counts.items())

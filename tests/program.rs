@@ -379,3 +379,62 @@ fn files_are_read_with_a_bound() {
     assert_eq!(output.status.code(), Some(2));
     assert!(said.contains("/dev/zero") && said.contains("a line has more than a million bytes"), "{said}");
 }
+
+#[test]
+fn a_recorded_job_is_played_again() {
+    let job = file("recorded.nc", "G21 G90 (Größe)\nG2 X4 I2 F600\nM0\nG0 X0 Z1\nbad\n%\n");
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("recorded.rec");
+    let arguments = ["--board", "nucleo_f446re", "--set", "$110=900", "--dialect", "seed"];
+    let run_arguments = [&["run", text(&job), "--json", "--record", text(&recording)], &arguments[..]].concat();
+    let recorded = run(&run_arguments);
+    assert_eq!(recorded.status.code(), Some(1), "one line is refused");
+    let played = run(&["replay", text(&recording), "--json"]);
+    assert_eq!(played.status.code(), Some(1));
+    let [mut recorded, mut played] = [&recorded, &played].map(json);
+    assert_eq!(recorded["errors"].as_array().map(Vec::len), Some(1));
+    for summary in [&mut recorded, &mut played] {
+        summary["host_s"] = Value::Null;
+        summary["job"] = Value::Null;
+    }
+    assert_eq!(recorded, played);
+    // A program that makes other steps says so.
+    let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
+    let changed = file("changed.rec", &other);
+    let output = run(&["replay", text(&changed)]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("at its end the recording has the motors at"));
+    assert_eq!(run(&["replay", text(&job)]).status.code(), Some(2), "no recording");
+    assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
+}
+
+#[test]
+fn a_recorded_conversation_is_played_again() {
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("conversation.rec");
+    let mut serve = oxmill(&["serve", "--stdio", "--speed", "max", "--record", text(&recording), "--set", "$120=200"]);
+    let mut child = serve.stdin(Stdio::piped()).spawn().expect("the program starts");
+    let mut host = child.stdin.take().expect("a pipe");
+    host.write_all(b"G1 X3 F600\n!").expect("it reads");
+    std::thread::sleep(std::time::Duration::from_millis(50));
+    host.write_all(b"~G1 X0 Y2\nbad\nG0 Z1\n").expect("it reads");
+    drop(host);
+    assert!(child.wait_with_output().expect("it ends").status.success());
+    let played = run(&["replay", text(&recording), "--json"]);
+    let summary = json(&played);
+    assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
+    assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
+    assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
+}
+
+/// Recordings of machines, each of which once found a fault or shows what must stay so.
+#[test]
+fn recordings_from_the_field() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings/field");
+    let mut files: Vec<PathBuf> =
+        fs::read_dir(folder).expect("the folder").map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "rec"));
+    assert!(!files.is_empty());
+    for path in files {
+        let played = run(&["replay", text(&path)]);
+        assert!(played.stderr.is_empty(), "{}: {}", path.display(), String::from_utf8_lossy(&played.stderr));
+    }
+}

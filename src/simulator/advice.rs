@@ -86,7 +86,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
-            "The host sends it again; one that does not know that lines are checked ends that with $LC=0."
+            "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
         }
         Error::EndlessLoop => "Look for a condition that never becomes false.",
     }

@@ -98,6 +98,24 @@ impl Check {
         Self { simulator, origin, outcome: Outcome::default(), done: false }
     }
 
+    /// A machine that has done something without a job, for its report.
+    pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
+        let mut outcome = Outcome { complete: true, ..Outcome::default() };
+        let mut answers = 0;
+        for line in said.lines() {
+            answers += u64::from(line == "ok");
+            if let Some(code) = line.strip_prefix("error:").and_then(|code| code.parse().ok()) {
+                answers += 1;
+                outcome.refused(answers, code, error_text(code), String::new());
+            }
+        }
+        if let Some(alarm) = simulator.controller().alarm() {
+            let (text, advice) = (alarm.text().into(), advice::for_alarm(alarm).into());
+            outcome.alarm = Some(AlarmReport { code: alarm.code(), text, line: None, advice });
+        }
+        Self { simulator, origin, outcome, done: true }
+    }
+
     /// Takes the job further by so many rounds of the virtual clock, some microseconds of the host each. Whether it has come
     /// to its end.
     pub fn advance(&mut self, rounds: u32) -> bool {

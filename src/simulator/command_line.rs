@@ -25,6 +25,8 @@ pub enum Command {
     Plot(PlotJob),
     /// A Grbl device that any sender may connect to.
     Serve(Serve),
+    /// Plays a recording, and says what the machine did and whether it was the same.
+    Replay(Replay),
     /// Writes the completions of a shell to standard output.
     Completions {
         /// The shell.
@@ -48,6 +50,9 @@ pub struct Run {
     /// Writes a row for each step event.
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
+    /// Writes what comes in, for `replay`.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
@@ -99,9 +104,22 @@ pub struct Serve {
     /// Takes lines such as `limit x 1` or `door 0` that move input pins.
     #[arg(long, value_name = "ADDR:PORT")]
     pub pins: Option<String>,
+    /// Writes what comes in, for `replay`.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
+}
+
+/// `replay`.
+#[derive(Debug, Args)]
+pub struct Replay {
+    /// The recording: of `run --record` or `serve --record`.
+    pub recording: PathBuf,
+    /// The summary as one JSON object on standard output, as `run --json` prints it.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Exactly one of the links.
@@ -234,6 +252,16 @@ mod tests {
         assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve --stdio --speed 0").is_err());
         assert!(parse("oxmill serve --stdio --board toaster").is_err());
+    }
+
+    #[test]
+    fn recordings_are_written_and_played() {
+        let Command::Run(run) = parse("oxmill run a.nc --record a.rec").unwrap() else { panic!() };
+        assert_eq!(run.record, Some(PathBuf::from("a.rec")));
+        let Command::Serve(serve) = parse("oxmill serve --stdio --record a.rec").unwrap() else { panic!() };
+        assert_eq!(serve.record, Some(PathBuf::from("a.rec")));
+        let Command::Replay(replay) = parse("oxmill replay a.rec --json").unwrap() else { panic!() };
+        assert_eq!((replay.recording, replay.json), (PathBuf::from("a.rec"), true));
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::check::Check;
-use crate::command_line::{CheckJob, MachineOptions, PlotJob, Run};
+use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run};
 use crate::files::{self, Output, Role};
 use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
+use crate::recording::{RecordedJob, Recorder, Recording};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
@@ -15,8 +16,10 @@ use crate::text::JobText;
 use crate::trace::Csv;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::cell::RefCell;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
+use std::rc::Rc;
 use std::time::Instant;
 
 /// Rounds of the virtual clock between looks at the progress: some 10 ms of the host.
@@ -96,7 +99,7 @@ enum Form {
 pub fn check(options: CheckJob) -> Result<bool> {
     let CheckJob { job, json, machine } = options;
     let form = if json { Form::Json } else { Form::Short };
-    carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, machine }, form)
+    carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, machine }, form)
 }
 
 /// Carries out `plot`. The result is whether the job went without a fault.
@@ -105,7 +108,7 @@ pub fn check(options: CheckJob) -> Result<bool> {
 /// If a file cannot be read or written, or a setting is refused.
 pub fn plot(options: PlotJob) -> Result<bool> {
     let PlotJob { job, output, machine } = options;
-    carry_out_job(&Run { job, json: false, plot: output, trace: None, machine }, Form::Short)
+    carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, machine }, Form::Short)
 }
 
 /// Carries out `run`. The result is whether the job went without a fault.
@@ -114,6 +117,55 @@ pub fn plot(options: PlotJob) -> Result<bool> {
 /// If a file cannot be read or written, or a setting is refused.
 pub fn run(options: &Run) -> Result<bool> {
     carry_out_job(options, if options.json { Form::Json } else { Form::Whole })
+}
+
+/// Carries out `replay`. The result is whether the machine did the same without a fault.
+///
+/// # Errors
+/// If the recording cannot be read or played.
+pub fn replay(options: &Replay) -> Result<bool> {
+    let started = Instant::now();
+    let path = options.recording.display();
+    let text =
+        std::fs::read_to_string(&options.recording).with_context(|| format!("cannot read the recording {path}"))?;
+    let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
+    let mut simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
+    let (check, same) = if let Some(job) = recording.job() {
+        let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
+        while !check.advance(ROUNDS) {}
+        let same = recording.compare_end(check.simulator());
+        (check, same)
+    } else {
+        let (origin, mut said) = (simulator.clock().now(), String::new());
+        let same = recording.play(&mut simulator, |text| said.push_str(text));
+        // What the last of it has begun.
+        simulator.run_until_idle();
+        said.push_str(&simulator.take_output());
+        (Check::of(simulator, origin, &said), same)
+    };
+    let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
+    print(&summary, if options.json { Form::Json } else { Form::Whole })?;
+    if let Err(why) = &same {
+        eprintln!("oxmill: {path}: {why}");
+    }
+    Ok(same.is_ok() && summary.is_good())
+}
+
+/// Begins a recording in this file.
+///
+/// # Errors
+/// If it cannot be written, or cannot be of use.
+pub fn begin_recording(file: Output, simulator: &mut Simulator, options: &MachineOptions) -> Result<Recorder> {
+    if options.cut_power.is_some() {
+        bail!("a power cut cannot be recorded");
+    }
+    let path = file.path().display().to_string();
+    let machine =
+        options.machine.as_deref().map(|path| files::read(path, files::TEXT)).transpose()?.unwrap_or_default();
+    let recorder = file.begin().and_then(|file| {
+        Recorder::begin(Box::new(io::BufWriter::new(file)), simulator, &String::from_utf8_lossy(&machine))
+    });
+    recorder.with_context(|| format!("cannot write the recording {path}"))
 }
 
 fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
@@ -126,6 +178,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
     let (reader, length) = files::open_text(&options.job).with_context(|| format!("cannot read the job {name}"))?;
     let plots = options.plot.iter().map(|path| output(path, "drawing")).collect::<Result<Vec<_>>>()?;
     let trace = options.trace.as_deref().map(|path| output(path, "trace")).transpose()?;
+    let record = options.record.as_deref().map(|path| output(path, "recording")).transpose()?;
     let mut simulator = power_up(&options.machine)?;
     check_store(&simulator, options.machine.store.as_deref())?;
     let origin = simulator.clock().now();
@@ -141,14 +194,25 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
         simulator.meter_mut().draw(Drawing::new(start, seconds));
     }
 
+    let recorder = record.map(|file| begin_recording(file, &mut simulator, &options.machine)).transpose()?;
+    let recorder = recorder.map(|recorder| Rc::new(RefCell::new(recorder)));
+    let job = match &recorder {
+        Some(recorder) => JobText::new(RecordedJob::new(reader, recorder.clone())),
+        None => JobText::new(reader),
+    };
     let progress = progress_bar(length);
-    let mut check = Check::new(simulator, JobText::new(reader));
+    let mut check = Check::new(simulator, job);
     carry_out(&mut check, &progress);
     progress.finish_and_clear();
     check_power(check.simulator())?;
     // Whatever fails from here on, the summary is printed first.
     let mut failures = Vec::from_iter(reading_failure(&mut check, &name));
     failures.extend(check.simulator_mut().trace_mut().finish().context("cannot write the trace to its end").err());
+    if let Some(recorder) = recorder {
+        let mut recorder = recorder.borrow_mut();
+        let written = recorder.look(check.simulator()).and_then(|()| recorder.flush());
+        failures.extend(written.context("cannot write the recording to its end").err());
+    }
     let summary = check.summary(&base_name(&options.job), started.elapsed().as_secs_f64());
     print(&summary, form)?;
     if let Some(drawing) = check.simulator_mut().meter_mut().take_drawing() {
@@ -183,7 +247,11 @@ fn roles(options: &Run) -> Vec<Role<'_>> {
     let machine = &options.machine;
     let read =
         [(job, "the job"), (machine.settings.as_deref(), "--settings"), (machine.machine.as_deref(), "--machine")];
-    let written = [(machine.store.as_deref(), "--store"), (options.trace.as_deref(), "--trace")];
+    let written = [
+        (machine.store.as_deref(), "--store"),
+        (options.trace.as_deref(), "--trace"),
+        (options.record.as_deref(), "--record"),
+    ];
     let written = written.into_iter().chain(options.plot.iter().map(|path| (Some(path.as_path()), "--plot")));
     let read = read.into_iter().map(|file| (file, false));
     let role = |((path, name), written): ((Option<_>, _), _)| path.map(|path| Role { path, name, written });

@@ -39,6 +39,8 @@ pub mod plot;
 pub mod power_up;
 mod pump;
 #[cfg(feature = "program")]
+pub mod recording;
+#[cfg(feature = "program")]
 pub mod server;
 #[cfg(feature = "program")]
 pub mod short_report;
@@ -74,6 +76,7 @@ pub fn main() -> ExitCode {
         Command::Run(options) => job::run(&options),
         Command::Check(options) => job::check(options),
         Command::Plot(options) => job::plot(options),
+        Command::Replay(options) => job::replay(&options),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
             Ok(true)

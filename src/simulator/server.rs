@@ -8,7 +8,9 @@
 //! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
 
 use crate::command_line::{Serve, Speed};
-use crate::job::{check_power, power_up};
+use crate::files::Output;
+use crate::job::{begin_recording, check_power, power_up};
+use crate::recording::{Input, Recorder};
 use crate::simulator::Simulator;
 use crate::web_link::{self, Site};
 use anyhow::{Context, Result, anyhow};
@@ -40,6 +42,9 @@ const SLICE: Duration = Duration::from_millis(20);
 /// What a second client is told, and for how long at most it is listened to, so that it can read that.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
 const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Why a machine that is recorded goes no further.
+const UNRECORDED: &str = "cannot write the recording";
 
 /// What the threads tell the loop.
 pub(crate) enum Happened {
@@ -80,7 +85,14 @@ impl Visitor {
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
-    let simulator = power_up(&options.machine)?;
+    let mut simulator = power_up(&options.machine)?;
+    let recorder = match &options.record {
+        Some(path) => {
+            let file = Output::open(path).with_context(|| format!("cannot write the recording {}", path.display()))?;
+            Some(begin_recording(file, &mut simulator, &options.machine)?)
+        }
+        None => None,
+    };
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
@@ -89,7 +101,7 @@ pub fn serve(options: &Serve) -> Result<()> {
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
     }
-    let device = Device::new(simulator, options.speed, options.reset_on_connect);
+    let device = Device::new(simulator, options.speed, options.reset_on_connect, recorder);
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
         println!("tcp {}", listener.local_addr()?);
@@ -241,15 +253,44 @@ struct Device {
     waiting: VecDeque<(Visitor, SyncSender<Happened>)>,
     /// An answer that the client had no room for.
     kept: Option<Vec<u8>>,
+    recorder: Option<Recorder>,
+    /// Why the recording is not whole.
+    unrecorded: Option<io::Error>,
 }
 
 impl Device {
-    fn new(simulator: Simulator, speed: Speed, reset_on_connect: bool) -> Self {
-        let anchor = (Instant::now(), simulator.clock().now());
-        Self { simulator, speed, reset_on_connect, anchor, client: None, waiting: VecDeque::new(), kept: None }
+    fn new(simulator: Simulator, speed: Speed, reset_on_connect: bool, recorder: Option<Recorder>) -> Self {
+        Self {
+            anchor: (Instant::now(), simulator.clock().now()),
+            simulator,
+            speed,
+            reset_on_connect,
+            client: None,
+            waiting: VecDeque::new(),
+            kept: None,
+            recorder,
+            unrecorded: None,
+        }
+    }
+
+    /// Something is about to come in.
+    fn record(&mut self, input: &Input) {
+        if let Some(recorder) = &mut self.recorder
+            && let Err(error) = recorder.input(&self.simulator, input)
+        {
+            self.unrecorded.get_or_insert(error);
+        }
     }
 
     fn run(mut self, receiver: &Receiver<Happened>) -> Result<()> {
+        let done = self.run_until_left(receiver);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.look(&self.simulator).and_then(|()| recorder.flush()).context(UNRECORDED)?;
+        }
+        done
+    }
+
+    fn run_until_left(&mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
             // What came is dated with the time at which it came.
             self.pass_time();
@@ -258,6 +299,12 @@ impl Device {
                 self.left();
             }
             check_power(&self.simulator)?;
+            if let Some(recorder) = &mut self.recorder {
+                recorder.time_passed(&self.simulator).context(UNRECORDED)?;
+            }
+            if let Some(error) = self.unrecorded.take() {
+                return Err(error).context(UNRECORDED);
+            }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
                 // Lines that are unread now wait for a host that will not come. The writer ends when the last answer has
@@ -290,6 +337,7 @@ impl Device {
             Happened::Knocked(visitor, sender) => self.knocked(visitor, sender),
             Happened::Heard => {}
             Happened::Pins(line, reply) => {
+                self.record(&Input::Pin(line.clone()));
                 let answer = self.simulator.pin_line(&line);
                 // A client that has gone in the meantime needs no answer.
                 let _ = reply.send(answer);
@@ -304,6 +352,7 @@ impl Device {
             let ended = client.inbox.has_ended();
             let bytes = client.inbox.take(PORT.saturating_sub(self.simulator.unread()).min(PIECE));
             if !bytes.is_empty() {
+                self.record(&Input::Host(bytes.clone()));
                 self.simulator.send(bytes);
             } else if ended && !client.is_program {
                 // What it has been told by now it may still read.
@@ -360,10 +409,12 @@ impl Device {
         self.kept = None;
         // Without a client the answers are lost, as on a port that is not open.
         self.simulator.take_output();
+        self.record(&Input::Connect);
         self.simulator.connect();
         if self.reset_on_connect {
             // It gets the welcome of the reset.
             self.simulator.take_output();
+            self.record(&Input::Host(vec![0x18]));
             self.simulator.send([0x18]);
         }
     }
@@ -372,6 +423,7 @@ impl Device {
         if let Some(client) = self.client.take() {
             client.let_go();
             self.kept = None;
+            self.record(&Input::Disconnect);
             self.simulator.disconnect();
         }
         for (visitor, sender) in std::mem::take(&mut self.waiting) {

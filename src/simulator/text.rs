@@ -4,6 +4,7 @@
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
 //! in order, as for any sender.
 
+use oxmill_controller::protocol::checked_line::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 
@@ -240,6 +241,9 @@ impl JobText {
     }
 
     fn reply_line(&mut self, reply: &str) {
+        // A file that asks for checked lines gets answers of that form.
+        let checked = reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..));
+        let reply = checked.map_or(reply, |text| if text == "known" { "ok" } else { text });
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
         if reply == "ok" || code.is_some() {
             self.answers += 1;
@@ -308,6 +312,16 @@ mod tests {
         let mut job = JobText::new(text.as_bytes());
         assert_eq!(drain(&mut job), "G0 X1 (????? ! ~)\n G?\n");
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
+    }
+
+    /// Lines behind it are not checked ones, and refused.
+    #[test]
+    fn answers_to_checked_lines_are_answers() {
+        let mut job = JobText::new(&b"$LC=ON\nG0\n\n"[..]);
+        drain(&mut job);
+        job.answered(b":AAAABDHeBSSVBok\r\n:AAAASKKKKKKKKerror:129\r\n:AAAAPABDHABDHknown\r\n");
+        assert_eq!(job.said(), [Said::Error { line: 2, code: 129, text: "G0".into() }]);
+        assert!(job.is_used_up());
     }
 
     /// Words behind the mark would be lost: the controller refuses them.

@@ -20,12 +20,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
-        if report::is_answer(&text)
-            && let Some(checked) = self.lines.checked_answer(&text)
-        {
-            text = checked;
+        if report::is_answer(&text) && self.lines.is_checking() && !self.replies.is_echoing() {
+            return self.say_checked(&text);
         }
         self.replies.push(&text, self.lines.hosts_cut());
+    }
+
+    /// The answer to a checked line.
+    // Not in each of the places that answer: a text has 320 bytes of stack.
+    #[inline(never)]
+    fn say_checked(&mut self, text: &[u8]) {
+        if let Some(checked) = self.lines.checked_answer(text) {
+            self.replies.push(&checked, self.lines.hosts_cut());
+        }
     }
 
     /// The message of a line that is carried out, with its mark; one that would leave the travel is not. What was queued
@@ -44,7 +51,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The answer to a line that is not carried out, or not to its end.
     pub(super) fn refuse(&mut self, error: Error) {
-        self.lines.fail(error);
+        // Not that to a startup line, which no host has sent.
+        if !self.replies.is_echoing() {
+            self.lines.fail(error);
+        }
         self.say(|out| report::error(out, error.code()));
     }
 
@@ -85,8 +95,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The welcome line. What a host is told once, it may not have heard before.
     pub(super) fn greet(&mut self) {
         self.records.host_greeted();
-        // A host that has not begun to check its lines cannot know that it has to.
-        self.lines.end_check();
         self.say(report::welcome);
         if let Some(failure) = self.replies.failure().cloned() {
             self.say(|out| report::failure(out, &failure));

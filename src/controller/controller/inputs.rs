@@ -18,6 +18,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if came.reset {
             // The button does what 0x18 does, but it opens no epoch: what has been received is dropped all the same.
             self.lines.drop_received(self.step_supply.observed().received);
+            self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         if matches!(self.mode, Mode::Home(_)) {

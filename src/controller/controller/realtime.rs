@@ -15,6 +15,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match command {
             Realtime::Reset => {
                 self.lines.reset();
+                self.lapse_check();
                 self.stops.begin(StopReason::Reset);
                 self.finish_stop();
                 self.release_held();
@@ -26,7 +27,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::Stop => {
                 self.lines.reset();
-                self.end_check();
+                self.lapse_check();
                 self.stop_softly(false);
                 self.release_held();
             }

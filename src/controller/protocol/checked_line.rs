@@ -1,11 +1,11 @@
-//! Lines with a number, a length and a checksum, for links that damage, drop or double bytes (`$LC=1`). What is carried out is
+//! Lines with a number, a length and a checksum, for links that damage, drop or double bytes (`$LC=ON`). What is carried out is
 //! exactly what was sent, in its order and once.
 //!
 //! ```text
 //!  : NNN LL CCCCCCCC text LF
 //!  │  │  │     └ CRC-32 (IEEE 802.3) of number, length and text as they are on the line
 //!  │  │  └ bytes of the text on the line, modulo 256
-//!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=1`
+//!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ the line is checked
 //! ```
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters of [`DIGITS`]. Any two of these differ in two bits, and
@@ -21,10 +21,11 @@
 //! **Answers** have the same form, with the number of the line that is wanted next: all before it have been taken, so an answer
 //! that is lost does no harm. A line that is not the wanted one is not carried out: to one that is known already and to an empty
 //! line, which is a question, the answer is `known`; to any other [`Error::DamagedLine`]. Behind a line that was refused for what
-//! it says nothing is carried out until `$LC=1` begins again: each answer is that error.
+//! it says nothing is carried out until `$LC=ON` begins again: each answer is that error.
 //!
-//! Checking ends with `$LC=0`, which may be sent as a plain line as `$LC=1` may, with another host, and with whatever makes the
-//! machine greet its host.
+//! Checking ends with `$LC=OFF`, which may be sent as a plain line as `$LC=ON` may, with another dialect and another host. A reset
+//! and a stop end it too, but not at once: two damaged bits may have made one of a byte, and what follows up to the next line end
+//! may be the rest of that line. It is refused.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
@@ -54,6 +55,9 @@ const NUMBER_END: u16 = 1 + NUMBER as u16;
 const LENGTH_END: u16 = NUMBER_END + LENGTH as u16;
 const HEADER_END: u16 = LENGTH_END + SUM as u16;
 
+/// Bytes in front of the text of a checked answer.
+pub const ANSWER_HEADER: usize = HEADER_END as usize;
+
 /// Numbers of lines are below this.
 const NUMBERS: u16 = 1 << (4 * NUMBER);
 
@@ -73,6 +77,8 @@ pub enum Verdict {
 pub struct LineCheck {
     /// The number of the line that may come next; none while lines are not checked.
     wanted: Option<u16>,
+    /// A reset or stop has ended the check: what comes up to the next line end is refused.
+    lapsed: bool,
     /// Why a line before was refused.
     failed: Option<Error>,
     /// Bytes of the current line.
@@ -87,8 +93,17 @@ pub struct LineCheck {
 
 impl LineCheck {
     /// Lines are not checked.
-    pub const OFF: Self =
-        Self { wanted: None, failed: None, place: 0, is_whole: true, number: 0, length: 0, sum: 0, crc: Crc::START };
+    pub const OFF: Self = Self {
+        wanted: None,
+        lapsed: false,
+        failed: None,
+        place: 0,
+        is_whole: true,
+        number: 0,
+        length: 0,
+        sum: 0,
+        crc: Crc::START,
+    };
 
     /// Lines are checked from now on; the first has the number 0.
     pub fn begin(&mut self) {
@@ -98,6 +113,13 @@ impl LineCheck {
     /// Lines are not checked any more. Whether they were.
     pub fn end(&mut self) -> bool {
         core::mem::replace(self, Self::OFF).wanted.is_some()
+    }
+
+    /// A reset or a stop: lines are not checked any more behind the next line end. Whether they were.
+    pub fn lapse(&mut self) -> bool {
+        let was_on = self.is_on();
+        *self = Self { lapsed: was_on || self.lapsed, ..Self::OFF };
+        was_on
     }
 
     /// Whether lines are checked.
@@ -113,7 +135,7 @@ impl LineCheck {
 
     /// What has come of a line is void.
     pub fn clear(&mut self) {
-        *self = Self { wanted: self.wanted, failed: self.failed, ..Self::OFF };
+        *self = Self { wanted: self.wanted, lapsed: self.lapsed, failed: self.failed, ..Self::OFF };
     }
 
     /// Bytes of the line were lost.
@@ -175,13 +197,15 @@ impl LineCheck {
 
     /// The end of a line of this text (filtered), which is the next if it is valid.
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
-        let Some(wanted) = self.wanted else { return Verdict::Valid };
+        let Some(wanted) = self.wanted else {
+            return if core::mem::take(&mut self.lapsed) { Verdict::Damaged } else { Verdict::Valid };
+        };
         let line = core::mem::replace(self, Self { wanted: self.wanted, failed: self.failed, ..Self::OFF });
         if line.place == 0 && line.is_whole {
             return Verdict::Known;
         }
         // Whoever does not know that lines are checked can end that.
-        if matches!(text, b"$LC=0" | b"$LC=1") && line.place == text.len() as u16 {
+        if matches!(text, b"$LC=OFF" | b"$LC=ON") && line.place == text.len() as u16 {
             return Verdict::Valid;
         }
         let length = line.place.wrapping_sub(HEADER_END);
@@ -272,6 +296,7 @@ mod tests {
     /// What comes in passes through the same parts as on a board.
     struct Host {
         intake: LineIntake,
+        epoch: u16,
         taken: Vec<String>,
         commands: Vec<Realtime>,
         answers: Vec<Verdict>,
@@ -281,7 +306,7 @@ mod tests {
         fn new() -> Self {
             let mut intake = LineIntake::new();
             intake.check_lines(true);
-            Self { intake, taken: Vec::new(), commands: Vec::new(), answers: Vec::new() }
+            Self { intake, epoch: 0, taken: Vec::new(), commands: Vec::new(), answers: Vec::new() }
         }
 
         fn send(&mut self, bytes: &[u8]) -> &mut Self {
@@ -296,9 +321,18 @@ mod tests {
                 let byte = match Received::of(*byte) {
                     Received::Realtime(command) => {
                         self.commands.push(command);
+                        self.epoch += u16::from(command.opens_epoch());
+                        match command {
+                            Realtime::Reset | Realtime::Stop => {
+                                self.intake.reset();
+                                self.intake.lapse_check();
+                            }
+                            Realtime::JogCancel => self.intake.cancel_jogs(),
+                            _ => {}
+                        }
                         continue;
                     }
-                    Received::Line(byte) => LineByte { byte, epoch: 0, damaged: false },
+                    Received::Line(byte) => LineByte { byte, epoch: self.epoch, damaged: false },
                     Received::Nothing => continue,
                 };
                 if self.intake.take_plain(byte) {
@@ -348,13 +382,13 @@ mod tests {
     #[test]
     fn a_plain_line_is_refused_and_an_empty_one_is_a_question() {
         let mut host = Host::new();
-        host.send(b"G0X1\n\n\r\n$LC=0X\n $LC=0\n;\n");
+        host.send(b"G0X1\n\n\r\n$LC=OFFX\n $LC=OFF\n;\n");
         assert_eq!(host.answers, [Damaged, Known, Known, Damaged, Damaged, Damaged]);
-        host.send(b"$LC=0\n$lc=1\n");
-        assert_eq!(host.taken, ["$LC=0", "$LC=1"]);
+        host.send(b"$LC=OFF\n$lc=on\n");
+        assert_eq!(host.taken, ["$LC=OFF", "$LC=ON"]);
         // A header leaves no CR behind to which the end of an empty line would belong.
         host.send(b"\r").line(0, "").line(1, "M5");
-        assert_eq!(host.taken, ["$LC=0", "$LC=1", "", "M5"]);
+        assert_eq!(host.taken, ["$LC=OFF", "$LC=ON", "", "M5"]);
     }
 
     #[test]
@@ -418,7 +452,12 @@ mod tests {
                 }
                 let mut host = Host::new();
                 host.send(&damaged).send(&second);
-                // A line end that is damaged joins two lines, and an added one makes an empty line of none.
+                let is_reset = host.commands.iter().any(|command| matches!(command, Realtime::Reset | Realtime::Stop));
+                if is_reset {
+                    // What is left of the line is refused; a whole one behind it is taken as a plain line, and is none.
+                    assert!(host.taken.iter().all(|text| text.starts_with(':')), "{one} {other}: {:?}", host.taken);
+                    continue;
+                }
                 assert_eq!(host.taken, [""; 0], "bits {one} and {other}");
                 let acts = host.commands.iter().any(|command| *command != Realtime::Status);
                 assert!(other != one || !acts, "bit {one}: {:?}", host.commands);
@@ -469,12 +508,56 @@ mod tests {
             prop_assert_eq!(check.finish(b"text"), Damaged);
         }
 
-        /// Whatever comes, the only thing that runs is the line that is wanted.
+        /// Whatever comes, what runs are the lines that were sent, in their order and once.
         #[test]
-        fn garbage_does_not_run(bytes: Vec<u8>) {
+        fn nothing_else_runs(
+            order in prop::collection::vec(0..6_u16, 1..40),
+            edits in prop::collection::vec((0..400_usize, 0..3_u8, prop::sample::select(b"ABDGHKNPSUVZcefi:lb08GXZ.-\n".to_vec())), 0..6),
+        ) {
+            let texts = ["G1X1.98", "G0Y-8", "G91", "G1Z-0.25F100", "G90", "M5"];
+            let mut bytes: Vec<u8> =
+                order.iter().flat_map(|n| [line(*n, texts[usize::from(*n)]).as_slice(), b"\n"].concat()).collect();
+            for (at, kind, byte) in edits {
+                let at = at % bytes.len();
+                match kind {
+                    0 if bytes.len() > 1 => {
+                        bytes.remove(at);
+                    }
+                    1 => bytes.insert(at, byte),
+                    _ => bytes[at] = byte,
+                }
+            }
             let mut host = Host::new();
             host.send(&bytes);
-            prop_assert!(host.taken.iter().all(|text| text.starts_with("$LC=")));
+            prop_assert!(host.taken.len() <= texts.len());
+            prop_assert_eq!(&host.taken[..], &texts[..host.taken.len()]);
         }
+    }
+
+    /// A reset that was a byte of a line: the rest of it is no line.
+    #[test]
+    fn nothing_runs_behind_a_reset_in_mid_line() {
+        for reset in [0x18, 0x19] {
+            let mut damaged = line(7, "G1X20Z-5");
+            for at in 0..damaged.len() {
+                let byte = core::mem::replace(&mut damaged[at], reset);
+                let mut host = Host::new();
+                host.line(0, "G90").send(&damaged).send(b"\nG4P1\n");
+                assert_eq!(
+                    (&host.taken[..], &host.answers[..]),
+                    (&["G90".into(), "G4P1".into()][..], &[Valid, Damaged, Valid][..])
+                );
+                damaged[at] = byte;
+            }
+        }
+        // The button, with the text still to come; then the line after it, too, for nobody knows whether that is whole.
+        let mut host = Host::new();
+        let whole = line(7, "G0Z-5");
+        host.send(&whole[..14]);
+        host.intake.drop_received(0);
+        host.intake.lapse_check();
+        host.intake.clear();
+        host.send(&whole[14..]).send(b"\nG0Z1\nG4P1\n");
+        assert_eq!(host.taken, ["G4P1"]);
     }
 }

@@ -186,6 +186,17 @@ impl LineIntake {
         self.check.end()
     }
 
+    /// A reset or a stop: lines are not checked any more behind the next line end. Whether they were.
+    pub fn lapse_check(&mut self) -> bool {
+        self.check.lapse()
+    }
+
+    /// Whether lines are checked.
+    #[inline]
+    pub fn is_checking(&self) -> bool {
+        self.check.is_on()
+    }
+
     /// The line taken last was refused for what it says.
     pub fn fail(&mut self, error: Error) {
         self.check.fail(error);
@@ -289,9 +300,11 @@ impl LineIntake {
         self.keeps_later_jogs = false;
     }
 
-    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
+    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same, and the rest
+    /// of a line that has begun.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
+        self.drop_rest |= received == 0 && (!self.line.is_empty() || self.check.has_begun());
         self.line.expect_plain(false);
     }
 

@@ -54,6 +54,11 @@ impl Replies {
         self.queue.capacity() - self.queue.len() >= RESERVE
     }
 
+    /// Whether a startup line has been echoed, whose answer follows on the same line.
+    pub fn is_echoing(&self) -> bool {
+        self.echoed
+    }
+
     /// Whether nothing waits to be sent.
     pub fn is_idle(&self) -> bool {
         self.queue.is_empty() && !self.status_due

@@ -44,7 +44,7 @@ pub enum System<'a> {
     Pins,
     /// `$PINS=0`
     ClearNoise,
-    /// `$LC=1`, `$LC=0`
+    /// `$LC=ON`, `$LC=OFF`
     CheckLines(bool),
     /// `$SLP`
     Sleep,
@@ -138,8 +138,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
         Some(b'#') => alone(System::Parameters),
         Some(b'J') => rest.strip_prefix(b"=").map(System::Jog).ok_or(Error::InvalidStatement),
         Some(b'L') => match rest {
-            b"C=0" => Ok(System::CheckLines(false)),
-            b"C=1" => Ok(System::CheckLines(true)),
+            b"C=OFF" => Ok(System::CheckLines(false)),
+            b"C=ON" => Ok(System::CheckLines(true)),
             _ if rest.starts_with(b"C") => Err(Error::InvalidStatement),
             _ => Err(Error::BadNumber),
         },

@@ -1,0 +1,379 @@
+//! What came into a simulated machine, with its time, as text; played again, the machine makes the same steps in the same order.
+//!
+//! ```text
+//! oxmill recording 1
+//! board desk 1000000                      name, ticks of the step clock in a second
+//! record 100 00007a43                     each stored record: key, value
+//! machine [[switch]]                      each line of the machine's description, if it has one
+//! begin 1500000                           virtual time, in ticks of the step clock, at which the recording begins
+//! 1512000 connect                         a host has opened the port; `disconnect`: closed it
+//! 1530000 host G1 X10 F600\n              bytes of the host, escaped as in Rust
+//! 1600000 pin door 1                      a line of the pin protocol
+//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a      position of the motors, and hash of all steps in their order
+//! job G0 X1\n                             a line of a job that no host sends: it is taken as fast as the controller likes
+//! ```
+//! Lines begin with their time but for those in front of `begin` and those of a job, which begins with the recording.
+
+use crate::boards::Board;
+use crate::fittings::Fittings;
+use crate::power_up::board_named;
+use crate::simulator::{Options, Simulator};
+use crate::store::Store;
+use oxmill_controller::messages::{Record, Store as Change};
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::io::{self, BufRead, Read, Write};
+use std::rc::Rc;
+
+/// The first line.
+const TITLE: &str = "oxmill recording 1";
+
+/// What comes in, or is to be compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// A host has opened the port.
+    Connect,
+    /// A host has closed the port.
+    Disconnect,
+    /// Bytes of the host.
+    Host(Vec<u8>),
+    /// A line of the pin protocol.
+    Pin(String),
+    /// Where the motors were, and the hash of all steps.
+    At(String),
+}
+
+/// A recording that has been read.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    board: Board,
+    records: Vec<Record>,
+    machine: String,
+    begin: u64,
+    inputs: Vec<(u64, Input)>,
+    /// The text of its job.
+    job: Option<Vec<u8>>,
+}
+
+/// Where a machine is: what two runs are compared by.
+fn place(simulator: &Simulator) -> String {
+    let [x, y, z] = simulator.machine().position();
+    format!("{x} {y} {z} {:016x}", simulator.trace().digest().order_hash())
+}
+
+/// Writes a recording while it happens.
+pub struct Recorder {
+    out: Box<dyn Write>,
+    last: String,
+    /// When the place of the machine is looked at again.
+    next_look: u64,
+}
+
+impl Recorder {
+    /// Begins the recording of a simulator that is idle; `machine` describes what is fitted to it.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn begin(mut out: Box<dyn Write>, simulator: &mut Simulator, machine: &str) -> io::Result<Self> {
+        let (board, now) = (*simulator.board(), simulator.clock().now());
+        writeln!(out, "{TITLE}\nboard {} {}", board.name, board.step_clock_hz)?;
+        for record in simulator.store_mut().records() {
+            let value = record.value.iter().fold(String::new(), |mut text, byte| {
+                let _ = write!(text, "{byte:02x}");
+                text
+            });
+            writeln!(out, "record {} {value}", record.key)?;
+        }
+        for line in machine.lines() {
+            writeln!(out, "machine {line}")?;
+        }
+        writeln!(out, "begin {now}")?;
+        out.flush()?;
+        Ok(Self { out, last: place(simulator), next_look: now })
+    }
+
+    /// Something comes in now.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn input(&mut self, simulator: &Simulator, input: &Input) -> io::Result<()> {
+        self.look(simulator)?;
+        let now = simulator.clock().now();
+        match input {
+            Input::Connect => writeln!(self.out, "{now} connect"),
+            Input::Disconnect => writeln!(self.out, "{now} disconnect"),
+            Input::Host(bytes) => writeln!(self.out, "{now} host {}", bytes.escape_ascii()),
+            Input::Pin(line) => writeln!(self.out, "{now} pin {}", line.trim()),
+            Input::At(place) => writeln!(self.out, "{now} at {place}"),
+        }?;
+        self.out.flush()
+    }
+
+    /// Time has passed: where the machine is, once a second of its time.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn time_passed(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let now = simulator.clock().now();
+        if now < self.next_look {
+            return Ok(());
+        }
+        self.next_look = now + u64::from(simulator.board().step_clock_hz);
+        self.look(simulator)
+    }
+
+    /// Where the machine is now, if it has moved.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn look(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let now = place(simulator);
+        if now != self.last {
+            writeln!(self.out, "{} at {now}", simulator.clock().now())?;
+            self.last = now;
+        }
+        Ok(())
+    }
+
+    /// A line of a job.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn job_line(&mut self, line: &[u8]) -> io::Result<()> {
+        writeln!(self.out, "job {}", line.escape_ascii())
+    }
+
+    /// Writes what is not written yet.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+/// A job that is recorded as it is read.
+pub struct RecordedJob<R> {
+    reader: R,
+    recorder: Rc<RefCell<Recorder>>,
+    line: Vec<u8>,
+    failed: Option<io::Error>,
+}
+
+impl<R: BufRead> RecordedJob<R> {
+    /// The job that comes from `reader`.
+    pub fn new(reader: R, recorder: Rc<RefCell<Recorder>>) -> Self {
+        Self { reader, recorder, line: Vec::new(), failed: None }
+    }
+
+    fn write_line(&mut self) {
+        let line = std::mem::take(&mut self.line);
+        if let Err(error) = self.recorder.borrow_mut().job_line(&line) {
+            self.failed.get_or_insert(error);
+        }
+    }
+}
+
+impl<R: BufRead> Read for RecordedJob<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.fill_buf()?.read(buffer)?;
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl<R: BufRead> BufRead for RecordedJob<R> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if let Some(error) = self.failed.take() {
+            return Err(io::Error::other(format!("the recording cannot be written: {error}")));
+        }
+        if self.reader.fill_buf()?.is_empty() && !self.line.is_empty() {
+            self.write_line();
+        }
+        self.reader.fill_buf()
+    }
+
+    fn consume(&mut self, count: usize) {
+        let bytes = self.reader.fill_buf().map_or_else(|_| Vec::new(), |bytes| bytes[..count].to_vec());
+        for byte in bytes {
+            self.line.push(byte);
+            if byte == b'\n' {
+                self.write_line();
+            }
+        }
+        self.reader.consume(count);
+    }
+}
+
+impl Recording {
+    /// The text of its job, if it is of one.
+    pub fn job(&self) -> Option<&[u8]> {
+        self.job.as_deref()
+    }
+
+    /// Whether a machine that has come to the end of the job is where it was in the recording.
+    ///
+    /// # Errors
+    /// Where it is instead.
+    pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
+        let here = place(simulator);
+        match self.inputs.last() {
+            Some((_, Input::At(recorded))) if *recorded != here => {
+                Err(format!("at its end the recording has the motors at {recorded}; here they are at {here}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// The number of the first line that cannot be read, and why.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
+        if lines.next().is_none_or(|(_, line)| line != TITLE) {
+            return Err(format!("line 1: this is no recording: it does not begin with `{TITLE}`"));
+        }
+        let mut recording = Self {
+            board: crate::boards::DESK,
+            records: Vec::new(),
+            machine: String::new(),
+            begin: 0,
+            inputs: Vec::new(),
+            job: None,
+        };
+        for (number, line) in lines.filter(|(_, line)| !line.is_empty()) {
+            recording.line(line).map_err(|why| format!("line {number}: {why}"))?;
+        }
+        Ok(recording)
+    }
+
+    fn line(&mut self, line: &str) -> Result<(), String> {
+        let (word, rest) = line.split_once(' ').unwrap_or((line, ""));
+        match word {
+            "board" => {
+                let (name, hz) = rest.split_once(' ').ok_or("a board has a name and a step clock")?;
+                self.board = board_named(name)?;
+                self.board.step_clock_hz = number(hz)?;
+            }
+            "record" => {
+                let (key, value) = rest.split_once(' ').unwrap_or((rest, ""));
+                let bytes = bytes_of_hex(value)?;
+                let value = heapless::Vec::from_slice(&bytes).map_err(|_| "the record is too long")?;
+                self.records.push(Record { key: number(key)?, value });
+            }
+            "machine" => {
+                self.machine.push_str(rest);
+                self.machine.push('\n');
+            }
+            "begin" => self.begin = number(rest)?,
+            "job" => self.job.get_or_insert_default().extend(unescape(rest)?),
+            time => {
+                let (word, rest) = rest.split_once(' ').unwrap_or((rest, ""));
+                let input = match word {
+                    "connect" => Input::Connect,
+                    "disconnect" => Input::Disconnect,
+                    "host" => Input::Host(unescape(rest)?),
+                    "pin" => Input::Pin(rest.into()),
+                    "at" => Input::At(rest.into()),
+                    _ => return Err(format!("`{line}` is not understood")),
+                };
+                let time = number(time)?;
+                if self.inputs.last().map_or(self.begin, |(before, _)| *before) > time {
+                    return Err("it is earlier than the line before".into());
+                }
+                self.inputs.push((time, input));
+            }
+        }
+        Ok(())
+    }
+
+    /// The machine as it was when the recording began.
+    ///
+    /// # Errors
+    /// Why there can be no such machine.
+    pub fn power_up(&self) -> Result<Simulator, String> {
+        let mut store = Store::in_memory();
+        for record in &self.records {
+            store.apply(&Change::Put(record.clone())).map_err(|error| error.to_string())?;
+        }
+        let fittings = match self.machine.as_str() {
+            "" => Fittings::default(),
+            text => Fittings::parse(text).map_err(|error| format!("{error:#}"))?,
+        };
+        let mut simulator = Simulator::new(Options { board: self.board, store, fittings, keep_steps: false });
+        simulator.run_until_idle();
+        simulator.take_output();
+        if simulator.clock().now() > self.begin {
+            return Err("the recording begins before the machine has started".into());
+        }
+        simulator.advance_to(self.begin);
+        Ok(simulator)
+    }
+
+    /// Plays what came in to a machine that has just been powered up; `hear` gets what it says. Then it is where the recording
+    /// ends.
+    ///
+    /// # Errors
+    /// Where the machine parts from the recording.
+    pub fn play(&self, simulator: &mut Simulator, mut hear: impl FnMut(&str)) -> Result<(), String> {
+        for (time, input) in &self.inputs {
+            simulator.advance_to(*time);
+            match input {
+                Input::Connect => simulator.connect(),
+                Input::Disconnect => simulator.disconnect(),
+                Input::Host(bytes) => simulator.send(bytes),
+                Input::Pin(line) => {
+                    simulator.pin_line(line);
+                }
+                Input::At(recorded) => {
+                    let here = place(simulator);
+                    if here != *recorded {
+                        let seconds = simulator.clock().seconds(*time - self.begin);
+                        return Err(format!(
+                            "{seconds:.6} s after its begin the recording has the motors at {recorded}; here they are at {here}"
+                        ));
+                    }
+                }
+            }
+            hear(&simulator.take_output());
+        }
+        Ok(())
+    }
+}
+
+fn number<T: std::str::FromStr>(text: &str) -> Result<T, String> {
+    text.trim().parse().map_err(|_| format!("`{text}` is no number that may stand there"))
+}
+
+fn bytes_of_hex(text: &str) -> Result<Vec<u8>, String> {
+    let digits = text.as_bytes().chunks(2).map(|pair| std::str::from_utf8(pair).unwrap_or_default());
+    digits
+        .map(|pair| u8::from_str_radix(pair, 16).ok().filter(|_| pair.len() == 2))
+        .collect::<Option<Vec<u8>>>()
+        .ok_or_else(|| format!("`{text}` is no value of a record"))
+}
+
+/// What `escape_ascii` has escaped.
+fn unescape(text: &str) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let mut rest = text.bytes();
+    while let Some(byte) = rest.next() {
+        bytes.push(match byte {
+            b'\\' => match rest.next() {
+                Some(b'n') => b'\n',
+                Some(b'r') => b'\r',
+                Some(b't') => b'\t',
+                Some(same @ (b'\\' | b'\'' | b'"')) => same,
+                Some(b'x') => {
+                    let digit = |digit: Option<u8>| char::from(digit?).to_digit(16);
+                    let value = digit(rest.next()).zip(digit(rest.next())).map(|(high, low)| high << 4 | low);
+                    value.ok_or_else(|| format!("`\\x` in `{text}` lacks its digits"))? as u8
+                }
+                _ => return Err(format!("`\\` in `{text}` escapes nothing")),
+            },
+            plain => plain,
+        });
+    }
+    Ok(bytes)
+}

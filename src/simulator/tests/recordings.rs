@@ -1,0 +1,155 @@
+//! A recording played again makes the same steps in the same order, at the same times.
+
+use oxmill_simulator::recording::{Input, Recorder, Recording};
+use oxmill_simulator::{Options, Simulator};
+use proptest::prelude::*;
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// A file in memory.
+#[derive(Clone, Default)]
+struct File(Arc<Mutex<Vec<u8>>>);
+
+impl Write for File {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl File {
+    fn text(&self) -> String {
+        String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
+    }
+}
+
+const MACHINE: &str =
+    "steps_per_mm = [250, 250, 250]\n[[switch]]\naxis = \"x\"\nat_mm = 1.5\nside = \"positive\"\nbounce_us = 900\n";
+
+/// What a host, a hand and the time do.
+fn inputs() -> impl Strategy<Value = (u32, Input)> {
+    let lines = [
+        "G1 X2 F600\n",
+        "G1 X0 Y1\n",
+        "G91 G1 X0.01\n",
+        "G90 G0 Z-0.5\n",
+        "G2 X1 Y1 I0.5\n",
+        "$J=G91 X1 F300\n",
+        "G4 P0.1\n",
+        "?",
+        "!",
+        "~",
+        "\x18",
+        "\x19",
+        "$X\n",
+        "M3 S1000\n",
+        "G1 X",
+        "$120=50\n",
+        "G38.3 Z-1 F60\n",
+        "\u{7f}\n",
+    ];
+    let host = prop::sample::select(lines.to_vec()).prop_map(|line| Input::Host(line.as_bytes().to_vec()));
+    let override_ =
+        prop::sample::select(vec![0x91_u8, 0x92, 0x95, 0x96, 0x85]).prop_map(|byte| Input::Host(vec![byte]));
+    let pins =
+        ["door 1", "door 0", "hold 1", "hold 0", "limit y 1", "limit y 0", "probe 1", "probe 0", "noise limit x"];
+    let pin = prop::sample::select(pins.to_vec()).prop_map(|line| Input::Pin(line.into()));
+    let input =
+        prop_oneof![12 => host, 3 => override_, 2 => pin, 1 => Just(Input::Connect), 1 => Just(Input::Disconnect)];
+    (0..300_000_u32, input)
+}
+
+fn apply(mill: &mut Simulator, input: &Input) {
+    match input {
+        Input::Connect => mill.connect(),
+        Input::Disconnect => mill.disconnect(),
+        Input::Host(bytes) => mill.send(bytes),
+        Input::Pin(line) => assert_eq!(mill.pin_line(line), "ok"),
+        Input::At(_) => {}
+    }
+}
+
+fn digest(mill: &Simulator) -> (u64, u64, [i32; 3]) {
+    let digest = mill.trace().digest();
+    (digest.time_hash(), digest.order_hash(), mill.machine().position())
+}
+
+/// A machine with a switch and other settings than a new one.
+fn machine() -> Simulator {
+    let fittings = oxmill_simulator::Fittings::parse(MACHINE).unwrap();
+    let mut mill = Simulator::new(Options { fittings, ..Options::default() });
+    mill.run_until_idle();
+    mill.send("$110=900\n$21=1\nG10 L2 P1 X1.5\n");
+    mill.run_until_idle();
+    mill.take_output();
+    mill
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+    #[test]
+    fn the_same_comes_out_again(script in prop::collection::vec(inputs(), 1..60), slices in prop::collection::vec(1..5000_u64, 20)) {
+        let mut mill = machine();
+        let file = File::default();
+        let mut recorder = Recorder::begin(Box::new(file.clone()), &mut mill, MACHINE).unwrap();
+        let mut said = String::new();
+        let mut slices = slices.into_iter().cycle();
+        for (pause, input) in &script {
+            // As the clock of a host cuts time.
+            let until = mill.clock().now() + u64::from(*pause);
+            while mill.clock().now() < until {
+                mill.advance_to(until.min(mill.clock().now() + slices.next().unwrap()));
+            }
+            recorder.input(&mill, input).unwrap();
+            apply(&mut mill, input);
+            said.push_str(&mill.take_output());
+        }
+        mill.run_for(Duration::from_secs(5));
+        recorder.look(&mill).unwrap();
+        let recording = Recording::parse(&file.text()).unwrap();
+        let mut again = recording.power_up().unwrap();
+        let mut said_again = String::new();
+        let played = recording.play(&mut again, |text| said_again.push_str(text));
+        prop_assert_eq!(played, Ok(()), "{}", file.text());
+        again.run_for(Duration::from_secs(5));
+        prop_assert_eq!(digest(&again), digest(&mill), "{}", file.text());
+        prop_assert!(said_again.starts_with(&said), "{}\n{}\n{}", file.text(), said, said_again);
+    }
+}
+
+#[test]
+fn another_machine_parts_from_it() {
+    let mut mill = machine();
+    let file = File::default();
+    let mut recorder = Recorder::begin(Box::new(file.clone()), &mut mill, MACHINE).unwrap();
+    recorder.input(&mill, &Input::Host(b"G1 X1 F600\n".to_vec())).unwrap();
+    mill.send("G1 X1 F600\n");
+    mill.run_for(Duration::from_secs(1));
+    recorder.look(&mill).unwrap();
+    let text = file.text();
+    for (from, to) in [("G1 X1 F600", "G1 X2 F600"), (" at 377 ", " at 376 ")] {
+        assert!(text.contains(from), "{text}");
+        let recording = Recording::parse(&text.replace(from, to)).unwrap();
+        let why = recording.play(&mut recording.power_up().unwrap(), |_| {}).unwrap_err();
+        assert!(why.starts_with("1.000000 s after its begin"), "{why}");
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_refused() {
+    for (text, why) in [
+        ("", "line 1: this is no recording"),
+        ("oxmill recording 1\nboard lathe 1000000\n", "line 2: the boards are"),
+        ("oxmill recording 1\nrecord 100 0g\n", "line 2: `0g` is no value"),
+        ("oxmill recording 1\nbegin 5\n4 host ?\n", "line 3: it is earlier"),
+        ("oxmill recording 1\nbegin 5\n6 host \\x4\n", "line 3: `\\x` in"),
+        ("oxmill recording 1\nbegin 5\n6 wave\n", "line 3: `6 wave` is not understood"),
+    ] {
+        let error = Recording::parse(text).unwrap_err();
+        assert!(error.starts_with(why), "{error}");
+    }
+}
