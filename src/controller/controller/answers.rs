@@ -20,16 +20,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
-        if report::is_answer(&text) && self.lines.is_checking() && !self.replies.is_echoing() {
-            return self.say_checked(&text);
+        self.queue_text(&text);
+    }
+
+    // Once, and not in each of the forty calls that say something.
+    #[inline(never)]
+    fn queue_text(&mut self, text: &[u8]) {
+        if self.lines.is_checking() && report::is_answer(text) && !self.replies.is_echoing() {
+            return self.answer_checked(text);
         }
-        self.replies.push(&text, self.lines.hosts_cut());
+        self.replies.push(text, self.lines.hosts_cut());
     }
 
     /// The answer to a checked line.
-    // Not in each of the places that answer: a text has 320 bytes of stack.
+    // By itself: a text has 320 bytes of stack.
     #[inline(never)]
-    fn say_checked(&mut self, text: &[u8]) {
+    fn answer_checked(&mut self, text: &[u8]) {
         if let Some(checked) = self.lines.checked_answer(text) {
             self.replies.push(&checked, self.lines.hosts_cut());
         }

@@ -114,11 +114,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: on some links nobody can see that.
     pub(super) fn look_for_host(&mut self) {
         let longest = match self.mode {
-            Mode::Jog { cancelling: false } => self.settings.seconds(Key::JogSilence),
-            Mode::Normal if self.is_at_work() => self.settings.seconds(Key::HostSilence),
-            _ => Duration::from_ticks(0),
+            Mode::Jog { cancelling: false } => Key::JogSilence,
+            _ => Key::HostSilence,
         };
-        if self.lines.heartbeat_mut().is_silent(self.now, longest) {
+        if !self.settings.is_on(longest) {
+            self.lines.heartbeat_mut().rest();
+        } else {
+            self.look_for_silence(self.settings.seconds(longest));
+        }
+    }
+
+    #[inline(never)]
+    fn look_for_silence(&mut self, longest: Duration) {
+        let is_at_work = match self.mode {
+            Mode::Jog { cancelling } => !cancelling,
+            Mode::Normal => self.is_at_work(),
+            _ => false,
+        };
+        if !is_at_work {
+            self.lines.heartbeat_mut().rest();
+        } else if self.lines.heartbeat_mut().is_silent(self.now, longest) {
+            self.lines.heartbeat_mut().rest();
             self.say(|out| report::message(out, "The host is silent"));
             match self.mode {
                 Mode::Jog { .. } => self.end_jog_of_no_host(),

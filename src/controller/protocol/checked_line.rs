@@ -156,10 +156,13 @@ impl LineCheck {
     }
 
     /// Takes a byte of a line, not its end: the byte of the text that it stands for, if it is one.
+    #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
-        if !self.is_on() {
-            return Some(byte);
-        }
+        if self.is_on() { self.take_checked(byte) } else { Some(byte) }
+    }
+
+    #[inline(never)]
+    fn take_checked(&mut self, byte: u8) -> Option<u8> {
         let place = self.place;
         self.place = place.saturating_add(1);
         match place {
@@ -196,7 +199,13 @@ impl LineCheck {
     }
 
     /// The end of a line of this text (filtered), which is the next if it is valid.
+    #[inline]
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
+        if self.is_on() || self.lapsed { self.finish_checked(text) } else { Verdict::Valid }
+    }
+
+    #[inline(never)]
+    fn finish_checked(&mut self, text: &[u8]) -> Verdict {
         let Some(wanted) = self.wanted else {
             return if core::mem::take(&mut self.lapsed) { Verdict::Damaged } else { Verdict::Valid };
         };

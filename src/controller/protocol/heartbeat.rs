@@ -31,14 +31,21 @@ impl Heartbeat {
         self.heard = true;
     }
 
-    /// Whether the host has been silent for longer than this; not if that is 0.
+    /// It may be silent as long as it likes. Whenever that ends it counts as heard.
     #[inline]
+    pub fn rest(&mut self) {
+        self.silent_at = None;
+        self.heard = true;
+    }
+
+    /// Whether the host has been silent for longer than this.
     pub fn is_silent(&mut self, now: Instant, longest: Duration) -> bool {
         if core::mem::take(&mut self.heard) {
             self.heard_at = now;
         }
-        self.silent_at = (longest > Duration::from_ticks(0)).then(|| self.heard_at + longest);
-        self.silent_at.is_some_and(|at| now >= at)
+        let silent_at = self.heard_at + longest;
+        self.silent_at = Some(silent_at);
+        now >= silent_at
     }
 
     /// When it will have been, if it says nothing more; none while silence is allowed.
@@ -57,7 +64,6 @@ mod tests {
         let at = |ms: u64| Instant::from_ticks(0) + Duration::millis(ms);
         let longest = Duration::millis(500);
         let mut heartbeat = Heartbeat::NONE;
-        assert!(!heartbeat.is_silent(at(10), Duration::from_ticks(0)) && heartbeat.silent_at().is_none());
         heartbeat.observe(7);
         assert!(!heartbeat.is_silent(at(100), longest));
         heartbeat.observe(7);
@@ -70,5 +76,9 @@ mod tests {
         heartbeat.observe(6);
         assert!(!heartbeat.is_silent(at(800), longest));
         assert_eq!(heartbeat.silent_at(), Some(at(1300)));
+        heartbeat.rest();
+        assert_eq!(heartbeat.silent_at(), None);
+        assert!(!heartbeat.is_silent(at(9000), longest));
+        assert_eq!(heartbeat.silent_at(), Some(at(9500)));
     }
 }

@@ -156,13 +156,11 @@ impl LineIntake {
     }
 
     fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> (Pushed, Verdict) {
-        if !matches!(byte, b'\n' | b'\r') {
-            let Some(byte) = self.check.take(byte) else {
-                self.line.separate();
-                return (Pushed::More, Verdict::Valid);
-            };
-            return (self.line.push(byte, rules), Verdict::Valid);
-        }
+        let ends = matches!(byte, b'\n' | b'\r');
+        let Some(byte) = (if ends { Some(byte) } else { self.check.take(byte) }) else {
+            self.line.separate();
+            return (Pushed::More, Verdict::Valid);
+        };
         let pushed = self.line.push(byte, rules);
         let verdict = match pushed {
             Pushed::More => Verdict::Valid,

@@ -74,8 +74,6 @@ impl Replies {
     ///
     /// `hosts_cut`: of the hosts that have gone those whose last line has been read. The next host would take the answer
     /// to a line of one that has gone for one of its own, so it is left out.
-    // Once, and not in each of the forty calls that say something.
-    #[inline(never)]
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
         let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_answer(text);
         if unheard || self.queue.capacity() - self.queue.len() < text.len() {
