@@ -186,7 +186,7 @@ class Sender:
                     if answer_in(line) == (0, "ok"):
                         self.last_answer = time.monotonic()
                         return
-        raise Stopped("the machine does not check lines: it is no Oxmill, or in the dialect of Grbl ($900)")
+        raise Stopped("the machine does not check lines: it holds, is no Oxmill, or in the dialect of Grbl ($900)")
 
     def end(self):
         for _ in range(20):
@@ -308,7 +308,8 @@ def main():
         if sender.link:
             if isinstance(why, KeyboardInterrupt):
                 why = "held: ~ resumes, Ctrl-X resets"
-                sender.link.send(b"!")
+                with contextlib.suppress(OSError):
+                    sender.link.send(b"!")
             sender.give_up()
         print(f"{why}; {sender.taken} of {len(sender.lines)} lines taken", file=sys.stderr)
         return 1

@@ -407,6 +407,28 @@ fn a_recorded_job_is_played_again() {
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
 }
 
+/// What acts at power-up only would not have acted yet when the settings were made.
+#[test]
+fn settings_are_part_of_a_recording() {
+    let job = file("settings.nc", "G0 X1\n$J=G91 Y1 F600\n");
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("settings.rec");
+    let settings = ["--set", "$22=1", "--set", "$J=G91X3F500", "--set", "$N0=G0X20", "--set", "$5=1", "--set", "$21=1"];
+    let recorded = json(&run(&[&["run", text(&job), "--json", "--record", text(&recording)], &settings[..]].concat()));
+    let played = run(&["replay", text(&recording), "--json"]);
+    assert_eq!(json(&played)["trace_hash"], recorded["trace_hash"]);
+    assert!(played.stderr.is_empty(), "{}", String::from_utf8_lossy(&played.stderr));
+}
+
+#[test]
+fn a_recording_is_written_over_no_other_file() {
+    for option in ["--store", "--settings", "--machine"] {
+        let path = file("kept", "$100=80\n");
+        let output = run(&["serve", "--stdio", option, text(&path), "--record", text(&path)]);
+        assert_eq!(output.status.code(), Some(2), "{option}");
+        assert_eq!(fs::read_to_string(&path).expect("a text"), "$100=80\n");
+    }
+}
+
 #[test]
 fn a_recorded_conversation_is_played_again() {
     let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("conversation.rec");
@@ -421,7 +443,8 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
+    // The setting is a line, too.
+    assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&4.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
 
@@ -434,6 +457,7 @@ fn recordings_from_the_field() {
     files.retain(|path| path.extension().is_some_and(|extension| extension == "rec"));
     assert!(!files.is_empty());
     for path in files {
+        assert!(fs::read_to_string(&path).expect("text").contains(" at "), "{}: nothing to compare", path.display());
         let played = run(&["replay", text(&path)]);
         assert!(played.stderr.is_empty(), "{}: {}", path.display(), String::from_utf8_lossy(&played.stderr));
     }

@@ -5,9 +5,9 @@ use crate::advice;
 use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary};
-use crate::text::{JobText, Said};
+use crate::text::{JobText, Said, without_header};
 use crate::times::ToolTime;
-use oxmill_controller::error::Error;
+use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
 
 /// Errors that the report keeps. The others are counted.
@@ -102,16 +102,18 @@ impl Check {
     pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
         let mut outcome = Outcome { complete: true, ..Outcome::default() };
         let mut answers = 0;
-        for line in said.lines() {
-            answers += u64::from(line == "ok");
+        for line in said.lines().map(without_header) {
+            answers += u64::from(matches!(line, "ok" | "known"));
             if let Some(code) = line.strip_prefix("error:").and_then(|code| code.parse().ok()) {
                 answers += 1;
                 outcome.refused(answers, code, error_text(code), String::new());
             }
-        }
-        if let Some(alarm) = simulator.controller().alarm() {
-            let (text, advice) = (alarm.text().into(), advice::for_alarm(alarm).into());
-            outcome.alarm = Some(AlarmReport { code: alarm.code(), text, line: None, advice });
+            let alarm = line.strip_prefix("ALARM:").and_then(|code| code.parse().ok());
+            let alarm = alarm.and_then(|code: u8| Alarm::ALL.iter().find(|alarm| alarm.code() == code));
+            if let (Some(alarm), None) = (alarm, &outcome.alarm) {
+                let (text, advice) = (alarm.text().into(), advice::for_alarm(*alarm).into());
+                outcome.alarm = Some(AlarmReport { code: alarm.code(), text, line: None, advice });
+            }
         }
         Self { simulator, origin, outcome, done: true }
     }

@@ -47,15 +47,16 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     Ok((Box::new(reader.take(u64::MAX)), length))
 }
 
-/// Reads the description of a machine.
+/// Reads the description of a machine, and gives its text too.
 ///
 /// # Errors
 /// If it cannot be read or understood.
-pub fn read_fittings(path: &Path) -> Result<Fittings> {
+pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
     let text = read(path, TEXT)
         .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
         .with_context(|| format!("cannot read {}", path.display()))?;
-    Fittings::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))
+    let fittings = Fittings::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))?;
+    Ok((fittings, text))
 }
 
 /// A file with its part in the run, such as `the job`.

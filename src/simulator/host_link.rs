@@ -167,8 +167,9 @@ impl HostLink {
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut())
     }
 
-    /// Bytes that the link has fetched (wrapping).
-    pub fn heard(&self) -> u16 {
+    /// Bytes that the link has fetched (wrapping); one more each time it is asked in place of a host that cannot be silent.
+    pub fn heard(&mut self, never_silent: bool) -> u16 {
+        self.heard = self.heard.wrapping_add(u16::from(never_silent));
         self.heard
     }
 

@@ -3,11 +3,10 @@
 use crate::check::Check;
 use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run};
 use crate::files::{self, Output, Role};
-use crate::fittings::Fittings;
 use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
-use crate::recording::{RecordedJob, Recorder, Recording};
+use crate::recording::{Input, RecordedJob, Recorder, Recording};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
@@ -27,6 +26,12 @@ const ROUNDS: u32 = 4096;
 
 /// What a power cut ordered on the command line leaves of the word under way.
 const HALF_WORD: u32 = 0xFFFF;
+
+/// Longest recording that is read.
+const RECORDING: usize = 1 << 30;
+
+/// Why a machine that is recorded goes no further.
+pub const UNRECORDED: &str = "cannot write the recording";
 
 /// Says so if an ordered power cut has come.
 pub fn check_power(simulator: &Simulator) -> Result<()> {
@@ -48,14 +53,19 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// A simulator as the options describe it, its settings applied.
-pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
+/// A simulator as the options describe it, its settings applied; and its recording, if it is recorded from power-up on.
+pub fn power_up(options: &MachineOptions, record: Option<Output>) -> Result<(Simulator, Option<Recorder>)> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
     if let Some(operations) = options.cut_power {
         store.cut_power_after(operations, HALF_WORD);
     }
-    let fittings = options.machine.as_deref().map_or_else(|| Ok(Fittings::default()), files::read_fittings)?;
+    let machine = options.machine.as_deref().map(files::read_machine).transpose()?;
+    let (fittings, machine) = machine.unwrap_or_default();
     let mut simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
+    if record.is_some() && options.cut_power.is_some() {
+        bail!("a power cut cannot be recorded");
+    }
+    let mut recorder = record.map(|file| begin_recording(file, &mut simulator, &machine)).transpose()?;
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
@@ -74,12 +84,16 @@ pub fn power_up(options: &MachineOptions) -> Result<Simulator> {
         lines.push((format!("--dialect {}", dialect.name()), dialect.assignment()));
     }
     for (origin, setting) in lines {
+        if let Some(recorder) = &mut recorder {
+            let line = format!("${}\n", setting.strip_prefix('$').unwrap_or(&setting));
+            recorder.input(&simulator, &Input::Host(line.into_bytes())).context(UNRECORDED)?;
+        }
         match apply_setting(&mut simulator, &setting) {
             Err(SettingRefused::PowerGone) => check_power(&simulator)?,
             other => other.map_err(|why| anyhow!("{origin} {why}"))?,
         }
     }
-    Ok(simulator)
+    Ok((simulator, recorder))
 }
 
 /// How the summary is printed.
@@ -126,11 +140,13 @@ pub fn run(options: &Run) -> Result<bool> {
 pub fn replay(options: &Replay) -> Result<bool> {
     let started = Instant::now();
     let path = options.recording.display();
-    let text =
-        std::fs::read_to_string(&options.recording).with_context(|| format!("cannot read the recording {path}"))?;
+    let text = files::read(&options.recording, RECORDING)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
+        .with_context(|| format!("cannot read the recording {path}"))?;
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
     let mut simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
     let (check, same) = if let Some(job) = recording.job() {
+        recording.play(&mut simulator, |_| {}).map_err(|why| anyhow!("{path}: {why}"))?;
         let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
         while !check.advance(ROUNDS) {}
         let same = recording.compare_end(check.simulator());
@@ -152,19 +168,10 @@ pub fn replay(options: &Replay) -> Result<bool> {
 }
 
 /// Begins a recording in this file.
-///
-/// # Errors
-/// If it cannot be written, or cannot be of use.
-pub fn begin_recording(file: Output, simulator: &mut Simulator, options: &MachineOptions) -> Result<Recorder> {
-    if options.cut_power.is_some() {
-        bail!("a power cut cannot be recorded");
-    }
+fn begin_recording(file: Output, simulator: &mut Simulator, machine: &str) -> Result<Recorder> {
     let path = file.path().display().to_string();
-    let machine =
-        options.machine.as_deref().map(|path| files::read(path, files::TEXT)).transpose()?.unwrap_or_default();
-    let recorder = file.begin().and_then(|file| {
-        Recorder::begin(Box::new(io::BufWriter::new(file)), simulator, &String::from_utf8_lossy(&machine))
-    });
+    let recorder =
+        file.begin().and_then(|file| Recorder::begin(Box::new(io::BufWriter::new(file)), simulator, machine));
     recorder.with_context(|| format!("cannot write the recording {path}"))
 }
 
@@ -179,7 +186,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
     let plots = options.plot.iter().map(|path| output(path, "drawing")).collect::<Result<Vec<_>>>()?;
     let trace = options.trace.as_deref().map(|path| output(path, "trace")).transpose()?;
     let record = options.record.as_deref().map(|path| output(path, "recording")).transpose()?;
-    let mut simulator = power_up(&options.machine)?;
+    let (mut simulator, recorder) = power_up(&options.machine, record)?;
     check_store(&simulator, options.machine.store.as_deref())?;
     let origin = simulator.clock().now();
     if let Some(trace) = trace {
@@ -194,8 +201,10 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
         simulator.meter_mut().draw(Drawing::new(start, seconds));
     }
 
-    let recorder = record.map(|file| begin_recording(file, &mut simulator, &options.machine)).transpose()?;
     let recorder = recorder.map(|recorder| Rc::new(RefCell::new(recorder)));
+    if let Some(recorder) = &recorder {
+        recorder.borrow_mut().input(&simulator, &Input::Job).context(UNRECORDED)?;
+    }
     let job = match &recorder {
         Some(recorder) => JobText::new(RecordedJob::new(reader, recorder.clone())),
         None => JobText::new(reader),
@@ -210,7 +219,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
     failures.extend(check.simulator_mut().trace_mut().finish().context("cannot write the trace to its end").err());
     if let Some(recorder) = recorder {
         let mut recorder = recorder.borrow_mut();
-        let written = recorder.look(check.simulator()).and_then(|()| recorder.flush());
+        let written = recorder.end(check.simulator());
         failures.extend(written.context("cannot write the recording to its end").err());
     }
     let summary = check.summary(&base_name(&options.job), started.elapsed().as_secs_f64());
@@ -244,18 +253,22 @@ fn reading_failure(check: &mut Check, name: &str) -> Option<Error> {
 /// The files of a run and what they are for.
 fn roles(options: &Run) -> Vec<Role<'_>> {
     let job = (options.job.as_os_str() != "-").then_some(options.job.as_path());
-    let machine = &options.machine;
-    let read =
-        [(job, "the job"), (machine.settings.as_deref(), "--settings"), (machine.machine.as_deref(), "--machine")];
-    let written = [
-        (machine.store.as_deref(), "--store"),
-        (options.trace.as_deref(), "--trace"),
-        (options.record.as_deref(), "--record"),
+    let plots = options.plot.iter().map(|path| Role { path, name: "--plot", written: true });
+    let others = [(job, "the job", false), (options.trace.as_deref(), "--trace", true)];
+    let others = others.into_iter().filter_map(|(path, name, written)| Some(Role { path: path?, name, written }));
+    let machine = machine_roles(&options.machine, options.record.as_deref());
+    others.chain(machine).chain(plots).collect()
+}
+
+/// The files of a machine, and its recording.
+pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) -> Vec<Role<'a>> {
+    let files = [
+        (machine.settings.as_deref(), "--settings", false),
+        (machine.machine.as_deref(), "--machine", false),
+        (machine.store.as_deref(), "--store", true),
+        (record, "--record", true),
     ];
-    let written = written.into_iter().chain(options.plot.iter().map(|path| (Some(path.as_path()), "--plot")));
-    let read = read.into_iter().map(|file| (file, false));
-    let role = |((path, name), written): ((Option<_>, _), _)| path.map(|path| Role { path, name, written });
-    read.chain(written.map(|file| (file, true))).filter_map(role).collect()
+    files.into_iter().filter_map(|(path, name, written)| Some(Role { path: path?, name, written })).collect()
 }
 
 fn output(path: &Path, name: &str) -> Result<Output> {

@@ -35,7 +35,7 @@ impl Pump<AXES, BLOCKS> for Simulator {
             rx_free: self.board.received_bytes.saturating_sub(queued) as u16,
             received: u16::try_from(received).unwrap_or(u16::MAX),
             // A job has no host that could be silent.
-            heard: if has_job { self.clock.now() as u16 } else { self.host.heard() },
+            heard: self.host.heard(has_job),
         }
     }
 

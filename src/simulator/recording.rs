@@ -10,9 +10,10 @@
 //! 1530000 host G1 X10 F600\n              bytes of the host, escaped as in Rust
 //! 1600000 pin door 1                      a line of the pin protocol
 //! 1600000 at 80 0 0 9d53b4ab5f4e1c2a      position of the motors, and hash of all steps in their order
-//! job G0 X1\n                             a line of a job that no host sends: it is taken as fast as the controller likes
+//! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
+//! job G0 X1\n                             each line of it
 //! ```
-//! Lines begin with their time but for those in front of `begin` and those of a job, which begins with the recording.
+//! Lines begin with their time but for those in front of `begin` and those of a job.
 
 use crate::boards::Board;
 use crate::fittings::Fittings;
@@ -41,6 +42,8 @@ pub enum Input {
     Pin(String),
     /// Where the motors were, and the hash of all steps.
     At(String),
+    /// A job begins.
+    Job,
 }
 
 /// A recording that has been read.
@@ -49,7 +52,7 @@ pub struct Recording {
     board: Board,
     records: Vec<Record>,
     machine: String,
-    begin: u64,
+    begin: Option<u64>,
     inputs: Vec<(u64, Input)>,
     /// The text of its job.
     job: Option<Vec<u8>>,
@@ -98,14 +101,19 @@ impl Recorder {
     /// If it cannot be written.
     pub fn input(&mut self, simulator: &Simulator, input: &Input) -> io::Result<()> {
         self.look(simulator)?;
-        let now = simulator.clock().now();
         match input {
-            Input::Connect => writeln!(self.out, "{now} connect"),
-            Input::Disconnect => writeln!(self.out, "{now} disconnect"),
-            Input::Host(bytes) => writeln!(self.out, "{now} host {}", bytes.escape_ascii()),
-            Input::Pin(line) => writeln!(self.out, "{now} pin {}", line.trim()),
-            Input::At(place) => writeln!(self.out, "{now} at {place}"),
-        }?;
+            Input::Connect => self.write(simulator, "connect"),
+            Input::Disconnect => self.write(simulator, "disconnect"),
+            Input::Host(bytes) => self.write(simulator, &format!("host {}", bytes.escape_ascii())),
+            Input::Pin(line) => self.write(simulator, &format!("pin {}", line.trim())),
+            Input::At(place) => self.write(simulator, &format!("at {place}")),
+            Input::Job => self.write(simulator, "job"),
+        }
+    }
+
+    /// A line of now. Whatever ends the program, it is there.
+    fn write(&mut self, simulator: &Simulator, text: &str) -> io::Result<()> {
+        writeln!(self.out, "{} {text}", simulator.clock().now())?;
         self.out.flush()
     }
 
@@ -127,10 +135,10 @@ impl Recorder {
     /// # Errors
     /// If it cannot be written.
     pub fn look(&mut self, simulator: &Simulator) -> io::Result<()> {
-        let now = place(simulator);
-        if now != self.last {
-            writeln!(self.out, "{} at {now}", simulator.clock().now())?;
-            self.last = now;
+        let here = place(simulator);
+        if here != self.last {
+            self.write(simulator, &format!("at {here}"))?;
+            self.last = here;
         }
         Ok(())
     }
@@ -143,12 +151,13 @@ impl Recorder {
         writeln!(self.out, "job {}", line.escape_ascii())
     }
 
-    /// Writes what is not written yet.
+    /// The end: where the machine is.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
+    pub fn end(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let here = place(simulator);
+        self.write(simulator, &format!("at {here}"))
     }
 }
 
@@ -218,10 +227,11 @@ impl Recording {
     pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
         let here = place(simulator);
         match self.inputs.last() {
-            Some((_, Input::At(recorded))) if *recorded != here => {
+            Some((_, Input::At(recorded))) if *recorded == here => Ok(()),
+            Some((_, Input::At(recorded))) => {
                 Err(format!("at its end the recording has the motors at {recorded}; here they are at {here}"))
             }
-            _ => Ok(()),
+            _ => Err("the recording has no end: nothing can be compared".into()),
         }
     }
 
@@ -230,7 +240,9 @@ impl Recording {
     /// # Errors
     /// The number of the first line that cannot be read, and why.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
+        // A program that was killed may have written half of its last line.
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut lines = whole.lines().enumerate().map(|(index, line)| (index + 1, line));
         if lines.next().is_none_or(|(_, line)| line != TITLE) {
             return Err(format!("line 1: this is no recording: it does not begin with `{TITLE}`"));
         }
@@ -238,7 +250,7 @@ impl Recording {
             board: crate::boards::DESK,
             records: Vec::new(),
             machine: String::new(),
-            begin: 0,
+            begin: None,
             inputs: Vec::new(),
             job: None,
         };
@@ -255,6 +267,9 @@ impl Recording {
                 let (name, hz) = rest.split_once(' ').ok_or("a board has a name and a step clock")?;
                 self.board = board_named(name)?;
                 self.board.step_clock_hz = number(hz)?;
+                if !(100_000..=1_000_000_000).contains(&self.board.step_clock_hz) {
+                    return Err(format!("`{hz}` is no step clock"));
+                }
             }
             "record" => {
                 let (key, value) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -266,7 +281,7 @@ impl Recording {
                 self.machine.push_str(rest);
                 self.machine.push('\n');
             }
-            "begin" => self.begin = number(rest)?,
+            "begin" => self.begin = Some(number(rest).and_then(in_range)?),
             "job" => self.job.get_or_insert_default().extend(unescape(rest)?),
             time => {
                 let (word, rest) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -276,10 +291,12 @@ impl Recording {
                     "host" => Input::Host(unescape(rest)?),
                     "pin" => Input::Pin(rest.into()),
                     "at" => Input::At(rest.into()),
+                    "job" => Input::Job,
                     _ => return Err(format!("`{line}` is not understood")),
                 };
-                let time = number(time)?;
-                if self.inputs.last().map_or(self.begin, |(before, _)| *before) > time {
+                let time = number(time).and_then(in_range)?;
+                let begin = self.begin.ok_or("it stands before `begin`")?;
+                if self.inputs.last().map_or(begin, |(before, _)| *before) > time {
                     return Err("it is earlier than the line before".into());
                 }
                 self.inputs.push((time, input));
@@ -302,34 +319,36 @@ impl Recording {
             text => Fittings::parse(text).map_err(|error| format!("{error:#}"))?,
         };
         let mut simulator = Simulator::new(Options { board: self.board, store, fittings, keep_steps: false });
+        // As whoever records does before anything comes in: startup lines are carried out.
         simulator.run_until_idle();
         simulator.take_output();
-        if simulator.clock().now() > self.begin {
-            return Err("the recording begins before the machine has started".into());
-        }
-        simulator.advance_to(self.begin);
+        advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {});
         Ok(simulator)
     }
 
-    /// Plays what came in to a machine that has just been powered up; `hear` gets what it says. Then it is where the recording
-    /// ends.
+    /// Plays what came in to a machine that has just been powered up, as far as its job, if it has one; `hear` gets what it says.
+    /// Then it is where that begins, or where the recording ends.
     ///
     /// # Errors
     /// Where the machine parts from the recording.
     pub fn play(&self, simulator: &mut Simulator, mut hear: impl FnMut(&str)) -> Result<(), String> {
         for (time, input) in &self.inputs {
-            simulator.advance_to(*time);
+            advance(simulator, *time, &mut hear);
             match input {
+                Input::Job => return Ok(()),
                 Input::Connect => simulator.connect(),
                 Input::Disconnect => simulator.disconnect(),
                 Input::Host(bytes) => simulator.send(bytes),
                 Input::Pin(line) => {
-                    simulator.pin_line(line);
+                    let answer = simulator.pin_line(line);
+                    if answer.starts_with("error") {
+                        return Err(answer);
+                    }
                 }
                 Input::At(recorded) => {
                     let here = place(simulator);
                     if here != *recorded {
-                        let seconds = simulator.clock().seconds(*time - self.begin);
+                        let seconds = simulator.clock().seconds(time.saturating_sub(self.begin.unwrap_or_default()));
                         return Err(format!(
                             "{seconds:.6} s after its begin the recording has the motors at {recorded}; here they are at {here}"
                         ));
@@ -340,6 +359,20 @@ impl Recording {
         }
         Ok(())
     }
+}
+
+/// Lets time pass; what the machine says is taken now and then, as by a host.
+fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str)) {
+    let slice = u64::from(simulator.board().step_clock_hz) / 50;
+    while simulator.clock().now() < until {
+        simulator.advance_to(until.min(simulator.clock().now() + slice));
+        hear(&simulator.take_output());
+    }
+}
+
+/// A time that can be reached and passed.
+fn in_range(time: u64) -> Result<u64, String> {
+    if time < 1 << 62 { Ok(time) } else { Err(format!("`{time}` is later than any machine runs")) }
 }
 
 fn number<T: std::str::FromStr>(text: &str) -> Result<T, String> {

@@ -8,8 +8,8 @@
 //! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
 
 use crate::command_line::{Serve, Speed};
-use crate::files::Output;
-use crate::job::{begin_recording, check_power, power_up};
+use crate::files::{Output, check_apart};
+use crate::job::{UNRECORDED, check_power, machine_roles, power_up};
 use crate::recording::{Input, Recorder};
 use crate::simulator::Simulator;
 use crate::web_link::{self, Site};
@@ -17,6 +17,7 @@ use anyhow::{Context, Result, anyhow};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -42,9 +43,6 @@ const SLICE: Duration = Duration::from_millis(20);
 /// What a second client is told, and for how long at most it is listened to, so that it can read that.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
 const FAREWELL: Duration = Duration::from_secs(1);
-
-/// Why a machine that is recorded goes no further.
-const UNRECORDED: &str = "cannot write the recording";
 
 /// What the threads tell the loop.
 pub(crate) enum Happened {
@@ -85,14 +83,11 @@ impl Visitor {
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
-    let mut simulator = power_up(&options.machine)?;
-    let recorder = match &options.record {
-        Some(path) => {
-            let file = Output::open(path).with_context(|| format!("cannot write the recording {}", path.display()))?;
-            Some(begin_recording(file, &mut simulator, &options.machine)?)
-        }
-        None => None,
-    };
+    check_apart(&machine_roles(&options.machine, options.record.as_deref()))?;
+    let open =
+        |path: &Path| Output::open(path).with_context(|| format!("cannot write the recording {}", path.display()));
+    let record = options.record.as_deref().map(open).transpose()?;
+    let (simulator, recorder) = power_up(&options.machine, record)?;
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
@@ -285,7 +280,7 @@ impl Device {
     fn run(mut self, receiver: &Receiver<Happened>) -> Result<()> {
         let done = self.run_until_left(receiver);
         if let Some(recorder) = &mut self.recorder {
-            recorder.look(&self.simulator).and_then(|()| recorder.flush()).context(UNRECORDED)?;
+            recorder.end(&self.simulator).context(UNRECORDED)?;
         }
         done
     }

@@ -167,10 +167,12 @@ impl StepTask {
     pub fn tick(&mut self, clock: &Clock, world: &mut World, inputs: &mut InputTask) -> bool {
         let due = clock.now();
         let tick = self.stepper.tick();
+        let mut contact = false;
         if tick.steps != 0 {
             world.machine.step(tick.steps, self.directions);
             if world.fittings.moved(&world.machine, clock.instant().ticks()) {
                 inputs.sample_at(due);
+                contact = true;
             }
             world.trace.step(StepRecord {
                 at: due,
@@ -203,7 +205,8 @@ impl StepTask {
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
-        probed
+        // Samples of a contact begin now, and not with whatever wakes the pump next.
+        probed || contact
     }
 
     fn segment_power(&mut self, world: &mut World) {

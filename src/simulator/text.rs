@@ -242,8 +242,10 @@ impl JobText {
 
     fn reply_line(&mut self, reply: &str) {
         // A file that asks for checked lines gets answers of that form.
-        let checked = reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..));
-        let reply = checked.map_or(reply, |text| if text == "known" { "ok" } else { text });
+        let reply = match without_header(reply) {
+            "known" => "ok",
+            text => text,
+        };
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
         if reply == "ok" || code.is_some() {
             self.answers += 1;
@@ -258,6 +260,11 @@ impl JobText {
             self.said.push(Said::Message(reply.to_owned()));
         }
     }
+}
+
+/// An answer without what a checked one has in front.
+pub fn without_header(reply: &str) -> &str {
+    reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..)).unwrap_or(reply)
 }
 
 /// Whether a line has a `%` and behind it nothing but remarks.

@@ -181,6 +181,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn observe(&mut self, observed: Observed) {
         self.step_supply.observe(observed);
         self.lines.observe(observed.received, observed.heard);
+        if observed.rx_free == 0 {
+            // More may wait where nobody can see it.
+            self.lines.heartbeat_mut().hear();
+        }
         self.motion.observe(&observed);
         self.door.observe(&observed);
     }

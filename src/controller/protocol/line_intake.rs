@@ -61,6 +61,8 @@ pub struct LineIntake {
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     line: Line,
+    /// It has come to its end and is not taken yet.
+    complete: bool,
     check: LineCheck,
     heartbeat: Heartbeat,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
@@ -90,6 +92,7 @@ impl LineIntake {
             line_before_cancel: false,
             keeps_later_jogs: false,
             line: Line::new(),
+            complete: false,
             check: LineCheck::OFF,
             heartbeat: Heartbeat::NONE,
             hosts_cut: 0,
@@ -134,6 +137,10 @@ impl LineIntake {
             // Received before the reset button; the line that the last of them is in is dropped to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | HOST_CHANGED);
+            if byte.byte == HOST_CHANGED {
+                self.line = Line::new();
+                self.check.end();
+            }
             return Taken { cut: byte.byte == HOST_CHANGED, ..Taken::NOTHING };
         }
         if byte.byte == HOST_CHANGED {
@@ -151,7 +158,8 @@ impl LineIntake {
         }
         let (pushed, verdict) = self.push(byte.byte, rules);
         self.line.expect_plain(self.jog_bytes == 0 && !self.check.is_on());
-        self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
+        self.complete = pushed != Pushed::More;
+        self.lines_read = self.lines_read.wrapping_add(u32::from(self.complete));
         Taken { lost: byte.damaged, cut: false, pushed, verdict }
     }
 
@@ -234,6 +242,7 @@ impl LineIntake {
     pub fn clear(&mut self) {
         self.line.clear();
         self.check.clear();
+        self.complete = false;
     }
 
     /// Whether the current line, a jog, was sent before the end of a jog was ordered.
@@ -302,7 +311,8 @@ impl LineIntake {
     /// of a line that has begun.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
-        self.drop_rest |= received == 0 && (!self.line.is_empty() || self.check.has_begun());
+        // Not of a jog that waits for the end of another: that is complete.
+        self.drop_rest |= received == 0 && !self.complete && (!self.line.is_empty() || self.check.has_begun());
         self.line.expect_plain(false);
     }
 

@@ -79,7 +79,8 @@ impl Replies {
         if unheard || self.queue.capacity() - self.queue.len() < text.len() {
             return;
         }
-        self.echoed = text.last() == Some(&b':');
+        // A report may come between.
+        self.echoed = text.last() == Some(&b':') || self.echoed && !is_answer(text);
         for byte in text {
             let _ = self.queue.push_back(*byte);
         }
@@ -119,6 +120,7 @@ impl Replies {
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;
+        self.echoed = false;
     }
 
     /// The work offset has changed: the next report shows it.
