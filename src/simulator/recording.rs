@@ -295,7 +295,7 @@ impl Recording {
                     _ => return Err(format!("`{line}` is not understood")),
                 };
                 let time = number(time).and_then(in_range)?;
-                let begin = self.begin.ok_or("it stands before `begin`")?;
+                let begin = self.begin.ok_or("it comes before `begin`")?;
                 if self.inputs.last().map_or(begin, |(before, _)| *before) > time {
                     return Err("it is earlier than the line before".into());
                 }

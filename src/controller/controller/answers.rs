@@ -74,6 +74,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Another dialect: a host that checks its lines is told that it is no longer asked for.
+    pub(super) fn end_check(&mut self) {
+        if self.lines.end_check() {
+            self.tell_unchecked();
+        }
+    }
+
+    /// A reset or a stop, at which the rest of a line may be under way.
+    pub(super) fn lapse_check(&mut self) {
+        if self.lines.lapse_check() {
+            self.tell_unchecked();
+        }
+    }
+
+    fn tell_unchecked(&mut self) {
+        self.say(|out| report::message(out, "Lines are not checked any more"));
+    }
+
     /// Which inputs caused the alarm, where, and at which line.
     pub(super) fn tell_trip(&mut self, line: u32) {
         if self.dialect() != Dialect::Grbl {

@@ -58,24 +58,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Another dialect: a host that checks its lines is told that it is no longer asked for.
-    pub(super) fn end_check(&mut self) {
-        if self.lines.end_check() {
-            self.tell_unchecked();
-        }
-    }
-
-    /// A reset or a stop, at which the rest of a line may be under way.
-    pub(super) fn lapse_check(&mut self) {
-        if self.lines.lapse_check() {
-            self.tell_unchecked();
-        }
-    }
-
-    fn tell_unchecked(&mut self) {
-        self.say(|out| report::message(out, "Lines are not checked any more"));
-    }
-
     /// A line that the check has not let through is answered; the host sends it again if it has to.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.lines.clear();

@@ -182,7 +182,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.step_supply.observe(observed);
         self.lines.observe(observed.received, observed.heard);
         if observed.rx_free == 0 {
-            // More may wait where nobody can see it.
+            // More may wait unseen in front of a full queue.
             self.lines.heartbeat_mut().hear();
         }
         self.motion.observe(&observed);

@@ -111,7 +111,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// A host that has said nothing for too long (`$922`, `$923`) may have gone: on some links nobody can see that.
+    /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(super) fn look_for_host(&mut self) {
         let longest = match self.mode {
             Mode::Jog { cancelling: false } => Key::JogSilence,

@@ -32,7 +32,7 @@ use crate::error::Error;
 
 /// The digits 0 to 15.
 const DIGITS: &[u8; 16] = b"ABDGHKNPSUVZcefi";
-/// What a small letter of the text stands for.
+/// What a small letter of the text means.
 const SUBSTITUTES: [(u8, u8); 10] = [
     (b's', b' '),
     (b'h', b'#'),
@@ -155,7 +155,7 @@ impl LineCheck {
         self.failed
     }
 
-    /// Takes a byte of a line, not its end: the byte of the text that it stands for, if it is one.
+    /// Takes a byte of a line, not its end: the byte of the text that it means, if it is one.
     #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
         if self.is_on() { self.take_checked(byte) } else { Some(byte) }
@@ -187,8 +187,8 @@ impl LineCheck {
         if place < HEADER_END {
             return None;
         }
-        let stands_for = SUBSTITUTES.iter().find(|(letter, _)| *letter == byte);
-        Some(stands_for.map_or(byte, |(_, character)| *character))
+        let meant = SUBSTITUTES.iter().find(|(letter, _)| *letter == byte);
+        Some(meant.map_or(byte, |(_, character)| *character))
     }
 
     /// The value of a digit; the line is damaged if it is none.
@@ -559,7 +559,7 @@ mod tests {
                 damaged[at] = byte;
             }
         }
-        // The button, with the text still to come; then the line after it, too, for nobody knows whether that is whole.
+        // The button, with the text still to come; then the line after it, too, which may not be whole.
         let mut host = Host::new();
         let whole = line(7, "G0Z-5");
         host.send(&whole[..14]);

@@ -1,4 +1,4 @@
-//! A host that has gone silent: where nobody sees a pulled cable, as on a UART, any received byte counts as a sign of life.
+//! A host that has gone silent: a UART does not tell that its cable was pulled, so any received byte counts as a sign of life.
 
 use crate::units::{Duration, Instant};
 
