@@ -97,12 +97,8 @@ class Line:
                         sink.sendall(out)
                         out.clear()
                         time.sleep(LATE)
-                    if fault == "flipped":
-                        byte ^= 1 << chance.randrange(8)
-                    if fault != "dropped":
-                        out.append(byte)
-                    if fault == "doubled":
-                        out.append(byte)
+                    sent = byte ^ 1 << chance.randrange(8) if fault == "flipped" else byte
+                    out += bytes([sent]) * {"dropped": 0, "doubled": 2}.get(fault, 1)
                 sink.sendall(out)
         except OSError:
             pass

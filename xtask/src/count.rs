@@ -81,7 +81,7 @@ const ROWS: [Row; 17] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_780, 2_750))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (11_550, 19_330))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (11_720, 19_640))
         .beside("2800 / 4400", "4100 / 6500"),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
