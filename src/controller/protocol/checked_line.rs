@@ -8,9 +8,9 @@
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ the line is checked
 //! ```
-//! **Letters.** N, L and C are hexadecimal digits, written as the letters of [`DIGITS`]. Any two of these differ in two bits, and
+//! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ in two bits, and
 //! none is one bit away from a line end or from a realtime command that acts. For the same reason a text is in capitals, and
-//! characters that one bit turns into such a command are written as small letters ([`SUBSTITUTES`]): `8` is one bit away from
+//! characters that one bit turns into such a command are written as small letters (`SUBSTITUTES`): `8` is one bit away from
 //! 0x18, and `1` from `!`.
 //!
 //! **What is found.** One or two damaged bits always: a byte that has become a command or is thrown away is missing in the
