@@ -28,8 +28,6 @@ WINDOW = 120
 # Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
 PATIENCE = 0.5
 QUESTIONS = 32
-# Seconds after which it is asked beyond that: all of them may have been lost.
-LONG = 30
 # Longest line, remarks among it. Of a longer one the machine would not carry out anything either.
 LONGEST = 1000
 
@@ -73,11 +71,12 @@ def answer_in(line):
 
 def text_of(line):
     """A line of a program as it is sent: in capitals, without what no line may have on its way."""
-    # The machine throws such characters away.
-    line = re.sub("[^ -~]", "", re.sub(r"\s", " ", line)).strip()
+    # The machine throws control characters away.
+    line = re.sub("[\x00-\x1f\x7f]", "", re.sub(r"\s", " ", line)).strip()
     if "(" not in line:
         line = line.split(";")[0].replace(" ", "")
-    # Realtime commands should stand in remarks only: of one is made what no line may have anywhere else.
+    # Realtime commands and characters of other languages should stand in remarks only: of one is made what no line may have
+    # anywhere else. Another minus sign must not be lost.
     return "".join(c if c <= "_" and c not in "!?^" else "@" for c in line.upper())
 
 
@@ -255,8 +254,8 @@ class Sender:
 
     def question(self):
         now = time.monotonic()
-        if self.questions < QUESTIONS or now - self.last_asked > LONG:
-            # Those that went into a dead link do not wait in the machine.
+        if self.questions < QUESTIONS:
+            # One that goes into a dead link does not wait in the machine.
             self.questions += self.last_heard > self.last_asked
             self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1

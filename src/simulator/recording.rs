@@ -355,7 +355,7 @@ impl Recording {
                     }
                 }
             }
-            hear(&simulator.take_output());
+            hear_all(simulator, &mut hear);
         }
         Ok(())
     }
@@ -366,6 +366,13 @@ fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str)) {
     let slice = u64::from(simulator.board().step_clock_hz) / 50;
     while simulator.clock().now() < until {
         simulator.advance_to(until.min(simulator.clock().now() + slice));
+        hear_all(simulator, &mut hear);
+    }
+}
+
+/// Takes all that the machine has to say: what it holds back for want of room comes with what is taken.
+fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
+    while simulator.unfetched() > 0 {
         hear(&simulator.take_output());
     }
 }

@@ -332,8 +332,10 @@ impl Device {
             Happened::Knocked(visitor, sender) => self.knocked(visitor, sender),
             Happened::Heard => {}
             Happened::Pins(line, reply) => {
-                self.record(&Input::Pin(line.clone()));
                 let answer = self.simulator.pin_line(&line);
+                if answer == "ok" {
+                    self.record(&Input::Pin(line));
+                }
                 // A client that has gone in the meantime needs no answer.
                 let _ = reply.send(answer);
             }

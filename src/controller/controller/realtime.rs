@@ -127,6 +127,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn look_for_silence(&mut self, longest: Duration) {
         let is_at_work = match self.mode {
+            // Too short to be told from none.
+            _ if longest == Duration::from_ticks(0) => false,
             Mode::Jog { cancelling } => !cancelling,
             Mode::Normal => self.is_at_work(),
             _ => false,

@@ -559,14 +559,14 @@ mod tests {
                 damaged[at] = byte;
             }
         }
-        // The button, with the text still to come; then the line after it, too, which may not be whole.
+        // The button, with the text still to come.
         let mut host = Host::new();
         let whole = line(7, "G0Z-5");
         host.send(&whole[..14]);
         host.intake.drop_received(0);
         host.intake.lapse_check();
         host.intake.clear();
-        host.send(&whole[14..]).send(b"\nG0Z1\nG4P1\n");
-        assert_eq!(host.taken, ["G4P1"]);
+        host.send(&whole[14..]).send(b"\nG4P1\n");
+        assert_eq!((&host.taken[..], &host.answers[..]), (&["G4P1".into()][..], &[Damaged, Valid][..]));
     }
 }

@@ -61,8 +61,6 @@ pub struct LineIntake {
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     line: Line,
-    /// It has come to its end and is not taken yet.
-    complete: bool,
     check: LineCheck,
     heartbeat: Heartbeat,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
@@ -92,7 +90,6 @@ impl LineIntake {
             line_before_cancel: false,
             keeps_later_jogs: false,
             line: Line::new(),
-            complete: false,
             check: LineCheck::OFF,
             heartbeat: Heartbeat::NONE,
             hosts_cut: 0,
@@ -158,8 +155,7 @@ impl LineIntake {
         }
         let (pushed, verdict) = self.push(byte.byte, rules);
         self.line.expect_plain(self.jog_bytes == 0 && !self.check.is_on());
-        self.complete = pushed != Pushed::More;
-        self.lines_read = self.lines_read.wrapping_add(u32::from(self.complete));
+        self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
         Taken { lost: byte.damaged, cut: false, pushed, verdict }
     }
 
@@ -242,7 +238,6 @@ impl LineIntake {
     pub fn clear(&mut self) {
         self.line.clear();
         self.check.clear();
-        self.complete = false;
     }
 
     /// Whether the current line, a jog, was sent before the end of a jog was ordered.
@@ -307,12 +302,9 @@ impl LineIntake {
         self.keeps_later_jogs = false;
     }
 
-    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same, and the rest
-    /// of a line that has begun.
+    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
-        // Not of a jog that waits for the end of another: that is complete.
-        self.drop_rest |= received == 0 && !self.complete && (!self.line.is_empty() || self.check.has_begun());
         self.line.expect_plain(false);
     }
 

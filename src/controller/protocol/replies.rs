@@ -79,8 +79,7 @@ impl Replies {
         if unheard || self.queue.capacity() - self.queue.len() < text.len() {
             return;
         }
-        // A report may come between.
-        self.echoed = text.last() == Some(&b':') || self.echoed && !is_answer(text);
+        self.echoed = text.last() == Some(&b':');
         for byte in text {
             let _ = self.queue.push_back(*byte);
         }
@@ -120,7 +119,6 @@ impl Replies {
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;
-        self.echoed = false;
     }
 
     /// The work offset has changed: the next report shows it.
