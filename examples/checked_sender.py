@@ -28,7 +28,7 @@ WINDOW = 120
 # Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
 PATIENCE = 0.5
 QUESTIONS = 32
-# Longest line, remarks among it. Of a longer one the machine would not carry out anything either.
+# Longest line, remarks among it: four times what the machine takes of a line without its remarks.
 LONGEST = 1000
 
 

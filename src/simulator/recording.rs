@@ -73,7 +73,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins the recording of a simulator that is idle; `machine` describes what is fitted to it.
+    /// Begins the recording of a simulator that has just been powered up; `machine` describes what is fitted to it.
     ///
     /// # Errors
     /// If it cannot be written.

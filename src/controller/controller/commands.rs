@@ -72,14 +72,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.inputs.ask_view(true);
                 self.say(report::ok);
             }
-            System::CheckLines(on) => {
-                self.lines.check_lines(on);
-                self.say(report::ok);
-            }
+            System::CheckLines(on) => self.check_lines(on),
             System::Sleep => self.sleep(),
             System::Set(number, value) => self.set(number, value)?,
         }
         Ok(())
+    }
+
+    /// The answer has the form that lines have from now on.
+    fn check_lines(&mut self, on: bool) {
+        if on {
+            self.lines.begin_check();
+        } else {
+            self.lines.end_check();
+        }
+        self.say(report::ok);
     }
 
     fn sleep(&mut self) {

@@ -314,7 +314,7 @@ mod tests {
     impl Host {
         fn new() -> Self {
             let mut intake = LineIntake::new();
-            intake.check_lines(true);
+            intake.begin_check();
             Self { intake, epoch: 0, taken: Vec::new(), commands: Vec::new(), answers: Vec::new() }
         }
 
@@ -409,7 +409,7 @@ mod tests {
         host.line(2, "G0X2").line(1, "G0XX").send(b"\n");
         assert_eq!(host.answers, [Valid, Valid, Damaged, Known, Known]);
         assert_eq!(host.intake.failed(), Some(Error::BadNumber));
-        host.intake.check_lines(true);
+        host.intake.begin_check();
         host.line(0, "G0X3");
         assert_eq!((host.taken.last().map(String::as_str), host.intake.failed()), (Some("G0X3"), None));
     }

@@ -1,4 +1,5 @@
-//! A host that has gone silent: a UART does not tell that its cable was pulled, so any received byte counts as a sign of life.
+//! A host that has gone silent: a UART does not tell that its cable was pulled, so each byte of a line and each realtime command
+//! counts as a sign of life.
 
 use crate::units::{Duration, Instant};
 

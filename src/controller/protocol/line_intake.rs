@@ -174,13 +174,9 @@ impl LineIntake {
         (pushed, verdict)
     }
 
-    /// From now on lines are checked, from the number 0 on, or not.
-    pub fn check_lines(&mut self, on: bool) {
-        if on {
-            self.check.begin();
-        } else {
-            self.check.end();
-        }
+    /// Lines are checked from now on; the first has the number 0.
+    pub fn begin_check(&mut self) {
+        self.check.begin();
     }
 
     /// Lines are not checked any more. Whether they were.

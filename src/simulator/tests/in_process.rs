@@ -267,3 +267,20 @@ fn what_finds_no_room_waits_in_the_port() {
         assert_eq!(mill.unread(), 255);
     }
 }
+
+/// What waits in front of a full queue is not seen by the machine, and the host is there all the same.
+#[test]
+fn a_host_that_waits_for_room_is_not_silent() {
+    let mut mill = Simulator::new(Options::default());
+    mill.send("$922=0.5\n");
+    mill.run_until_idle();
+    mill.take_output();
+    mill.send("G4 P1\n".repeat(120));
+    let mut hear = |seconds| {
+        mill.run_for(Duration::from_secs(seconds));
+        mill.take_output()
+    };
+    let (waits, alone) = (hear(60), hear(120));
+    assert!(waits.matches("ok").count() > 55 && !waits.contains("silent"), "{waits}");
+    assert!(alone.contains("[MSG:The host is silent]"), "{alone}");
+}
