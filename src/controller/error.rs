@@ -107,7 +107,7 @@ codes! {
     Alarm;
     HardLimit = 1, "a limit switch tripped; the position may be lost";
     SoftLimit = 2, "the target exceeds the machine's travel; the position is kept";
-    AbortInMotion = 3, "a reset came in motion; the position may be lost";
+    AbortInMotion = 3, "a reset came in motion, or the host went; the position may be lost";
     ProbeInitialState = 4, "the probe was not in the expected state before the cycle";
     ProbeNoContact = 5, "the probe made no contact within its travel";
     HomingReset = 6, "a reset came during homing";
@@ -115,8 +115,8 @@ codes! {
     HomingPullOff = 8, "homing could not clear the switch by pulling off";
     HomingNoSwitch = 9, "homing found no switch within its travel";
     HomingSquaring = 10, "squaring found only one of the two switches of an axis";
-    /// The spindle did not tell in time that it is up to speed (`$915`, `$916`). Not in Grbl; grblHAL's number.
-    SpindleSpeed = 14, "the spindle did not come up to speed in time; the position is kept";
+    /// The spindle did not tell in time that it is up to speed (`$915`, `$916`), or lost it in mid-job (`$929`). Not in Grbl; grblHAL's number.
+    SpindleSpeed = 14, "the spindle did not come up to speed in time, or lost it";
     /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
     /// 11 on are taken by other controllers, so one above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";

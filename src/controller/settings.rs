@@ -124,6 +124,9 @@ macro_rules! table {
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
+/// What a fault makes of motion and spindle: see `machine::reaction`.
+const REACTIONS: &str =
+    "Stop,Brake,Brake and retract,Stop (spindle on),Brake (spindle on),Brake and retract (spindle on)";
 /// What the bits of the control inputs are.
 const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Emergency stop,N/A,Driver fault";
 /// What the bits of the limit inputs are.
@@ -205,6 +208,12 @@ table! {
         PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Program, "", Kind::Real, 0.254, false;
         HostSilence: 922, "Longest silence of the host in mid-job", "s", General, "", Kind::Real, 0.0, false;
         JogSilence: 923, "Longest silence of the host during a jog", "s", General, "", Kind::Real, 0.0, false;
+        LimitReaction: 924, "Reaction to a limit switch", "", Limits, REACTIONS, Kind::Whole(0, 5), 0.0, false;
+        EmergencyReaction: 925, "Reaction to the emergency stop", "", ControlInputs, "Stop,Brake,Brake and retract", Kind::Whole(0, 2), 0.0, false;
+        DriverReaction: 926, "Reaction to a driver fault", "", ControlInputs, REACTIONS, Kind::Whole(0, 5), 0.0, false;
+        SpindleReaction: 927, "Reaction to a spindle that loses its speed", "", Spindle, REACTIONS, Kind::Whole(0, 5), 1.0, false;
+        HostReaction: 928, "Reaction to a host that is silent or gone in mid-job", "", General, REACTIONS, Kind::Whole(0, 5), 4.0, false;
+        SpeedLoss: 929, "Longest loss of spindle speed (0 = not watched)", "s", Spindle, "", Kind::Real, 1.0, false;
     }
 }
 

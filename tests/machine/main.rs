@@ -17,6 +17,7 @@ mod motion_properties;
 mod optimum;
 mod oracle;
 mod programs;
+mod reactions;
 mod resets;
 mod rig;
 mod seed;

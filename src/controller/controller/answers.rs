@@ -92,10 +92,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::message(out, "Lines are not checked any more"));
     }
 
-    /// Which inputs caused the alarm, where, and at which line.
+    /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.
     pub(super) fn tell_trip(&mut self, line: u32) {
-        if self.dialect() != Dialect::Grbl {
-            let (tripped, position) = (*self.inputs.tripped(), self.motion.machine_position());
+        if let Some(tripped) = self.inputs.take_tripped()
+            && self.dialect() != Dialect::Grbl
+        {
+            let position = self.machine_position();
             let inches = self.settings.is_on(Key::ReportInches);
             self.say(|out| report::trip(out, &tripped, &position, line, inches));
         }

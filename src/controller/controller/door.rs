@@ -3,7 +3,7 @@
 use super::Controller;
 use crate::error::Alarm;
 use crate::machine::door::ParkingPoint;
-use crate::machine::state::{Door, Mode};
+use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
@@ -21,14 +21,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.door.interrupt_jog();
                 self.mode = Mode::Door(Door::Braking);
             }
-            Mode::Normal | Mode::Hold => {
-                self.accessories.end_spin_up();
-                self.motion.hold();
-                self.task.forget_jog();
-                self.task.suspend(self.now);
-                self.mode = Mode::Door(Door::Braking);
-            }
-            Mode::Stopping { locked: false } => {
+            Mode::Normal | Mode::Hold => self.brake_for_door(),
+            Mode::Stopping { then: AfterBraking::Continue } => {
                 // The stop stays one: nothing resumes when the door is closed.
                 self.door.forget_job();
                 self.mode = Mode::Door(Door::Braking);
@@ -48,6 +42,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| report::message(out, "Check Door"));
     }
 
+    /// Braking; then what the open door does.
+    pub(super) fn brake_for_door(&mut self) {
+        self.accessories.end_spin_up();
+        self.motion.hold();
+        self.task.forget_jog();
+        self.task.suspend(self.now);
+        self.mode = Mode::Door(Door::Braking);
+    }
+
     /// `$SLP`: as a door that only a reset closes.
     pub(super) fn fall_asleep(&mut self) {
         self.door.fall_asleep();
@@ -62,7 +65,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// `~` at a closed door.
     pub(super) fn close_door(&mut self) {
-        if self.inputs.signals().door || self.door.is_asleep() {
+        if self.inputs.signals().door || self.door.is_asleep() || self.door.opening().alarm.is_some() {
             return;
         }
         if self.parking_move(ParkingPoint::Clear, Key::ParkingFastRate) {
@@ -125,8 +128,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// A soft stop has come to its end. The door may have been opened meanwhile.
-    pub(super) fn finish_soft_stop(&mut self, locked: bool) {
-        self.end_soft_stop(locked);
+    pub(super) fn finish_soft_stop(&mut self, lock: bool) {
+        self.end_soft_stop(lock);
         if self.inputs.signals().door {
             self.open_door();
         }
@@ -147,8 +150,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job
-    fn begin_parking(&mut self) {
-        let allowed = self.reference.is_trusted() && !self.interpreter.modal().no_parking;
+    pub(super) fn begin_parking(&mut self) {
+        let allowed =
+            self.door.opening().retract && self.reference.is_trusted() && !self.interpreter.modal().no_parking;
         if self.door.leave_job(allowed, &self.settings, &self.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
@@ -160,8 +164,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn switch_off_and_park(&mut self) {
         self.door.keep_coolant(self.accessories.coolant());
-        self.accessories.set_coolant(Coolant::default());
-        self.accessories.suspend();
+        if !self.door.opening().spindle_on {
+            self.accessories.set_coolant(Coolant::default());
+            self.accessories.suspend();
+        }
         self.replies.overrides_changed();
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
             self.mode = Mode::Door(Door::Parking);
@@ -179,6 +185,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.mode = Mode::Sleep(self.mode.alarm());
         } else {
             self.mode = Mode::Door(Door::Parked);
+            if let Some(alarm) = self.door.opening().alarm {
+                self.stops.order(StopReason::Alarm(alarm));
+            }
         }
     }
 

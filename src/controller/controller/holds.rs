@@ -3,7 +3,7 @@
 use super::Controller;
 use super::task::Task;
 use crate::error::Alarm;
-use crate::machine::state::Mode;
+use crate::machine::state::{AfterBraking, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
@@ -89,7 +89,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if going && (!self.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
             self.accessories.end_spin_up();
             self.motion.hold();
-            self.mode = Mode::Stopping { locked };
+            self.mode = Mode::Stopping { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } };
         } else if matches!(self.mode, Mode::Normal | Mode::Check) {
             self.interpreter.abandon_program();
         }

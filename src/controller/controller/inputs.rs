@@ -4,6 +4,7 @@ use super::Controller;
 use super::stops::Stopped;
 use crate::error::Alarm;
 use crate::machine::inputs::{self, InputChange};
+use crate::machine::reaction::Reaction;
 use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
 use crate::messages::{Sensed, Signals};
@@ -25,11 +26,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch(&mut stopped);
         } else if came.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
             let closed = inputs::axes_of_switches(came.limits, &self.settings);
-            let awaited = self.stops.awaited() == Some(StopReason::Alarm(Alarm::HardLimit));
-            if !self.stops.is_awaited() || awaited {
+            let awaited = self.stop_under_way() == Some(StopReason::Alarm(Alarm::HardLimit));
+            if self.stop_under_way().is_none() || awaited {
                 self.inputs.trip_limits(closed, awaited);
             }
-            self.stop_for(StopReason::Alarm(Alarm::HardLimit), &mut stopped);
+            self.fault(Alarm::HardLimit, &mut stopped);
         }
         if stopped.already && !stopped.answered {
             let homing = matches!(self.mode, Mode::Home(_));
@@ -47,15 +48,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task.
+    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task, and in
+    /// an emergency stop for no braking either.
     fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
         let alarm = match (came.emergency_stop, came.driver_fault) {
             (true, _) => Alarm::EmergencyStop,
             (_, true) => Alarm::DriverFault,
             _ => return,
         };
-        self.switch_off();
+        let reaction = Reaction::to(alarm, &self.settings);
+        if alarm == Alarm::EmergencyStop || reaction.is_at_once() && !reaction.spindle_on {
+            self.switch_off();
+        }
         self.inputs.trip_emergency(came.emergency_stop, came.driver_fault);
-        self.stop_for(StopReason::Alarm(alarm), stopped);
+        self.fault(alarm, stopped);
     }
 }

@@ -16,6 +16,7 @@
 //! * [`canned_cycle`], [`tool_change`], [`homing`], [`probing`], [`listings`]: what lines and commands begin
 //! * [`moves`]: a target becomes a move
 //! * [`limits`]: why a line may not be carried out
+//! * [`faults`]: how the machine stops for a fault
 //! * [`stops`]: what follows a stop
 //! * [`reset`]: what a reset makes of the machine
 //! * [`door`]: the safety door and parking
@@ -31,6 +32,7 @@ mod canned_cycle;
 mod commands;
 mod door;
 mod execute;
+mod faults;
 mod holds;
 mod homing;
 mod inputs;
@@ -264,7 +266,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
         let silent = self.lines.heartbeat().silent_at();
-        [moving, door, task, self.drivers.off_at(), spinning_up, silent].into_iter().flatten().min()
+        let lost = if matches!(self.mode, Mode::Normal) { self.accessories.speed_lost_at() } else { None };
+        [moving, door, task, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
@@ -406,7 +409,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             {
                 self.end_jog();
             }
-            Mode::Stopping { locked } if self.motion.is_at_rest() => self.finish_soft_stop(locked),
+            Mode::Stopping { then } if self.motion.is_at_rest() => self.settle_braking(then),
+            Mode::Normal => self.look_for_spindle(),
             Mode::Door(door) => self.settle_door(door),
             Mode::Hold => {
                 if let Some(until) = self.accessories.spinning_up()

@@ -101,12 +101,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// No operator can stop what moves or see where it goes: it is held if `$914` says so. In any case a jog ends, as
+    /// No operator can stop what moves or see where it goes: it is held if `$914` says so, by `$928`. In any case a jog ends, as
     /// the key that would end it has no wire any more.
     pub(super) fn host_left(&mut self) {
         match self.mode {
             Mode::Jog { .. } => self.end_jog_of_no_host(),
-            Mode::Normal if self.is_at_work() && self.settings.is_on(Key::HoldWithoutHost) => self.feed_hold(),
+            Mode::Normal if self.is_at_work() && self.settings.is_on(Key::HoldWithoutHost) => self.host_fault(),
             _ => {}
         }
     }
@@ -140,13 +140,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(|out| report::message(out, "The host is silent"));
             match self.mode {
                 Mode::Jog { .. } => self.end_jog_of_no_host(),
-                _ => self.feed_hold(),
+                _ => self.host_fault(),
             }
         }
-    }
-
-    fn is_at_work(&self) -> bool {
-        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
     }
 
     fn end_jog_of_no_host(&mut self) {

@@ -68,8 +68,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.discard();
             }
             StopReason::Alarm(alarm) => {
+                if !self.keeps_spindle_on(alarm) {
+                    self.switch_off();
+                }
                 self.end_pauses();
-                self.switch_off();
                 self.finish_alarm(alarm, &stop);
             }
             StopReason::Reset => {

@@ -114,6 +114,11 @@ impl Task {
         }
     }
 
+    /// Whether a spindle is given the time to come up to speed.
+    pub(super) fn is_spinning_up(&self) -> bool {
+        matches!(self, Task::Job(Job { stage: Stage::SpinningUp(_), .. }))
+    }
+
     /// A hold stops the clock of a dwell.
     pub(super) fn suspend(&mut self, now: Instant) {
         if let Task::Job(job) = self

@@ -5,6 +5,7 @@ use super::task::{Stage, Task};
 use crate::axes::PerAxis;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, Motion};
+use crate::machine::reaction::Reaction;
 use crate::machine::state::Mode;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Instant};
@@ -27,6 +28,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// carried out as if it were in none.
     pub fn is_free(&self) -> bool {
         self.is_idle() && !self.interpreter.is_within_block()
+    }
+
+    /// Whether a job is under way.
+    pub(super) fn is_at_work(&self) -> bool {
+        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
+    }
+
+    /// Whether a spindle that turns continues to, at this alarm.
+    pub(super) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
+        let reaction = match alarm {
+            Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.settings),
+            alarm => Reaction::to(alarm, &self.settings),
+        };
+        reaction.spindle_on && !self.accessories.is_suspended()
     }
 
     fn has_nothing_to_do(&self) -> bool {

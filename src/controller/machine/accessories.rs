@@ -26,6 +26,18 @@ pub struct Accessories {
     speed: f32,
     /// A hold is being left: motion resumes when the spindle turns (`$394`), at this moment at the earliest.
     spinning_up: Option<Instant>,
+    watch: SpeedWatch,
+}
+
+/// Watches a spindle in mid-job that tells its speed.
+#[derive(Clone, Copy, Debug)]
+struct SpeedWatch {
+    /// The power it was given last.
+    power: u16,
+    /// Until then another speed may take.
+    settled_at: Instant,
+    /// Its speed is lost; at this moment it is for too long.
+    fault_at: Option<Instant>,
 }
 
 /// Whether a spindle that was switched on turns as fast as it should.
@@ -49,6 +61,7 @@ impl Accessories {
         suspended: false,
         speed: 0.0,
         spinning_up: None,
+        watch: SpeedWatch { power: 0, settled_at: Instant::from_ticks(0), fault_at: None },
     };
 
     /// The overrides.
@@ -186,6 +199,47 @@ impl Accessories {
         if now < until { until } else { until + settings.seconds(Key::AtSpeedWithin) }
     }
 
+    /// Whether the spindle's speed is watched in mid-job (`$915`, `$929`).
+    #[inline]
+    pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
+        let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
+        if !watches {
+            self.watch.fault_at = None;
+        }
+        watches
+    }
+
+    /// Whether the spindle has not been up to speed for longer than `$929`, nor within `$916` of another `power`. `at_work`: a job
+    /// is under way and does not wait for it.
+    pub fn has_lost_speed<const N: usize>(
+        &mut self,
+        at_work: bool,
+        power: u16,
+        input: bool,
+        now: Instant,
+        settings: &Settings<N>,
+    ) -> bool {
+        if !at_work {
+            self.watch = SpeedWatch { power, settled_at: now, fault_at: None };
+            return false;
+        }
+        if power != self.watch.power {
+            self.watch = SpeedWatch { power, settled_at: now + settings.seconds(Key::AtSpeedWithin), fault_at: None };
+        }
+        if self.is_at_speed(input, settings) {
+            self.watch.fault_at = None;
+            return false;
+        }
+        let fault_at = (now + settings.seconds(Key::SpeedLoss)).max(self.watch.settled_at);
+        now >= *self.watch.fault_at.get_or_insert(fault_at)
+    }
+
+    /// When the spindle's speed will have been lost for too long, if it stays lost.
+    #[inline]
+    pub fn speed_lost_at(&self) -> Option<Instant> {
+        self.watch.fault_at
+    }
+
     /// Power of a spindle that is on while nothing moves. A laser with constant power (M3) stays on between feed motions
     /// (`burns_at_rest`); one with scaled power (M4) is off at no speed. `running`: power of the move under way. `percent`: the
     /// override.
@@ -256,6 +310,26 @@ mod tests {
             (SpinUp::Waits, SpinUp::Waits, SpinUp::Late)
         );
         assert_eq!(Accessories::OFF.spun_up(at(4), at(4), false, &settings), SpinUp::UpToSpeed, "nothing turns");
+    }
+
+    #[test]
+    fn a_speed_that_is_lost_for_too_long_is_a_fault() {
+        let loss = Key::SpeedLoss.number();
+        let settings = settings(&[(AT_SPEED, 1.0), (WITHIN, 5.0), (loss, 2.0)]);
+        let mut on = Accessories::OFF;
+        assert!(!on.watches_speed(&settings), "it is off");
+        on.set_spindle(SpindleDirection::Clockwise, &settings);
+        assert!(on.watches_speed(&settings));
+        let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
+        assert!(!lost(false, 100, false, 8), "nothing is cut");
+        assert!(!lost(true, 100, false, 10) && !lost(true, 100, false, 11) && lost(true, 100, false, 12));
+        assert!(!lost(true, 100, true, 13) && !lost(true, 100, false, 14), "it had come back");
+        // Another speed takes its time.
+        assert!(!lost(true, 200, false, 20) && !lost(true, 200, false, 24) && lost(true, 200, false, 25));
+        assert_eq!(on.speed_lost_at(), Some(at(25)));
+        on.suspend();
+        assert!(!on.watches_speed(&settings));
+        assert_eq!(on.speed_lost_at(), None);
     }
 
     #[test]

@@ -11,6 +11,7 @@
 //! ```
 
 use crate::axes::{Axis, PerAxis};
+use crate::error::Alarm;
 use crate::messages::{Coolant, Observed, ToStep};
 use crate::motion::{Motion, Move, Speed};
 use crate::settings::{AxisKey, Key, Settings};
@@ -29,9 +30,26 @@ pub struct SafetyDoor<const N: usize> {
     asleep: bool,
     /// A jog was moving when the door opened: it is forgotten at rest.
     jog_interrupted: bool,
+    opening: Opening,
     /// The parking moves, if the tool was parked.
     parking: Option<Parking<N>>,
     motion: Motion<N, 2>,
+}
+
+/// What is done at an open door; a fault may do the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Opening {
+    /// The tool is parked, where the settings and the program allow it.
+    pub retract: bool,
+    /// Spindle and coolant stay on.
+    pub spindle_on: bool,
+    /// An alarm follows.
+    pub alarm: Option<Alarm>,
+}
+
+impl Opening {
+    /// By the door itself.
+    pub const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
 }
 
 /// The points of the parking moves.
@@ -64,6 +82,7 @@ impl<const N: usize> SafetyDoor<N> {
             forget_job: false,
             asleep: false,
             jog_interrupted: false,
+            opening: Opening::BY_DOOR,
             parking: None,
             motion: Motion::unconfigured(step_clock_hz),
         }
@@ -74,6 +93,7 @@ impl<const N: usize> SafetyDoor<N> {
         self.coolant = None;
         self.parking = None;
         self.asleep = false;
+        self.opening = Opening::BY_DOOR;
         core::mem::take(&mut self.forget_job)
     }
 
@@ -86,6 +106,16 @@ impl<const N: usize> SafetyDoor<N> {
     /// The job is forgotten when the door is closed.
     pub fn forget_job(&mut self) {
         self.forget_job = true;
+    }
+
+    /// It is opened by something else than the door.
+    pub fn open(&mut self, opening: Opening) {
+        self.opening = opening;
+    }
+
+    /// What is done while it is open.
+    pub fn opening(&self) -> Opening {
+        self.opening
     }
 
     /// What is done ends asleep.

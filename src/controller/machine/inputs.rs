@@ -6,6 +6,7 @@
 //!               │ $PINS                                                  │ reports, homing, door, hold, start
 //! ```
 
+use super::reaction::Reaction;
 use crate::axes::AxisMask;
 use crate::error::{Alarm, Error};
 use crate::messages::{InputWiring, PinView, SECOND_SWITCH, Sensed, Signals, input};
@@ -20,7 +21,7 @@ pub struct InputLevels {
     signals: Signals,
     /// They have been told: startup lines wait for it.
     known: bool,
-    /// Inputs that caused the last alarm of an input.
+    /// Inputs that cause an alarm and have not been told yet.
     tripped: Signals,
     /// Stops that inputs have asked for (wrapping).
     trips: u8,
@@ -108,9 +109,10 @@ impl InputLevels {
         }
     }
 
-    /// Inputs that caused the last alarm of an input.
-    pub fn tripped(&self) -> &Signals {
-        &self.tripped
+    /// Inputs that cause an alarm and have not been told yet.
+    pub fn take_tripped(&mut self) -> Option<Signals> {
+        let tripped = core::mem::replace(&mut self.tripped, Signals::NONE);
+        (tripped != Signals::NONE).then_some(tripped)
     }
 
     /// An emergency is the cause of the alarm that follows.
@@ -154,11 +156,18 @@ pub const fn limits_of<const N: usize>() -> u8 {
     (1 << N) - 1
 }
 
-/// Inputs that stop the step task themselves: not the switches that homing looks for.
+/// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u16 {
-    let limits = settings.is_on(Key::HardLimits) && !homing;
+    let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
+    let limits = settings.is_on(Key::HardLimits) && !homing && at_once(Alarm::HardLimit);
     let switches = if limits { u16::from(limits_of::<N>() | second_switch(settings)) } else { 0 };
-    switches | 1 << input::RESET | 1 << input::EMERGENCY_STOP | 1 << input::DRIVER_FAULT
+    let emergency = at_once(Alarm::EmergencyStop);
+    let reset = emergency || !settings.is_on(Key::ResetIsEmergencyStop);
+    let fault = at_once(Alarm::DriverFault);
+    switches
+        | u16::from(reset) << input::RESET
+        | u16::from(emergency) << input::EMERGENCY_STOP
+        | u16::from(fault) << input::DRIVER_FAULT
 }
 
 /// Axes of these limit switches: a switch at a second motor is one of its axis.
@@ -256,11 +265,13 @@ mod tests {
         let mut inputs = InputLevels::UNKNOWN;
         inputs.trip_limits(0b001, false);
         inputs.trip_limits(0b010, true);
-        assert_eq!(inputs.tripped().limits, 0b011);
+        assert_eq!(inputs.take_tripped().map(|tripped| tripped.limits), Some(0b011));
+        assert_eq!(inputs.take_tripped(), None, "each is told once");
+        inputs.trip_limits(0b010, false);
         inputs.trip_limits(0b100, false);
-        assert_eq!(inputs.tripped().limits, 0b100);
+        assert_eq!(inputs.take_tripped().map(|tripped| tripped.limits), Some(0b100));
         inputs.trip_emergency(true, false);
-        assert_eq!(*inputs.tripped(), Signals { emergency_stop: true, ..Signals::NONE });
+        assert_eq!(inputs.take_tripped(), Some(Signals { emergency_stop: true, ..Signals::NONE }));
     }
 
     #[test]
@@ -268,6 +279,24 @@ mod tests {
         let settings = settings(&[(Key::HardLimits, 1.0)]);
         assert_eq!(armed(&settings, false) & !armed(&settings, true), 0b111);
         assert!(armed(&settings, true) & 1 << input::EMERGENCY_STOP != 0);
+    }
+
+    #[test]
+    fn an_input_for_which_motion_brakes_does_not_stop_it_at_once() {
+        let stops = 1 << input::RESET | 1 << input::EMERGENCY_STOP | 1 << input::DRIVER_FAULT;
+        let all = [(Key::HardLimits, 1.0)];
+        assert_eq!(armed(&settings(&all), false), 0b111 | stops);
+        for (key, without) in [
+            (Key::LimitReaction, 0b111),
+            (Key::EmergencyReaction, 1 << input::EMERGENCY_STOP),
+            (Key::DriverReaction, 1 << input::DRIVER_FAULT),
+        ] {
+            let braking = settings(&[all[0], (key, 1.0)]);
+            assert_eq!(armed(&braking, false), (0b111 | stops) & !without);
+            assert_eq!(armed(&braking, true), stops, "homing is short of travel to brake");
+        }
+        let button = settings(&[(Key::EmergencyReaction, 2.0), (Key::ResetIsEmergencyStop, 1.0)]);
+        assert_eq!(armed(&button, false), 1 << input::DRIVER_FAULT);
     }
 
     #[test]

@@ -7,6 +7,7 @@ pub mod filter;
 pub mod homing;
 pub mod inputs;
 pub mod probe;
+pub mod reaction;
 pub mod realtime_override;
 pub mod reference;
 pub mod signals;

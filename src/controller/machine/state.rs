@@ -7,7 +7,7 @@
 //!    │ reset in motion,   │ │ │ └── $C, reset ── Check
 //!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
 //!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
-//!   Stopping (0x19, a refused line with $901): brakes, then Normal or Alarm
+//!   Stopping (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
 //! ```
 //! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
@@ -33,10 +33,10 @@ pub enum Mode<const N: usize> {
     Hold,
     /// The homing cycle runs.
     Home(HomingRun<N>),
-    /// Braking; then everything queued is forgotten. `locked`: an alarm state follows, because a line was refused.
+    /// Braking; then everything queued is forgotten.
     Stopping {
-        /// Whether the machine locks itself afterwards.
-        locked: bool,
+        /// What follows at rest.
+        then: AfterBraking,
     },
     /// Safety door: see [`Door`].
     Door(Door),
@@ -48,6 +48,29 @@ pub enum Mode<const N: usize> {
     Check,
     /// Everything is off until a reset; with the alarm that it was locked by.
     Sleep(Option<Alarm>),
+}
+
+/// What follows a controlled stop, at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AfterBraking {
+    /// The next line.
+    Continue,
+    /// The machine locks itself, because a line was refused.
+    Lock,
+    /// An alarm.
+    Alarm(Alarm),
+    /// The tool is parked, then an alarm.
+    Retract(Alarm),
+}
+
+impl AfterBraking {
+    /// The alarm that comes.
+    pub fn alarm(self) -> Option<Alarm> {
+        match self {
+            AfterBraking::Alarm(alarm) | AfterBraking::Retract(alarm) => Some(alarm),
+            AfterBraking::Continue | AfterBraking::Lock => None,
+        }
+    }
 }
 
 /// Phases of the safety door.

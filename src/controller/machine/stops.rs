@@ -25,6 +25,11 @@ pub enum StopReason {
 }
 
 impl StopReason {
+    /// The one of two that is told.
+    pub fn heavier(self, other: StopReason) -> StopReason {
+        if other.weight() > self.weight() { other } else { self }
+    }
+
     /// A reset wins over everything, an alarm over a homing switch: what they end, the others cannot continue.
     const fn weight(self) -> u8 {
         match self {
@@ -102,9 +107,7 @@ impl Stops {
 
     /// A stop that is counted already is awaited for this reason.
     pub fn wait_for(&mut self, reason: StopReason) {
-        if self.awaited.is_none_or(|awaited| reason.weight() > awaited.weight()) {
-            self.awaited = Some(reason);
-        }
+        self.awaited = Some(self.awaited.map_or(reason, |awaited| awaited.heavier(reason)));
     }
 
     /// A stop has been asked for by somebody who has also stopped the step task.

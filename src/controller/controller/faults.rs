@@ -1,0 +1,109 @@
+//! Faults: how the machine stops for them (`$924` to `$928`), and which alarm follows.
+//!
+//! ```text
+//!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
+//!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
+//! ```
+//! Homing and parking moves have no room to brake: whatever the settings, they end at once.
+
+use super::Controller;
+use super::stops::Stopped;
+use crate::axes::Axis;
+use crate::error::Alarm;
+use crate::machine::door::Opening;
+use crate::machine::inputs;
+use crate::machine::reaction::{Braking, Reaction};
+use crate::machine::state::{AfterBraking, Door, Mode};
+use crate::machine::stops::StopReason;
+use crate::protocol::report;
+use crate::settings::Key;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Stops for a fault as its setting says; the alarm follows at rest.
+    pub(super) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
+        let under_way = self.stop_under_way();
+        let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
+        let braking = Reaction::to(alarm, &self.settings).braking;
+        if braking == Braking::AtOnce || stopped.already || self.stops.is_awaited() || !self.can_brake() {
+            self.stop_for(reason, stopped);
+        } else if under_way != Some(reason) {
+            self.brake_for(alarm, braking);
+        }
+    }
+
+    fn can_brake(&self) -> bool {
+        matches!(
+            self.mode,
+            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } | Mode::Door(Door::Braking)
+        )
+    }
+
+    fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
+        // What rests when the fault comes is not set in motion.
+        let retract = braking == Braking::Retract && !self.motion.is_at_rest();
+        self.tell_trip(self.motion.line_number());
+        self.task.forget_jog();
+        self.accessories.end_spin_up();
+        self.motion.hold();
+        let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
+        self.mode = Mode::Stopping { then };
+    }
+
+    /// What a controlled stop was for, at rest.
+    pub(super) fn settle_braking(&mut self, then: AfterBraking) {
+        match then {
+            AfterBraking::Continue => self.finish_soft_stop(false),
+            AfterBraking::Lock => self.finish_soft_stop(true),
+            AfterBraking::Alarm(alarm) => self.stops.order(StopReason::Alarm(alarm)),
+            AfterBraking::Retract(alarm) => {
+                let spindle_on = self.keeps_spindle_on(alarm);
+                self.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
+                self.begin_parking();
+            }
+        }
+    }
+
+    /// Whether the switch of the axis is closed along which the tool would be parked.
+    fn is_parking_blocked(&self) -> bool {
+        let closed = inputs::axes_of_switches(self.inputs.signals().limits, &self.settings);
+        let axis = Axis::ALL.get(self.settings.whole(Key::ParkingAxis) as usize);
+        axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
+    }
+
+    /// Why motion stops or brakes, if it does for good.
+    pub(super) fn stop_under_way(&self) -> Option<StopReason> {
+        let alarm = match self.mode {
+            Mode::Stopping { then } => then.alarm(),
+            Mode::Door(_) => self.door.opening().alarm,
+            _ => None,
+        };
+        self.stops.awaited().or(alarm.map(StopReason::Alarm))
+    }
+
+    /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
+    pub(super) fn host_fault(&mut self) {
+        let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.settings);
+        match braking {
+            Braking::AtOnce => self.stops.order(StopReason::Alarm(Alarm::AbortInMotion)),
+            Braking::Controlled if spindle_on || self.settings.is_on(Key::Laser) => self.feed_hold(),
+            _ => {
+                let retract = braking == Braking::Retract && !self.motion.is_at_rest();
+                self.door.open(Opening { retract, spindle_on, alarm: None });
+                self.brake_for_door();
+            }
+        }
+    }
+
+    /// A spindle that tells its speed (`$915`) may lose it in mid-job (`$929`).
+    pub(super) fn look_for_spindle(&mut self) {
+        if !self.accessories.watches_speed(&self.settings) {
+            return;
+        }
+        let at_work = self.is_at_work() && !self.task.is_spinning_up();
+        let (power, input) = (self.resting_power(), self.inputs.signals().at_speed);
+        if self.accessories.has_lost_speed(at_work, power, input, self.now, &self.settings) {
+            self.say(|out| report::message(out, "The spindle has lost its speed"));
+            self.fault(Alarm::SpindleSpeed, &mut Stopped { already: false, answered: false });
+        }
+    }
+}

@@ -1,0 +1,376 @@
+//! Faults in every state of the machine, with every reaction that can be set: what moves, what turns, what is told, and whether
+//! the position is still trusted.
+
+use oxmill_controller::axes::Axis;
+use oxmill_controller::messages::SpindleDirection;
+use oxmill_simulator::{Options, Simulator};
+use std::time::Duration;
+
+const STEPS_PER_MM: f64 = 250.0;
+/// Acceleration, mm/s2.
+const ACCELERATION: f64 = 500.0;
+/// Feed of the job, mm/s.
+const FEED: f64 = 20.0;
+const PARKED_Z: f64 = -5.0;
+/// What a machine covers at the feed before a pin's filter and the next look of the control task have told of a fault, mm.
+const LATE: f64 = 0.1;
+/// What it covers with the segments that the step task has been given before a hold acts, mm.
+const QUEUED: f64 = 0.02 * FEED;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    Limit,
+    Emergency,
+    Driver,
+    Spindle,
+    Host,
+}
+
+impl Fault {
+    const ALL: [Fault; 5] = [Fault::Limit, Fault::Emergency, Fault::Driver, Fault::Spindle, Fault::Host];
+
+    fn setting(self) -> u16 {
+        924 + Fault::ALL.iter().position(|fault| *fault == self).unwrap() as u16
+    }
+
+    fn reactions(self) -> std::ops::Range<u8> {
+        if self == Fault::Emergency { 0..3 } else { 0..6 }
+    }
+
+    fn happen(self, mill: &mut Simulator) {
+        match self {
+            Fault::Limit => pin(mill, "limit y 1"),
+            Fault::Emergency => pin(mill, "estop 1"),
+            Fault::Driver => pin(mill, "fault 1"),
+            Fault::Spindle => pin(mill, "at_speed 0"),
+            Fault::Host => mill.disconnect(),
+        }
+    }
+
+    fn alarm(self) -> &'static str {
+        match self {
+            Fault::Limit => "ALARM:1\r",
+            Fault::Emergency => "ALARM:101\r",
+            Fault::Driver => "ALARM:102\r",
+            Fault::Spindle => "ALARM:14\r",
+            Fault::Host => "ALARM:3\r",
+        }
+    }
+}
+
+/// What the machine is doing when the fault comes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Idle,
+    Run,
+    Dwell,
+    Jog,
+    HoldBraking,
+    HoldAtRest,
+    Stopping,
+    DoorBraking,
+    DoorPullingOut,
+    DoorParked,
+    DoorReturning,
+    Home,
+    Alarm,
+    Check,
+    Sleep,
+}
+
+impl State {
+    const ALL: [State; 15] = [
+        State::Idle,
+        State::Run,
+        State::Dwell,
+        State::Jog,
+        State::HoldBraking,
+        State::HoldAtRest,
+        State::Stopping,
+        State::DoorBraking,
+        State::DoorPullingOut,
+        State::DoorParked,
+        State::DoorReturning,
+        State::Home,
+        State::Alarm,
+        State::Check,
+        State::Sleep,
+    ];
+
+    fn enter(self, mill: &mut Simulator) {
+        let run = "M3 S500\nG91 G1 X-20 F1200\n";
+        let (lines, then) = match self {
+            State::Idle => ("M3 S500\n", ""),
+            State::Run => (run, ""),
+            State::Dwell => ("M3 S500\nG4 P20\n", ""),
+            State::Jog => ("M3 S500\n$J=G91 X-20 F1200\n", ""),
+            State::HoldBraking => (run, "!"),
+            State::HoldAtRest => (run, "! "),
+            State::Stopping => (run, "\x19"),
+            State::DoorBraking => (run, "\u{84}"),
+            State::DoorPullingOut => (run, "\u{84} "),
+            State::DoorParked => (run, "\u{84}       "),
+            State::DoorReturning => (run, "\u{84}       ~"),
+            State::Home => ("$H\n", ""),
+            // A soft limit; the reset after it leaves the lock.
+            State::Alarm => ("$20=1\nG90 G1 X5 F100\n", "\x18"),
+            State::Check => ("$C\n", ""),
+            State::Sleep => ("$SLP\n", "      "),
+        };
+        mill.send(lines);
+        mill.run_for(Duration::from_millis(300));
+        for command in then.chars() {
+            match command {
+                // Time for the next phase.
+                ' ' => mill.run_for(Duration::from_secs(1)),
+                command => mill.send([command as u32 as u8]),
+            }
+        }
+        mill.run_for(Duration::from_millis(10));
+        let said = mill.take_output();
+        let name = status(mill);
+        let wanted = match self {
+            State::Idle => "<Idle|",
+            State::Run | State::Dwell => "<Run|",
+            State::Jog => "<Jog|",
+            State::HoldBraking | State::Stopping => "<Hold:1|",
+            State::HoldAtRest => "<Hold:0|",
+            State::DoorBraking | State::DoorPullingOut => "<Door:2|",
+            State::DoorParked => "<Door:0|",
+            State::DoorReturning => "<Door:3|",
+            State::Home => "<Home|",
+            State::Alarm => "<Alarm|",
+            State::Check => "<Check|",
+            State::Sleep => "<Sleep|",
+        };
+        assert!(name.contains(wanted) || self == State::Dwell && name.contains("<Idle|"), "{self:?}: {said}{name}");
+    }
+
+    /// Moves of the job, which have room to brake.
+    fn brakes(self) -> bool {
+        matches!(self, State::Run | State::Jog | State::HoldBraking | State::Stopping | State::DoorBraking)
+    }
+
+    fn moves(self) -> bool {
+        self.brakes() || matches!(self, State::DoorPullingOut | State::DoorReturning | State::Home)
+    }
+
+    fn spindle_turns(self) -> bool {
+        !matches!(
+            self,
+            State::DoorParked | State::DoorReturning | State::Home | State::Alarm | State::Check | State::Sleep
+        )
+    }
+
+    /// Whether this fault is one in this state.
+    fn heeds(self, fault: Fault) -> bool {
+        match fault {
+            Fault::Limit => !matches!(self, State::Home | State::Alarm),
+            Fault::Emergency | Fault::Driver => true,
+            Fault::Spindle | Fault::Host => matches!(self, State::Run | State::Dwell),
+        }
+    }
+}
+
+fn pin(mill: &mut Simulator, line: &str) {
+    assert_eq!(mill.pin_line(line), "ok", "{line}");
+}
+
+fn status(mill: &mut Simulator) -> String {
+    mill.take_output();
+    mill.send("?");
+    mill.run_for(Duration::from_millis(3));
+    mill.take_output()
+}
+
+/// A homed machine with parking, at rest above its work.
+fn homed() -> Simulator {
+    let mut mill = Simulator::new(Options::default());
+    let settings = "$21=0\n$22=1\n$24=600\n$25=2000\n$26=50\n$41=1\n$110=3000\n$111=3000\n$112=3000\n$120=500\n$121=500\n\
+                    $122=500\n$392=0\n$393=0\n$59=3000\n$915=1\n$929=0.05\n$916=0.05\n";
+    for line in settings.lines() {
+        mill.send(format!("{line}\n"));
+        assert!(mill.run_until_idle(), "{line}");
+    }
+    pin(&mut mill, "at_speed 1");
+    mill.send("$H\n");
+    let touch = |mill: &mut Simulator, switches: &[&str]| {
+        for _ in 0..2 {
+            mill.run_for(Duration::from_millis(400));
+            switches.iter().for_each(|switch| pin(mill, &format!("limit {switch} 1")));
+            mill.run_for(Duration::from_millis(20));
+            switches.iter().for_each(|switch| pin(mill, &format!("limit {switch} 0")));
+        }
+    };
+    touch(&mut mill, &["z"]);
+    touch(&mut mill, &["x", "y"]);
+    mill.run_for(Duration::from_secs(2));
+    mill.send("$21=1\nG53 G0 X-100 Y-100 Z-30\n");
+    assert!(mill.run_until_idle(), "{}", mill.take_output());
+    assert!(mill.controller().is_trusted(), "{}", mill.take_output());
+    mill.take_output();
+    mill
+}
+
+/// Machine position as the controller has it, mm.
+fn position(mill: &Simulator) -> [f64; 3] {
+    let position = mill.controller().machine_position();
+    [Axis::X, Axis::Y, Axis::Z].map(|axis| position.get(axis).unwrap().to_mm().into())
+}
+
+/// The pulses since a count, mm.
+fn moved(mill: &Simulator, from: [i32; 3]) -> [f64; 3] {
+    let now = mill.machine().position();
+    std::array::from_fn(|i| f64::from(now[i] - from[i]) / STEPS_PER_MM)
+}
+
+fn turns(mill: &Simulator) -> bool {
+    mill.outputs().is_some_and(|outputs| outputs.spindle != SpindleDirection::Off && outputs.power != 0)
+}
+
+/// One row of the table.
+struct Case {
+    fault: Fault,
+    reaction: u8,
+    state: State,
+    mill: Simulator,
+    /// Count of the machine's motors, and the position, when it was homed.
+    origin: ([i32; 3], [f64; 3]),
+    at_fault: [f64; 3],
+    trusted: bool,
+    said: String,
+}
+
+impl Case {
+    fn run(homed: &Simulator, fault: Fault, reaction: u8, state: State) -> Case {
+        let mut mill = homed.clone();
+        let origin = (mill.machine().position(), position(&mill));
+        mill.send(format!("${}={reaction}\n", fault.setting()));
+        assert!(mill.run_until_idle());
+        state.enter(&mut mill);
+        let trusted = mill.controller().is_trusted();
+        mill.take_output();
+        let at_fault = moved(&mill, origin.0);
+        fault.happen(&mut mill);
+        // A lost speed has to last.
+        mill.run_for(Duration::from_millis(if fault == Fault::Spindle { 51 } else { 3 }));
+        let at_fault = if fault == Fault::Spindle { moved(&mill, origin.0) } else { at_fault };
+        mill.run_for(Duration::from_secs(12));
+        let said = mill.take_output();
+        Case { fault, reaction, state, mill, origin, at_fault, trusted, said }
+    }
+
+    fn name(&self) -> String {
+        format!("{:?} with ${}={} in {:?}: {}", self.fault, self.fault.setting(), self.reaction, self.state, self.said)
+    }
+
+    fn controlled(&self) -> bool {
+        !self.reaction.is_multiple_of(3) && self.state.brakes()
+    }
+
+    fn retracts(&self) -> bool {
+        self.reaction % 3 == 2 && self.state.brakes()
+    }
+
+    /// How far the tool has moved along X and Z since the fault, mm.
+    fn after_fault(&self) -> (f64, f64) {
+        let now = moved(&self.mill, self.origin.0);
+        ((now[0] - self.at_fault[0]).abs(), now[2] - self.at_fault[2])
+    }
+
+    fn check_path(&self) {
+        let (x, z) = self.after_fault();
+        let braking = FEED * FEED / 2.0 / ACCELERATION;
+        let name = self.name();
+        if !self.controlled() {
+            assert!(x <= LATE && z.abs() <= LATE, "it has moved by {x}, {z}: {name}");
+            return;
+        }
+        assert!(x <= braking + QUEUED + LATE, "it has braked for {x} mm: {name}");
+        let is_at_feed = matches!(self.state, State::Run | State::Jog);
+        assert!(!is_at_feed || x >= braking * 0.9, "it has braked for {x} mm: {name}");
+        let parked = self.origin.1[2] + moved(&self.mill, self.origin.0)[2];
+        let wanted = if self.retracts() { PARKED_Z } else { self.origin.1[2] };
+        assert!((parked - wanted).abs() < 0.01, "Z {parked}: {name}");
+    }
+
+    fn check_outcome(&self) {
+        let name = self.name();
+        let keeps_position = self.controlled() || !self.state.moves();
+        let by_driver = self.fault == Fault::Driver;
+        assert_eq!(self.mill.controller().is_trusted(), self.trusted && keeps_position && !by_driver, "{name}");
+        let on = self.reaction >= 3 && self.state.spindle_turns();
+        assert_eq!(turns(&self.mill), on, "{name}");
+        assert_eq!(self.said.matches("ALARM:").count(), 1, "{name}");
+        assert!(self.said.contains(self.fault.alarm()), "{name}");
+        let told = position(&self.mill);
+        let counted = moved(&self.mill, self.origin.0);
+        for axis in 0..3 {
+            let off = told[axis] - self.origin.1[axis] - counted[axis];
+            assert!(off.abs() < 0.003, "axis {axis} is off by {off}: {name}");
+        }
+    }
+
+    /// A job that waits for its host can be resumed, and ends where it should.
+    fn check_wait(mut self) {
+        self.check_path();
+        let name = self.name();
+        assert!(self.mill.controller().is_trusted() && !self.said.contains("ALARM"), "{name}");
+        assert_eq!(turns(&self.mill), self.reaction >= 3, "{name}");
+        self.mill.connect();
+        self.mill.run_for(Duration::from_millis(10));
+        let state = status(&mut self.mill);
+        let wanted = if self.reaction == 4 { "<Hold:0|" } else { "<Door:0|" };
+        assert!(state.contains(wanted), "{state} after {name}");
+        self.mill.send("~");
+        self.mill.run_for(Duration::from_secs(30));
+        assert!(self.mill.is_idle() && turns(&self.mill), "{name}");
+        let travelled = moved(&self.mill, self.origin.0)[0];
+        let wanted = if self.state == State::Run { -20.0 } else { 0.0 };
+        assert!((travelled - wanted).abs() < 0.003, "X has moved by {travelled}: {name}");
+    }
+
+    /// A reset, and the machine is as usable as it says.
+    fn check_reset(mut self) {
+        let trusted = self.mill.controller().is_trusted();
+        for line in ["limit y 0", "estop 0", "fault 0", "at_speed 1"] {
+            pin(&mut self.mill, line);
+        }
+        self.mill.connect();
+        self.mill.run_for(Duration::from_millis(10));
+        self.mill.send("\x18");
+        self.mill.run_for(Duration::from_millis(100));
+        assert!(!turns(&self.mill), "{}", self.name());
+        self.mill.send("$X\nG90 G53 G0 X-90 Y-90\n");
+        self.mill.run_for(Duration::from_secs(5));
+        let said = self.mill.take_output();
+        assert!(self.mill.is_idle(), "{said} after {}", self.name());
+        let there = position(&self.mill);
+        let reached = (there[0] + 90.0).abs() < 0.003 && (there[1] + 90.0).abs() < 0.003;
+        assert_eq!(reached, trusted, "{there:?} {said} after {}", self.name());
+    }
+}
+
+#[test]
+fn each_fault_in_each_state_has_the_reaction_that_is_set() {
+    let homed = homed();
+    let mut cases = 0;
+    for fault in Fault::ALL {
+        for reaction in fault.reactions() {
+            for state in State::ALL.into_iter().filter(|state| state.heeds(fault)) {
+                let case = Case::run(&homed, fault, reaction, state);
+                cases += 1;
+                if fault == Fault::Host && reaction % 3 != 0 {
+                    case.check_wait();
+                    continue;
+                }
+                case.check_path();
+                if state != State::Home {
+                    case.check_outcome();
+                    case.check_reset();
+                }
+            }
+        }
+    }
+    assert_eq!(cases, 15 * (3 + 6) + 13 * 6 + 2 * (6 + 6), "states, reactions and faults");
+}
