@@ -374,3 +374,30 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
     }
     assert_eq!(cases, 15 * (3 + 6) + 13 * 6 + 2 * (6 + 6), "states, reactions and faults");
 }
+
+#[test]
+fn the_tool_is_not_parked_into_a_closed_switch() {
+    let mut mill = homed();
+    mill.send("$924=2\n");
+    assert!(mill.run_until_idle());
+    State::Run.enter(&mut mill);
+    pin(&mut mill, "limit z 1");
+    mill.run_for(Duration::from_secs(12));
+    let said = mill.take_output();
+    assert!(said.contains("ALARM:1\r") && mill.controller().is_trusted() && !turns(&mill), "{said}");
+    assert!((position(&mill)[2] + 30.0).abs() < 0.003, "{:?} {said}", position(&mill));
+}
+
+#[test]
+fn a_spindle_that_does_not_come_up_stays_on_only_if_that_is_set() {
+    for (reaction, on) in [(0, false), (1, false), (2, false), (3, true), (4, true), (5, true)] {
+        let mut mill = homed();
+        pin(&mut mill, "at_speed 0");
+        mill.send(format!("$927={reaction}\nM3 S500\n"));
+        mill.run_for(Duration::from_secs(5));
+        let said = mill.take_output();
+        assert!(said.contains("ALARM:14\r") && mill.controller().is_trusted(), "{said}");
+        assert_eq!(turns(&mill), on, "$927={reaction}: {said}");
+        assert!((position(&mill)[2] + 30.0).abs() < 0.003, "{:?} {said}", position(&mill));
+    }
+}
