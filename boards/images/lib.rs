@@ -18,8 +18,21 @@ pub fn profile(board: &str) -> &'static str {
     if SMALL.contains(&board) { "firmware-small" } else { "firmware" }
 }
 
-/// For a build script: puts the chosen board's `chip.x` on the linker's search path and asks for the linker scripts.
-/// `kinds` are the kinds of target in `cargo:rustc-link-arg-KIND`.
+/// The memory of a board's chip, as the linker takes it under the name `chip.x`.
+pub fn chip(board: &str) -> Option<&'static str> {
+    Some(match board {
+        "blackpill_f411" => include_str!("chips/blackpill_f411.x"),
+        "blackpill_f401" => include_str!("chips/blackpill_f401.x"),
+        "nucleo_f446re" => include_str!("chips/nucleo_f446re.x"),
+        "nucleo_f411re" => include_str!("chips/nucleo_f411re.x"),
+        "nucleo_f401re" => include_str!("chips/nucleo_f401re.x"),
+        "qemu_mps2" => include_str!("chips/qemu_mps2.x"),
+        _ => return None,
+    })
+}
+
+/// For a build script: puts the linker scripts of the chosen board on the linker's search path and asks for them. `kinds` are
+/// the kinds of target in `cargo:rustc-link-arg-KIND`.
 pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
@@ -28,14 +41,16 @@ pub fn link(kinds: &[&str], stack_kib: u32) {
     let chosen: Vec<&str> =
         BOARDS.into_iter().filter(|b| env::var_os(format!("CARGO_FEATURE_{}", b.to_uppercase())).is_some()).collect();
     let [board] = chosen[..] else { panic!("choose exactly one board feature of {BOARDS:?}, not {chosen:?}") };
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    let chip = format!("{folder}/{board}/chip.x");
-    println!("cargo:rerun-if-changed={chip}");
-    println!("cargo:rerun-if-changed={folder}/../memory.x");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    fs::copy(&chip, out.join("chip.x")).expect("each board has a chip.x");
-    fs::write(out.join("stack.x"), format!("STACK_SIZE = {stack_kib}K;\n")).expect("cargo's OUT_DIR can be written");
-    // The linker runs in the workspace root and finds memory.x there.
+    let stack = format!("STACK_SIZE = {stack_kib}K;\n");
+    let scripts = [
+        ("memory.x", include_str!("memory.x")),
+        ("chip.x", chip(board).expect("each board has a chip")),
+        ("stack.x", &stack),
+    ];
+    for (name, text) in scripts {
+        fs::write(out.join(name), text).expect("cargo's OUT_DIR can be written");
+    }
     println!("cargo:rustc-link-search={}", out.display());
     for kind in kinds {
         for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {

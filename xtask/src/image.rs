@@ -149,7 +149,7 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 
-/// The numbers of a board's `chip.x`.
+/// The numbers of a board's chip, as the linker has them.
 struct Chip {
     flash: u32,
     flash_size: u32,
@@ -161,13 +161,12 @@ struct Chip {
 
 impl Chip {
     fn read(board: &str) -> Result<Chip, Failure> {
-        let path = root().join("boards").join(board).join("chip.x");
-        let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let text = crate::boards::chip(board).ok_or_else(|| format!("there is no board `{board}`"))?;
         let value = |name: &str| {
             text.lines()
                 .find_map(|line| line.strip_prefix(name)?.trim_start().strip_prefix('=')?.split(';').next())
                 .and_then(|value| number(value.trim()))
-                .ok_or_else(|| format!("{} does not say {name}", path.display()))
+                .ok_or_else(|| format!("the chip of {board} does not say {name}"))
         };
         Ok(Chip {
             flash: value("CHIP_FLASH")?,

@@ -23,7 +23,7 @@ pub struct Release {
 }
 
 /// This release. A new version has a new date.
-pub const RELEASE: Release = Release { version: "0.1.0", date: "20261122" };
+pub const RELEASE: Release = Release { version: "0.2.0", date: "20261123" };
 
 /// `ok`
 pub fn ok(out: &mut Text) {
