@@ -6,9 +6,10 @@
 //! limits are what was reached, and a little more for what a compiler may change.
 
 use crate::elf::Elf;
+use crate::paths::cargo_without_paths;
 use crate::reach::demangled;
 use crate::thumb::{Kind, Meter, decode};
-use crate::{Failure, QEMU_BOARD, TARGET, cargo, qemu, root, run};
+use crate::{Failure, QEMU_BOARD, TARGET, qemu, root, run};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -130,7 +131,7 @@ pub fn profile(row: &str) -> Result<(), Failure> {
 /// Builds the program, runs it, and measures: all calls, and what each instruction of one row has cost.
 fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
-    let mut build = cargo();
+    let mut build = cargo_without_paths()?;
     build.args(["build", "--profile", profile, "--quiet", "--package", "oxmill-on-target", "--bin", "count"]);
     run(build.args(["--target", TARGET, "--features", QEMU_BOARD]))?;
     let elf = root().join("target").join(TARGET).join(profile).join("count");

@@ -1,10 +1,10 @@
-//! Files that a flashing tool takes: Intel HEX, and one flat binary for each stretch of flash. The settings sectors lie
-//! between the two stretches, and no file has a byte for them: a new firmware keeps the settings.
+//! What a flashing tool writes, and Intel HEX, which most of them take. The settings sectors lie between the two stretches of
+//! an image, and no file has a byte for them: a new firmware keeps the settings.
 //!
 //! ```text
-//!  sector 0   vector table      BOARD-0x08000000.bin ┐
-//!  settings   ──────────────    nothing              ├ BOARD.hex
-//!  program    code, data        BOARD-0x080x0000.bin ┘
+//!  sector 0   vector table      ┐
+//!  settings   ──────────────    ├ BOARD.hex, BOARD.dfu (the program first)
+//!  program    code, data        ┘
 //! ```
 
 use crate::Failure;

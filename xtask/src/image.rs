@@ -1,8 +1,9 @@
 //! Builds an image and looks into it: an image without a vector table or without code links just as well.
 
 use crate::elf::{Elf, Section, Segment};
+use crate::paths::cargo_without_paths;
 use crate::reach::{self, Allowed};
-use crate::{Failure, QEMU_BOARD, TARGET, cargo, flashable, root, run, sizes};
+use crate::{Failure, QEMU_BOARD, TARGET, dfuse, flashable, root, run, sizes};
 use std::fmt;
 use std::fs;
 use std::ops::Range;
@@ -35,7 +36,7 @@ pub struct Image {
     ram: (u32, u32),
     stack: u32,
     /// Files for flashing tools.
-    files: Vec<PathBuf>,
+    pub files: Vec<PathBuf>,
     /// What there is to say about its size.
     remark: Option<String>,
     /// Functions that the step interrupt can reach.
@@ -66,7 +67,7 @@ impl fmt::Display for Image {
 /// Release build of the firmware for a board.
 pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
-    run(cargo().args([
+    run(cargo_without_paths()?.args([
         "build",
         "--profile",
         profile,
@@ -92,21 +93,24 @@ pub fn build(board: &str) -> Result<Image, Failure> {
     Ok(image)
 }
 
-/// Writes what flashing tools take, and reads the hex file again.
+/// Writes what flashing tools take, and reads it again.
 fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let chip = Chip::read(board)?;
     let stretches = flashable::stretches(&Elf { bytes }, &chip.settings_sectors())
         .ok_or_else(|| format!("the image of {board} has segments that overlap"))?;
-    let name = |ending: &str| folder.join(format!("{board}{ending}"));
-    let mut files = vec![(name(".hex"), flashable::hex(&stretches).into_bytes())];
-    files.extend(stretches.iter().map(|s| (name(&format!("-{:#010x}.bin", s.address)), s.bytes.clone())));
-    for (path, contents) in &files {
+    let files = [
+        (".hex", flashable::hex(&stretches).into_bytes()),
+        (".dfu", dfuse::file(&format!("Oxmill for {board}"), &stretches)),
+    ];
+    let paths = files.each_ref().map(|(ending, _)| folder.join(format!("{board}{ending}")));
+    for (path, (_, contents)) in paths.iter().zip(&files) {
         fs::write(path, contents).map_err(|error| format!("{}: {error}", path.display()))?;
     }
-    let paths: Vec<PathBuf> = files.into_iter().map(|(path, _)| path).collect();
-    let text = fs::read_to_string(&paths[0]).map_err(|error| format!("{}: {error}", paths[0].display()))?;
-    flashable::check(&text, &stretches, &chip.settings_sectors())?;
-    Ok(paths)
+    let read = |path: &PathBuf| fs::read(path).map_err(|error| format!("{}: {error}", path.display()));
+    let [hex, dfu] = [read(&paths[0])?, read(&paths[1])?];
+    flashable::check(&String::from_utf8_lossy(&hex), &stretches, &chip.settings_sectors())?;
+    dfuse::check(&dfu, &stretches, chip.flash)?;
+    Ok(paths.into())
 }
 
 fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {

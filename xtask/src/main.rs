@@ -3,6 +3,8 @@
 //! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` end here.
 
 mod count;
+mod dfuse;
+mod dist;
 mod elf;
 mod flashable;
 mod fuzz;
@@ -10,6 +12,8 @@ mod image;
 mod jobs;
 mod live;
 mod mutants;
+mod package;
+mod paths;
 mod programs;
 mod qemu;
 mod reach;
@@ -18,6 +22,7 @@ mod rs274;
 mod sizes;
 mod suites;
 mod thumb;
+mod tree;
 mod virtual_board;
 mod web;
 
@@ -33,7 +38,7 @@ const QEMU_BOARD: &str = "qemu_mps2";
 
 const USAGE: &str = "\
 usage:
-  cargo fw BOARD             release build; prints the ELF file and its sizes, checks the image, and writes .hex and .bin
+  cargo fw BOARD             release build; prints the ELF file and its sizes, checks the image, and writes .hex and .dfu
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe;
@@ -52,6 +57,9 @@ usage:
                              `small`: in images that are built for size
   cargo xtask fuzz [--seconds N|--hours N] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets together;
                              `fuzz minimise` keeps in the tree what reaches most (needs a C++ compiler)
+  cargo xtask dist [--tag TAG] [--check] [PART..]  what a release has, in target/dist: docs/release.md. PART is a board, `boards`,
+                             `program`, `page` or `book`, all if none is named; `--check` builds it on two paths and compares
+  cargo xtask package        the crates as `cargo package` makes them, and what is in each; `package --build` builds from them
   cargo xtask rs274 [N [SEED]]  N random programs (10,000) through Oxmill's interpreter and LinuxCNC's, compared
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
@@ -83,6 +91,12 @@ fn main() -> ExitCode {
         ["web", "--test", ref names @ ..] => web::test(names),
         ["mutants", ref names @ ..] => mutants::run(names),
         ["fuzz", ref arguments @ ..] => fuzz::fuzz(arguments),
+        ["dist", "--check", ref parts @ ..] => dist::check(parts),
+        ["dist", "--tag", tag, "--check", ref parts @ ..] => dist::tagged(tag).and_then(|()| dist::check(parts)),
+        ["dist", "--tag", tag, ref parts @ ..] => dist::tagged(tag).and_then(|()| dist::make(parts)),
+        ["dist", ref parts @ ..] => dist::make(parts),
+        ["package"] => package::list(),
+        ["package", "--build"] => package::build(),
         ["rs274", ref arguments @ ..] => rs274::run(arguments),
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
@@ -131,8 +145,14 @@ fn generate(name: &str) -> Result<(), Failure> {
     }
 }
 
+/// Environment variable: another copy of the tree to work in.
+const TREE: &str = "OXMILL_TREE";
+
 /// The workspace.
 fn root() -> PathBuf {
+    if let Some(tree) = std::env::var_os(TREE) {
+        return tree.into();
+    }
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
 }
 
@@ -163,7 +183,7 @@ fn flash(board: &str) -> Result<(), Failure> {
     if !exists("cargo-embed") {
         return Err("cargo-embed is missing: `cargo install --locked probe-rs-tools`".into());
     }
-    run(cargo().args([
+    run(paths::cargo_without_paths()?.args([
         "embed",
         "--profile",
         boards::profile(board),

@@ -3,7 +3,7 @@
 //! conversations with the simulator, which runs the boards' own. A fault that leaves them green is a hole in the tests; a text that is not found any more, a fault to be written
 //! anew. Some minutes long, so it is run by hand: `cargo xtask mutants [NAME..]`.
 
-use crate::{Failure, root};
+use crate::{Failure, root, tree};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -289,34 +289,7 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
 /// Brings the copy into line, and touches only what differs: the rest need not be built again.
 fn copy_all(tree: &Path) -> Result<(), Failure> {
     fs::create_dir_all(tree).map_err(|error| error.to_string())?;
-    COPIED.iter().try_for_each(|name| copy(&root().join(name), &tree.join(name)))
-}
-
-fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
-    let failure = |error: std::io::Error| format!("{}: {error}", from.display());
-    if from.is_dir() {
-        fs::create_dir_all(to).map_err(failure)?;
-        for entry in fs::read_dir(to).map_err(failure)? {
-            let entry = entry.map_err(failure)?;
-            if !from.join(entry.file_name()).exists() {
-                let path = entry.path();
-                if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.map_err(failure)?;
-            }
-        }
-        for entry in fs::read_dir(from).map_err(failure)? {
-            let entry = entry.map_err(failure)?;
-            if entry.file_name() == "node_modules" {
-                continue;
-            }
-            copy(&entry.path(), &to.join(entry.file_name()))?;
-        }
-        return Ok(());
-    }
-    let wanted = fs::read(from).map_err(failure)?;
-    if fs::read(to).is_ok_and(|there| there == wanted) {
-        return Ok(());
-    }
-    fs::write(to, wanted).map_err(failure)
+    COPIED.iter().try_for_each(|name| tree::copy(&root().join(name), &tree.join(name)))
 }
 
 /// Whether the tests that have to see a fault pass in the copy.

@@ -1,6 +1,7 @@
 //! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the bench with its loop-back wires.
 
-use crate::{Failure, QEMU_BOARD, TARGET, boards, cargo, exists, qemu, root, run};
+use crate::paths::cargo_without_paths;
+use crate::{Failure, QEMU_BOARD, TARGET, boards, exists, qemu, root, run};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -29,19 +30,19 @@ fn tell_left_out(board: &str) {
     }
 }
 
-fn cargo_test(board: &str, suites: &[&str]) -> Command {
-    let mut cargo = cargo();
+fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
+    let mut cargo = cargo_without_paths()?;
     cargo.args(["test", "--profile", boards::profile(board), "--package", "oxmill-on-target", "--target", TARGET]);
     cargo.args(["--features", board, "--no-fail-fast"]);
     cargo.args(suites.iter().flat_map(|suite| ["--test", suite]));
-    cargo
+    Ok(cargo)
 }
 
 /// All suites on QEMU.
 pub fn on_qemu() -> Result<(), Failure> {
     require_qemu_tools()?;
     let runner = root().join(".cargo/qemu-runner.sh");
-    run(cargo_test(QEMU_BOARD, &SUITES).env(RUNNER, runner))?;
+    run(cargo_test(QEMU_BOARD, &SUITES)?.env(RUNNER, runner))?;
     println!("suite `{LOOPBACK}` is not for QEMU, which has no pins: it is for boards, see docs/bench.md");
     Ok(())
 }
@@ -49,17 +50,17 @@ pub fn on_qemu() -> Result<(), Failure> {
 /// Builds all suites of a board, so that they are known to link.
 pub fn build(board: &str) -> Result<(), Failure> {
     if board == QEMU_BOARD {
-        return run(cargo_test(board, &SUITES).arg("--no-run"));
+        return run(cargo_test(board, &SUITES)?.arg("--no-run"));
     }
     chip(board)?;
     tell_left_out(board);
-    run(cargo_test(board, &suites(board)).args(["--test", LOOPBACK, "--no-run"]))
+    run(cargo_test(board, &suites(board))?.args(["--test", LOOPBACK, "--no-run"]))
 }
 
 /// The suites on a board, without the one that needs wires.
 pub fn on_board(board: &str) -> Result<(), Failure> {
     require_probe()?;
-    run(cargo_test(board, &suites(board)).env(RUNNER, runner(board)?))?;
+    run(cargo_test(board, &suites(board))?.env(RUNNER, runner(board)?))?;
     tell_left_out(board);
     println!("suite `{LOOPBACK}` needs wires and was not run: `cargo xtask bench-board {board}`, docs/bench.md");
     Ok(())
@@ -69,9 +70,9 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
 pub fn bench(board: &str) -> Result<(), Failure> {
     let runner = runner(board)?;
     require_probe()?;
-    let others = run(cargo_test(board, &suites(board)).env(RUNNER, &runner));
+    let others = run(cargo_test(board, &suites(board))?.env(RUNNER, &runner));
     tell_left_out(board);
-    let mut running = cargo_test(board, &[LOOPBACK])
+    let mut running = cargo_test(board, &[LOOPBACK])?
         .env(RUNNER, &runner)
         .stdout(Stdio::piped())
         .spawn()
@@ -99,7 +100,7 @@ fn row(line: &str) -> Option<&str> {
 
 /// The loop-back suite of a board, built.
 pub fn loopback(board: &str) -> Result<PathBuf, Failure> {
-    let mut cargo = cargo_test(board, &[LOOPBACK]);
+    let mut cargo = cargo_test(board, &[LOOPBACK])?;
     cargo.args(["--no-run", "--message-format=json-render-diagnostics"]).stderr(Stdio::inherit());
     let built = cargo.output().map_err(|error| format!("cargo cannot be started: {error}"))?;
     if !built.status.success() {

@@ -1,12 +1,13 @@
 //! The page: the module is built, the page is made around it, and both are tried in a browser.
 
+use crate::paths::cargo_without_paths;
 use crate::{Failure, cargo, exists, root, run};
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
 /// The target of the module.
-const MODULE: &str = "wasm32-unknown-unknown";
+pub const MODULE: &str = "wasm32-unknown-unknown";
 
 /// Builds the module and the page into `target/web`.
 pub fn build() -> Result<(), Failure> {
@@ -28,8 +29,16 @@ pub fn test(names: &[&str]) -> Result<(), Failure> {
 
 /// Builds the module.
 fn module() -> Result<(), Failure> {
-    let built =
-        run(cargo().args(["build", "--quiet", "--package", "oxmill-web", "--profile", "web", "--target", MODULE]));
+    let built = run(cargo_without_paths()?.args([
+        "build",
+        "--quiet",
+        "--package",
+        "oxmill-web",
+        "--profile",
+        "web",
+        "--target",
+        MODULE,
+    ]));
     built.map_err(|why| format!("{why}\nif the target is missing: rustup target add {MODULE}"))?;
     let folder = root().join("target/web");
     let from = root().join("target").join(MODULE).join("web/oxmill_web.wasm");
@@ -52,7 +61,8 @@ fn tools() -> Result<(), Failure> {
     run(in_page("npm").args(["ci", "--silent", "--ignore-scripts"]))
 }
 
-fn page() -> PathBuf {
+/// The folder of the page.
+pub fn page() -> PathBuf {
     root().join("src/web/page")
 }
 

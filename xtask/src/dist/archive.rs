@@ -1,0 +1,104 @@
+//! Archives (tar, packed with gzip) whose bytes depend on their contents alone: in the order of names, without times and
+//! owners.
+
+use super::{Failure, read};
+use flate2::{Compression, GzBuilder};
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+/// A file of an archive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    name: String,
+    mode: u32,
+    bytes: Vec<u8>,
+}
+
+impl Entry {
+    /// A file to be read.
+    pub fn text(name: &str, bytes: Vec<u8>) -> Entry {
+        Entry { name: name.into(), mode: 0o644, bytes }
+    }
+
+    /// A file to be run.
+    pub fn program(name: &str, bytes: Vec<u8>) -> Entry {
+        Entry { name: name.into(), mode: 0o755, bytes }
+    }
+}
+
+/// All files below a folder.
+pub fn tree(folder: &Path) -> Result<Vec<Entry>, Failure> {
+    let mut entries = Vec::new();
+    collect(folder, "", &mut entries)?;
+    Ok(entries)
+}
+
+fn collect(folder: &Path, before: &str, entries: &mut Vec<Entry>) -> Result<(), Failure> {
+    for entry in fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten() {
+        let name = format!("{before}{}", entry.file_name().to_string_lossy());
+        if entry.path().is_dir() {
+            collect(&entry.path(), &format!("{name}/"), entries)?;
+        } else {
+            entries.push(Entry::text(&name, read(&entry.path())?));
+        }
+    }
+    Ok(())
+}
+
+/// The archive, with all files in one folder.
+pub fn packed(folder: &str, mut entries: Vec<Entry>) -> Result<Vec<u8>, Failure> {
+    entries.sort_by(|a, b| a.name.cmp(&b.name));
+    let failed = |error: std::io::Error| format!("{folder}: {error}");
+    let mut tar = tar::Builder::new(Vec::new());
+    for entry in &entries {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(entry.bytes.len() as u64);
+        header.set_mode(entry.mode);
+        header.set_mtime(0);
+        header.set_uid(0);
+        header.set_gid(0);
+        tar.append_data(&mut header, format!("{folder}/{}", entry.name), &entry.bytes[..]).map_err(failed)?;
+    }
+    let tar = tar.into_inner().map_err(failed)?;
+    // The time of a gzip file is 0 unless it is set.
+    let mut gzip = GzBuilder::new().write(Vec::new(), Compression::best());
+    gzip.write_all(&tar).map_err(failed)?;
+    gzip.finish().map_err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Read;
+
+    #[test]
+    fn an_archive_depends_on_nothing_but_its_contents() {
+        let entries = vec![
+            Entry::program("b", b"run".to_vec()),
+            Entry::text("a/long", b"words ".repeat(1000)),
+            Entry::text("c", vec![]),
+        ];
+        let archive = packed("x-1", entries.clone()).unwrap();
+        assert_eq!(archive[4..8], [0; 4], "the time");
+        let reversed = packed("x-1", entries.iter().rev().cloned().collect()).unwrap();
+        assert_eq!(archive, reversed);
+        let mut tar = tar::Archive::new(flate2::read::GzDecoder::new(&archive[..]));
+        let mut found = Vec::new();
+        for entry in tar.entries().unwrap() {
+            let mut entry = entry.unwrap();
+            let mut bytes = Vec::new();
+            entry.read_to_end(&mut bytes).unwrap();
+            let header = entry.header();
+            assert_eq!((header.mtime().unwrap(), header.uid().unwrap(), header.gid().unwrap()), (0, 0, 0));
+            let name = entry.path().unwrap().to_string_lossy().into_owned();
+            found.push(Entry { name, mode: entry.header().mode().unwrap(), bytes });
+        }
+        let mut wanted = entries;
+        wanted.sort_by(|a, b| a.name.cmp(&b.name));
+        for entry in &mut wanted {
+            entry.name.insert_str(0, "x-1/");
+        }
+        assert_eq!(found, wanted);
+    }
+}

@@ -1,0 +1,100 @@
+//! `cargo xtask dist --check`: the same files are made from a copy of the tree on another path, with another folder of cargo,
+//! and have to have the same bytes.
+
+use super::{Failure, files, folder, make, root};
+use crate::paths::cargo_home;
+use crate::{TREE, run, tree};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// What of the tree no build is made from.
+const LEFT_OUT: [&str; 2] = ["target", ".git"];
+
+/// Makes parts of a release twice and compares them.
+pub fn check(names: &[&str]) -> Result<(), Failure> {
+    make(names)?;
+    // Longer than the path of the tree itself, which it begins with.
+    let elsewhere = root().join("target/elsewhere");
+    let (copy, home) = (elsewhere.join("on/another/path"), elsewhere.join("another-cargo-home"));
+    if elsewhere.exists() {
+        fs::remove_dir_all(&elsewhere).map_err(|error| format!("{}: {error}", elsewhere.display()))?;
+    }
+    copy_tree(&copy)?;
+    link_home(&cargo_home()?, &home)?;
+    println!("once more, in {}", copy.display());
+    let program = std::env::current_exe().map_err(|error| error.to_string())?;
+    run(Command::new(program).arg("dist").args(names).env(TREE, &copy).env("CARGO_HOME", &home))?;
+    let (here, there) = (files(&folder())?, files(&copy.join("target/dist"))?);
+    let differing = differences(&here, &there);
+    if !differing.is_empty() {
+        return Err(format!("two builds on two paths differ:\n{}", differing.join("\n")));
+    }
+    fs::remove_dir_all(&elsewhere).map_err(|error| format!("{}: {error}", elsewhere.display()))?;
+    println!("two builds on two paths: {} files, the same bytes", here.len());
+    Ok(())
+}
+
+fn copy_tree(to: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(to).map_err(|error| format!("{}: {error}", to.display()))?;
+    for entry in fs::read_dir(root()).map_err(|error| error.to_string())?.flatten() {
+        let name = entry.file_name();
+        if !LEFT_OUT.iter().any(|left_out| name == *left_out) {
+            tree::copy(&entry.path(), &to.join(name))?;
+        }
+    }
+    Ok(())
+}
+
+/// Another folder for cargo, with the same downloads in it.
+#[cfg(unix)]
+fn link_home(home: &Path, to: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(to).map_err(|error| format!("{}: {error}", to.display()))?;
+    for name in ["registry", "git", "config.toml"] {
+        if home.join(name).exists() {
+            let linked = std::os::unix::fs::symlink(home.join(name), to.join(name));
+            linked.map_err(|error| format!("{}: {error}", to.join(name).display()))?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn link_home(_: &Path, _: &Path) -> Result<(), Failure> {
+    Err("`dist --check` needs the symbolic links of Unix".into())
+}
+
+/// What differs between two sets of files.
+fn differences(here: &[(String, Vec<u8>)], there: &[(String, Vec<u8>)]) -> Vec<String> {
+    let missing = |these: &[(String, Vec<u8>)], name: &str| !these.iter().any(|(other, _)| other == name);
+    let alone = here
+        .iter()
+        .filter(|(name, _)| missing(there, name))
+        .chain(there.iter().filter(|(name, _)| missing(here, name)));
+    let mut found: Vec<String> = alone.map(|(name, _)| format!("{name} is made by one of them only")).collect();
+    for (name, bytes) in here {
+        if let Some((_, others)) = there.iter().find(|(other, _)| other == name)
+            && bytes != others
+        {
+            let at = bytes.iter().zip(others).take_while(|(a, b)| a == b).count();
+            found.push(format!("{name}, {} and {} bytes, from byte {at} on", bytes.len(), others.len()));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_difference_is_told() {
+        let file = |name: &str, bytes: &[u8]| (name.to_owned(), bytes.to_vec());
+        let here = [file("a", b"same"), file("b", b"once"), file("c", b"only here")];
+        assert_eq!(differences(&here, &here), Vec::<String>::new());
+        let there = [file("a", b"same"), file("b", b"once more"), file("d", b"")];
+        let found = differences(&here, &there);
+        assert_eq!(found.len(), 3, "{found:?}");
+        assert!(found[2].contains("from byte 4 on"), "{found:?}");
+    }
+}

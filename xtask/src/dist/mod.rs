@@ -1,0 +1,271 @@
+//! `cargo xtask dist`: all files of a release, in `target/dist`, with checksums and bills of materials.
+
+mod archive;
+mod elsewhere;
+mod sbom;
+
+use crate::paths::{Compiler, cargo_without_paths};
+use crate::{Failure, QEMU_BOARD, boards, image, root, run, web};
+use archive::Entry;
+use sbom::Sbom;
+use sha2::{Digest, Sha256};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+pub use elsewhere::check;
+
+/// The version of everything.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+/// What every archive has with it.
+const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
+
+/// The mdBook that makes the book; another one makes other pages of it.
+const MDBOOK: &str = "0.5.4";
+
+/// What can be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Board(&'static str),
+    Program,
+    Page,
+    Book,
+}
+
+impl Part {
+    /// The parts of these names; all if there are none.
+    fn named(names: &[&str]) -> Result<Vec<Part>, Failure> {
+        // QEMU's machine is no board that somebody could flash.
+        let boards = || boards::BOARDS.into_iter().filter(|board| *board != QEMU_BOARD).map(Part::Board);
+        let mut parts = Vec::new();
+        for name in if names.is_empty() { &["boards", "program", "page", "book"] } else { names } {
+            match *name {
+                "boards" => parts.extend(boards()),
+                "program" => parts.push(Part::Program),
+                "page" => parts.push(Part::Page),
+                "book" => parts.push(Part::Book),
+                name => match boards().find(|part| matches!(part, Part::Board(board) if *board == name)) {
+                    Some(board) => parts.push(board),
+                    None => return Err(format!("there is no part `{name}` of a release")),
+                },
+            }
+        }
+        Ok(parts)
+    }
+
+    /// Makes its files.
+    fn make(self, folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
+        match self {
+            Part::Board(board) => make_board(board, folder, compiler),
+            Part::Program => make_program(folder, compiler),
+            Part::Page => make_page(folder, compiler),
+            Part::Book => make_book(folder),
+        }
+    }
+}
+
+/// Where the files of a release are.
+fn folder() -> PathBuf {
+    root().join("target/dist")
+}
+
+/// Refuses a tag that is not the one of this version.
+pub fn tagged(tag: &str) -> Result<(), Failure> {
+    if tag.strip_prefix('v') == Some(VERSION) {
+        Ok(())
+    } else {
+        Err(format!("the tag `{tag}` is not that of version {VERSION}, v{VERSION}"))
+    }
+}
+
+/// Makes parts of a release, and nothing else is left in the folder.
+pub fn make(names: &[&str]) -> Result<(), Failure> {
+    let parts = Part::named(names)?;
+    let compiler = Compiler::found()?;
+    let folder = folder();
+    if folder.exists() {
+        fs::remove_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    }
+    fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    parts.iter().try_for_each(|part| part.make(&folder, &compiler))?;
+    let made = files(&folder)?;
+    // Machines of several kinds make parts of one release: each has a list of its own.
+    write(&folder.join(format!("SHA256SUMS-{}.txt", compiler.host)), sums(&made).as_bytes())?;
+    println!("{} files and their checksums in {}", made.len(), folder.display());
+    Ok(())
+}
+
+fn make_board(board: &'static str, folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
+    let image = image::build(board)?;
+    println!("{image}");
+    for from in [&image.path].into_iter().chain(&image.files) {
+        let to = folder.join(from.file_name().unwrap_or_default());
+        fs::copy(from, &to).map_err(|error| format!("{}: {error}", to.display()))?;
+        if to.extension().is_some_and(|ending| ending == "dfu") {
+            check_suffix(&to)?;
+        }
+    }
+    Sbom::of_board(board).write(compiler, &folder.join(format!("{board}.cdx.json")))
+}
+
+/// Has dfu-util read the suffix of a file.
+fn check_suffix(path: &Path) -> Result<(), Failure> {
+    let checked = Command::new("dfu-suffix").arg("--check").arg(path).output();
+    let checked = checked.map_err(|error| format!("dfu-suffix, part of Debian's package dfu-util: {error}"))?;
+    if checked.status.success() {
+        return Ok(());
+    }
+    Err(format!("dfu-util refuses {}: {}", path.display(), String::from_utf8_lossy(&checked.stderr)))
+}
+
+fn make_program(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
+    run(cargo_without_paths()?.args(["build", "--release", "--locked", "--package", "oxmill"]))?;
+    let program = format!("oxmill{}", std::env::consts::EXE_SUFFIX);
+    let mut entries = vec![Entry::program(&program, read(&root().join("target/release").join(&program))?)];
+    for text in TEXTS {
+        entries.push(Entry::text(text, read(&root().join(text))?));
+    }
+    let name = program_name(&compiler.host);
+    write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, entries)?)?;
+    Sbom::of_program(&compiler.host).write(compiler, &folder.join(format!("{name}.cdx.json")))
+}
+
+/// The archive of the program, as `cargo binstall` looks for it.
+fn program_name(target: &str) -> String {
+    format!("oxmill-{VERSION}-{target}")
+}
+
+fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
+    web::build()?;
+    for name in ["oxmill.html", "oxmill.wasm"] {
+        write(&folder.join(name), &read(&root().join("target/web").join(name))?)?;
+    }
+    Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
+}
+
+/// The book as HTML; on a machine without mdBook its pages as they are.
+fn make_book(folder: &Path) -> Result<(), Failure> {
+    let install = format!("`cargo install --locked mdbook --version {MDBOOK}`");
+    let (name, from) = match mdbook() {
+        Some(version) if version == MDBOOK => {
+            run(Command::new("mdbook").current_dir(root()).args(["build", "docs"]))?;
+            (format!("oxmill-{VERSION}-book"), root().join("target/book"))
+        }
+        Some(version) => return Err(format!("the book is made by mdBook {MDBOOK}, and this is {version}: {install}")),
+        None => {
+            println!("no mdBook ({install}): the book is packed as Markdown, not as HTML");
+            (format!("oxmill-{VERSION}-book-markdown"), root().join("docs"))
+        }
+    };
+    let entries = archive::tree(&from)?;
+    write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, entries)?)
+}
+
+/// The version of mdBook, if it is installed.
+fn mdbook() -> Option<String> {
+    let told = Command::new("mdbook").arg("--version").output().ok()?.stdout;
+    Some(String::from_utf8_lossy(&told).trim().trim_start_matches("mdbook v").to_owned())
+}
+
+/// All files of a folder by name, without folders in it.
+fn files(folder: &Path) -> Result<Vec<(String, Vec<u8>)>, Failure> {
+    let entries = fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    paths.iter().map(|path| Ok((name(path), read(path)?))).collect()
+}
+
+/// Checksums as `sha256sum --check` reads them.
+fn sums(files: &[(String, Vec<u8>)]) -> String {
+    files.iter().map(|(name, bytes)| format!("{}  {name}\n", hex(&Sha256::digest(bytes)))).collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    fs::read(path).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    fs::write(path, bytes).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_have_names() {
+        let all = Part::named(&[]).unwrap();
+        assert_eq!(all.len(), boards::BOARDS.len() - 1 + 3);
+        assert_eq!(Part::named(&["book", "nucleo_f446re"]).unwrap(), [Part::Book, Part::Board("nucleo_f446re")]);
+        assert!(Part::named(&[QEMU_BOARD]).is_err());
+        assert!(Part::named(&["rest"]).is_err());
+    }
+
+    #[test]
+    fn only_the_tag_of_this_version_is_taken() {
+        tagged(&format!("v{VERSION}")).unwrap();
+        for other in [VERSION, "v0.0.1", "main", ""] {
+            assert!(tagged(other).is_err(), "{other}");
+        }
+    }
+
+    /// The checksum of "abc" is an example of FIPS 180-4.
+    #[test]
+    fn checksums_are_those_of_sha256sum() {
+        let sum = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(sums(&[("a.hex".into(), b"abc".to_vec())]), format!("{sum}  a.hex\n"));
+    }
+
+    #[test]
+    fn binstall_looks_for_the_archive_that_is_made() {
+        let manifest: toml::Table = fs::read_to_string(root().join("Cargo.toml")).unwrap().parse().unwrap();
+        let binstall = &manifest["package"]["metadata"]["binstall"];
+        let filled = |key: &str| {
+            let text = binstall[key].as_str().unwrap().replace("{ version }", VERSION).replace("{ target }", "TARGET");
+            text.replace("{ bin }", "oxmill").replace("{ binary-ext }", ".exe")
+        };
+        let name = program_name("TARGET");
+        assert!(filled("pkg-url").ends_with(&format!("/v{VERSION}/{name}.tar.gz")), "{}", filled("pkg-url"));
+        assert_eq!(filled("bin-dir"), format!("{name}/oxmill.exe"));
+        assert_eq!(binstall["pkg-fmt"].as_str(), Some("tgz"));
+    }
+
+    #[test]
+    fn the_changelog_has_this_version() {
+        let text = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
+        assert!(text.lines().any(|line| line.starts_with(&format!("## {VERSION} - "))));
+    }
+
+    /// What a workflow does can be done by hand, with the same commands; and it runs no code that can change under its name.
+    #[test]
+    fn workflows_call_only_what_can_be_called_by_hand() {
+        let mut steps = 0;
+        for entry in fs::read_dir(root().join(".github/workflows")).unwrap().flatten() {
+            let (path, text) = (entry.path(), fs::read_to_string(entry.path()).unwrap());
+            assert!(text.contains("\npermissions:\n  contents: read\n"), "{}", path.display());
+            for line in text.lines().map(|line| line.trim().trim_start_matches("- ")) {
+                if let Some(command) = line.strip_prefix("run: ") {
+                    let tools = [
+                        "rustup ",
+                        "cargo install --locked ",
+                        "apt-get update && apt-get install ",
+                        "gh release create ",
+                    ];
+                    let mut known = ["bash .ci/run", "cargo xtask dist"].into_iter().chain(tools);
+                    assert!(known.any(|start| command.starts_with(start)), "{}: {command}", path.display());
+                    steps += 1;
+                } else if let Some(action) = line.strip_prefix("uses: ") {
+                    let commit = action.split(['@', ' ']).nth(1).unwrap_or_default();
+                    let pinned = commit.len() == 40 && commit.chars().all(|c| c.is_ascii_hexdigit());
+                    assert!(pinned, "{}: {action} is not pinned", path.display());
+                }
+            }
+        }
+        assert!(steps >= 4, "{steps}");
+    }
+}

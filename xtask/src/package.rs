@@ -1,0 +1,115 @@
+//! `cargo xtask package`: the crates as `cargo package` makes them. None of them may need what is outside of its folder.
+
+use crate::{Failure, QEMU_BOARD, TARGET, cargo, root, run};
+use flate2::read::GzDecoder;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Packages of the workspace that are for the workspace only.
+const OWN: [&str; 4] = ["xtask", "oxmill-fuzz", "oxmill-test-support", "oxmill-on-target"];
+
+/// What no package has in it.
+const UNWANTED: [&str; 5] = ["target/", "node_modules/", "docs/", ".ci/", ".github/"];
+
+/// The manifest of a workspace of the packages alone: what they need of each other is taken from beside them.
+const MANIFEST: &str = "[workspace]\nmembers = [\"*\"]\nresolver = \"3\"\n\n\
+                        [profile.release]\nopt-level = \"s\"\nlto = \"fat\"\ncodegen-units = 1\n\n[patch.crates-io]\n";
+
+/// Packs all crates and says what is in them.
+pub fn list() -> Result<(), Failure> {
+    for (package, files) in packed()? {
+        println!("{}: {} files", package.display(), files.len());
+    }
+    Ok(())
+}
+
+/// Packs all crates, unpacks them elsewhere, and builds the program, the module and an image from them.
+pub fn build() -> Result<(), Failure> {
+    let folder = root().join("target/packaged");
+    // What has been built there may stay, and the lock file is the one of the tree.
+    let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
+    let packages = folder.join("packages");
+    if packages.exists() {
+        fs::remove_dir_all(&packages).map_err(failed)?;
+    }
+    fs::create_dir_all(&packages).map_err(failed)?;
+    let mut manifest = MANIFEST.to_owned();
+    for (package, _) in packed()? {
+        archive(&package)?.unpack(&packages).map_err(failed)?;
+        let folder = package.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = folder.rsplit_once('-').map_or(&*folder, |(name, _)| name);
+        manifest += &format!("{name} = {{ path = \"{folder}\" }}\n");
+    }
+    fs::write(packages.join("Cargo.toml"), manifest).map_err(failed)?;
+    fs::copy(root().join("Cargo.lock"), packages.join("Cargo.lock")).map_err(failed)?;
+    let cargo = |arguments: &[&str]| {
+        run(cargo().current_dir(&packages).env("CARGO_TARGET_DIR", folder.join("target")).args(arguments))
+    };
+    cargo(&["check", "--package", "oxmill", "--package", "oxmill-web"])?;
+    cargo(&["build", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", QEMU_BOARD])
+}
+
+/// Packs all crates: each archive with the names of its files.
+fn packed() -> Result<Vec<(PathBuf, Vec<String>)>, Failure> {
+    let folder = root().join("target/package");
+    if folder.exists() {
+        fs::remove_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    }
+    let mut package = cargo();
+    // The crates are in no registry, so what one needs of another cannot be found there.
+    package.args(["package", "--quiet", "--workspace", "--no-verify", "--exclude-lockfile", "--allow-dirty"]);
+    run(package.args(OWN.iter().flat_map(|name| ["--exclude", name])))?;
+    let entries = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let mut packages: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    packages.retain(|path| path.extension().is_some_and(|ending| ending == "crate"));
+    packages.sort();
+    packages.into_iter().map(|package| names(&package).map(|names| (package, names))).collect()
+}
+
+/// The files of a package, if it has what it should.
+fn names(package: &Path) -> Result<Vec<String>, Failure> {
+    let failed = |error: std::io::Error| format!("{}: {error}", package.display());
+    let mut names = Vec::new();
+    for entry in archive(package)?.entries().map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let path = entry.path().map_err(failed)?;
+        names.push(path.components().skip(1).collect::<PathBuf>().to_string_lossy().into_owned());
+    }
+    match fault(&names) {
+        Some(why) => Err(format!("{} {why}", package.display())),
+        None => Ok(names),
+    }
+}
+
+/// What is wrong with the files of a package.
+fn fault(names: &[String]) -> Option<String> {
+    let has = |end: &str| names.iter().any(|name| name.ends_with(end));
+    if !has("Cargo.toml") || !has(".rs") {
+        return Some("has no manifest or no source".into());
+    }
+    let unwanted =
+        |name: &&String| UNWANTED.iter().any(|folder| name.starts_with(folder) || name.contains(&format!("/{folder}")));
+    names.iter().find(unwanted).map(|name| format!("has {name}"))
+}
+
+fn archive(package: &Path) -> Result<tar::Archive<GzDecoder<fs::File>>, Failure> {
+    let file = fs::File::open(package).map_err(|error| format!("{}: {error}", package.display()))?;
+    Ok(tar::Archive::new(GzDecoder::new(file)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unwanted_files_are_seen() {
+        let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+        assert_eq!(fault(&names(&["Cargo.toml", "lib.rs"])), None);
+        assert!(fault(&names(&["Cargo.toml"])).is_some());
+        assert!(fault(&names(&["lib.rs"])).is_some());
+        assert!(
+            fault(&names(&["Cargo.toml", "lib.rs", "page/node_modules/x/index.js"])).unwrap().contains("node_modules")
+        );
+        assert!(fault(&names(&["Cargo.toml", "lib.rs", "docs/x.md"])).is_some());
+    }
+}
