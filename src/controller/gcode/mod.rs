@@ -48,6 +48,7 @@ pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
+pub use word::{Group, group_of};
 
 /// Whether this build has expressions, parameters and O words.
 pub const EXPRESSIONS: bool = cfg!(feature = "expressions");

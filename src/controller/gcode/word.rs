@@ -126,29 +126,64 @@ impl Letters {
 /// A modal group: of its words a line may have one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Group {
+pub enum Group {
+    /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
+    /// G0 to G3, G38, G80, cycles.
     Motion,
+    /// G17 to G19.
     Plane,
+    /// G90, G91.
     Distance,
+    /// G90.1, G91.1.
     ArcDistance,
+    /// G93, G94.
     FeedMode,
+    /// G20, G21.
     Units,
+    /// G98, G99.
     Retract,
+    /// G40.
     CutterCompensation,
+    /// G43, G49.
     ToolLength,
+    /// G54 to G59.3.
     CoordinateSystem,
+    /// G61, G64.
     PathControl,
+    /// M0, M1, M2, M30, M60.
     Flow,
+    /// M3 to M5.
     Spindle,
+    /// M7 to M9.
     Coolant,
+    /// M56.
     Override,
+    /// M6.
     ToolChange,
+    /// M48 to M53.
     OverridesHeld,
+    /// M70 to M72.
     Keep,
+    /// G50.
     Scaling,
+    /// G68, G69.
     Rotation,
+    /// G97.
     SpindleMode,
+}
+
+/// The modal group of the word `G` or `M` with a number, as a line of a dialect is read.
+///
+/// # Errors
+/// With which error such a line is refused.
+pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, Error> {
+    let code = Code::of(number);
+    match letter {
+        b'G' => GWord::of(code, dialect).map(GWord::group),
+        b'M' => MWord::of(code, dialect).map(MWord::group),
+        _ => Err(Error::UnsupportedCommand),
+    }
 }
 
 impl Group {
