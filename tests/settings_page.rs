@@ -9,7 +9,7 @@ use std::fmt::Write;
 
 const HEAD: &str = "# Settings
 
-`$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
+After this page you know each setting, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
 (no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused

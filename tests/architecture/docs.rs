@@ -115,7 +115,7 @@ fn head_of(text: &str) -> String {
 #[test]
 fn every_file_is_listed_with_its_own_words() {
     let mut text = String::from(
-        "# Every file\n\nWhat each file of `src/` and `boards/` is about, in its own first words. A test keeps this page true;\n\
+        "# Every file\n\nAfter this page you know where to look. What each file of `src/` and `boards/` is about, in its own first words. A test keeps this page true;\n\
          `OXMILL_FILES=accept cargo test --test architecture listed` writes it.\n\n\
          Where `src/controller/machine` and `src/controller/controller` have files of one name, the first is a state machine that gives orders and\n\
          never sees the controller; the second carries the orders out.\n",

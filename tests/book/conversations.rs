@@ -1,0 +1,113 @@
+//! What is said in the fences named `conversation`.
+
+use crate::{all_pages, keep, read, root};
+use oxmill_controller::messages::Realtime;
+use oxmill_simulator::{Fittings, Options, Simulator};
+use std::collections::BTreeMap;
+use std::fs;
+
+const FENCE: &str = "```conversation\n";
+/// Pages in which all that is to be sent is said in a conversation.
+const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
+
+/// A new machine; what is fitted to it says the file of `--machine` in the mark `<!-- machine: FILE -->`.
+fn machine(page: &str) -> Simulator {
+    let fittings = page.split("<!-- machine: ").nth(1).and_then(|rest| rest.split_once(" -->")).map(|(file, _)| {
+        let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        Fittings::parse(&text).expect("a machine")
+    });
+    let mut mill = Simulator::new(Options { fittings: fittings.unwrap_or_default(), ..Options::default() });
+    mill.run_until_idle();
+    mill.take_output();
+    mill
+}
+
+/// Sends a line behind `> `: a realtime command by itself has no line end.
+fn send(mill: &mut Simulator, line: &str) {
+    match line {
+        "?" => mill.press(Realtime::Status),
+        "!" => mill.press(Realtime::FeedHold),
+        "~" => mill.press(Realtime::CycleStart),
+        "0x18" => mill.press(Realtime::Reset),
+        _ => mill.send(format!("{line}\n")),
+    }
+}
+
+/// A fence as it is said: `> ` sends a line, `* ` moves an input pin as `--pins` does, both wait for the end of what they begin.
+/// With `...` behind it a line is not waited for: the machine has half a second.
+fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
+    let (mut now, mut seen) = (String::new(), 0);
+    for line in fence.lines().filter(|line| line.starts_with("> ") || line.starts_with("* ")) {
+        let (words, waits) = line[2..].split_once(" ...").map_or((&line[2..], true), |(words, _)| (words, false));
+        if line.starts_with("* ") {
+            assert_eq!(mill.pin_line(words), "ok", "{line}");
+        } else {
+            send(mill, words);
+        }
+        let done = !waits || mill.run_until_idle();
+        if !waits {
+            mill.run_for(std::time::Duration::from_millis(500));
+        }
+        let answer = mill.take_output().replace('\r', "");
+        // An alarm that only a reset ends keeps what is unread.
+        assert!(done || answer.contains("ALARM"), "{line}: {answer}");
+        now += &format!("{line}\n{answer}");
+        seen += 1;
+    }
+    (now, seen)
+}
+
+/// All on a page is one conversation with one new machine.
+#[test]
+fn conversations_of_the_pages_are_what_is_said() {
+    let mut seen = 0;
+    for page in all_pages().iter().filter(|page| read(page).contains(FENCE)) {
+        keep(page, |text| {
+            let mut mill = machine(text);
+            let mut parts = text.split(FENCE);
+            let mut now = parts.next().unwrap_or_default().to_owned();
+            for part in parts {
+                let (fence, rest) = part.split_once("```").expect("the fence ends");
+                let (answers, lines) = said(&mut mill, fence);
+                now += &format!("{FENCE}{answers}```{rest}");
+                seen += lines;
+            }
+            now
+        });
+    }
+    assert!(seen > 80, "{seen} lines");
+}
+
+/// Lines for the machine in a fence of another kind would be tried by no test.
+#[test]
+fn pages_with_hands_on_say_all_lines_in_conversations() {
+    for name in HANDS_ON {
+        for (kind, lines) in crate::fences(&read(&root().join(format!("docs/{name}.md")))) {
+            let known = ["conversation", "sh", "console", "toml", "text"].contains(&kind.as_str());
+            assert!(known, "docs/{name}.md has a fence `{kind}`");
+            let for_machines = |line: &&String| {
+                let mut begin = line.chars();
+                let [first, second] = [begin.next(), begin.next()];
+                first.is_some_and(|c| "$GM".contains(c)) && second.is_some_and(|c| c != ' ')
+            };
+            let stray = lines.iter().find(for_machines).filter(|_| kind != "conversation");
+            assert!(stray.is_none(), "docs/{name}.md: {stray:?} in a fence `{kind}`");
+        }
+    }
+}
+
+/// Settings as lines `$n=v` set them, the last one of a number.
+fn assignments(text: &str, before: &str) -> BTreeMap<u16, String> {
+    let lines = text.lines().filter_map(|line| line.strip_prefix(before)?.strip_prefix('$')?.split_once('='));
+    lines.filter_map(|(number, value)| Some((number.parse().ok()?, value.to_owned()))).collect()
+}
+
+/// `examples/mill.txt` has the settings to which docs/set-up.md leads.
+#[test]
+fn the_settings_of_the_example_are_those_of_the_page() {
+    let page = read(&root().join("docs/set-up.md"));
+    let (until_restored, _) = page.split_once("> $RST=$").expect("the end");
+    let settings = assignments(until_restored, "> ");
+    assert!(settings.len() > 20, "{settings:?}");
+    assert_eq!(settings, assignments(&read(&root().join("examples/mill.txt")), ""));
+}

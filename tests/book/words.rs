@@ -1,0 +1,213 @@
+//! `docs/gcode.md`: the table of words has each word that the firmware reads, and the list of what it refuses each that it names.
+
+use crate::{keep, read, root, with_table};
+use oxmill_controller::error::Error;
+use oxmill_controller::gcode::{Dialect, Group, group_of};
+use oxmill_controller::units::{DECIMAL_ONE, Decimal};
+use oxmill_simulator::{Options, Simulator};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+
+/// Words of one row, and what they mean. In which dialects they are, and of which group, the firmware says.
+const MEANINGS: &[(&str, &str)] = &[
+    ("G0", "rapid"),
+    ("G1", "line at the feed F"),
+    ("G2 G3", "arc clockwise, counter-clockwise: centre by I, J, K, or radius by R; turns by P (not *grbl*)"),
+    ("G38.2 G38.3", "probe towards a contact, with and without an alarm if there is none"),
+    ("G38.4 G38.5", "probe away from a contact, with and without an alarm if it stays closed"),
+    ("G73 G81 G82 G83 G85 G86 G88 G89", "[canned cycles](#canned-cycles)"),
+    ("G80", "no motion, ends a cycle"),
+    ("G4", "dwell of P seconds"),
+    ("G10", "offsets: L2 and L20 of coordinate systems; L1, L10 and L11 of [tools](#tools) (not *grbl*)"),
+    ("G28 G30", "rapid to the first, second stored place, by way of a point"),
+    ("G28.1 G30.1", "stores the place where the machine is"),
+    ("G52", "local offset ([coordinates](#coordinates))"),
+    ("G53", "this line's target is a place of the machine"),
+    ("G92", "the tool's place has these coordinates"),
+    ("G92.1", "takes the offset of G92 away"),
+    ("G92.2 G92.3", "suspends, restores the offset of G92"),
+    ("G17 G18 G19", "plane XY, ZX, YZ"),
+    ("G20 G21", "inches, millimetres"),
+    ("G40", "no cutter compensation, which is so in any case"),
+    ("G43 G43.2", "tool offset of the table, added to what is active ([tools](#tools))"),
+    ("G43.1 G49", "tool offset by value, none"),
+    ("G50", "no scaling, which is so in any case"),
+    ("G54 G55 G56 G57 G58 G59", "coordinate system 1 to 6"),
+    ("G59.1 G59.2 G59.3", "coordinate system 7 to 9"),
+    ("G61", "exact path, which is so in any case"),
+    ("G61.1 G64", "rest at the end of each line, exact path again ([state](#state-and-flow))"),
+    ("G68 G69", "[rotation](#rotation) about a point, none"),
+    ("G90 G91", "coordinates, distances"),
+    ("G90.1", "centres of arcs are coordinates"),
+    ("G91.1", "centres of arcs are distances from the start"),
+    ("G93 G94", "F is 1 / minutes of the move, or mm/min (inch/min)"),
+    ("G97", "S is in revolutions per minute, which is so in any case"),
+    ("G98 G99", "cycles retract to where they began, to R"),
+    ("M0", "pause until `~`"),
+    ("M1", "the same if `$919=1`"),
+    ("M2 M30", "end of the program"),
+    ("M60", "as M0"),
+    ("M3 M4 M5", "spindle clockwise, counter-clockwise, off"),
+    ("M6", "tool change ([tools](#tools))"),
+    ("M7", "mist"),
+    ("M8 M9", "flood; coolant off"),
+    ("M48 M49 M50 M51 M52 M53", "which overrides act ([state](#state-and-flow))"),
+    ("M56", "parking override, P0 or P1"),
+    ("M70 M71 M72", "keep, forget, restore the state ([state](#state-and-flow))"),
+];
+
+/// Letters of values, and what they are for.
+const LETTERS: &[(&str, &str)] = &[
+    ("F", "feed"),
+    ("H", "tool of G43"),
+    ("I J K", "centre of an arc"),
+    ("L", "kind of G10, repeats of a cycle"),
+    ("N", "line number, told as `Ln:`; not a label"),
+    ("O", "[O words](expressions.md#o-words), number of a program"),
+    ("P", "seconds, turns, tool, system; on M words 0 or 1"),
+    ("Q", "peck"),
+    ("R", "radius, plane of a cycle, angle"),
+    ("S", "spindle speed, power of a laser"),
+    ("T", "tool"),
+    ("X Y Z", "target"),
+];
+
+const DIALECTS: [(Dialect, &str); 3] = [(Dialect::Grbl, "grbl"), (Dialect::Oxmill, "oxmill"), (Dialect::Seed, "seed")];
+
+/// A word as it is written, such as G38.2.
+fn written(letter: char, hundredths: u16) -> String {
+    match (hundredths / 100, hundredths % 100) {
+        (whole, 0) => format!("{letter}{whole}"),
+        (whole, rest) if rest.is_multiple_of(10) => format!("{letter}{whole}.{}", rest / 10),
+        (whole, rest) => format!("{letter}{whole}.{rest:02}"),
+    }
+}
+
+/// What the firmware says to each G and M word of a byte and two decimals.
+fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>)> {
+    let all = ['G', 'M'].into_iter().flat_map(|letter| (0..25_600_u16).map(move |hundredths| (letter, hundredths)));
+    all.map(move |(letter, hundredths)| {
+        let number = Decimal(i64::from(hundredths) * (DECIMAL_ONE / 100));
+        (written(letter, hundredths), group_of(letter as u8, number, dialect))
+    })
+}
+
+/// Each word that any dialect has: its group and its dialects.
+fn words() -> BTreeMap<String, (String, Vec<&'static str>)> {
+    let mut found: BTreeMap<String, (String, Vec<&str>)> = BTreeMap::new();
+    for (dialect, name) in DIALECTS {
+        for (word, group) in asked(dialect) {
+            if let Ok(group) = group {
+                let (its_group, its_dialects) = found.entry(word).or_default();
+                *its_group = spaced(&format!("{group:?}"));
+                its_dialects.push(name);
+            }
+        }
+    }
+    found
+}
+
+/// `CoordinateSystem` as `coordinate system`.
+fn spaced(name: &str) -> String {
+    let parts = name.chars().flat_map(|c| c.is_uppercase().then_some(' ').into_iter().chain(c.to_lowercase()));
+    parts.collect::<String>().trim().to_owned()
+}
+
+fn names(dialects: &[&str]) -> String {
+    if dialects.len() == DIALECTS.len() { "all".into() } else { dialects.join(", ") }
+}
+
+/// The table of words.
+fn table() -> String {
+    let mut words = words();
+    let mut table = "| word | dialects | group | meaning |\n|---|---|---|---|\n".to_owned();
+    for (row, meaning) in MEANINGS {
+        let of: Vec<(String, Vec<&str>)> = row
+            .split(' ')
+            .map(|word| words.remove(word).unwrap_or_else(|| panic!("the firmware has no {word}")))
+            .collect();
+        let (group, dialects) = &of[0];
+        assert!(of.iter().all(|other| other == &of[0]), "{row}: {of:?}");
+        let _ = writeln!(table, "| `{row}` | {} | {group} | {meaning} |", names(dialects));
+    }
+    assert!(words.is_empty(), "words without a meaning in tests/book/words.rs: {words:?}");
+    table
+}
+
+/// Dialects in which a letter with a value is no unknown word.
+fn dialects_of_letter(letter: char) -> Vec<&'static str> {
+    let mut found = Vec::new();
+    for (number, (_, name)) in DIALECTS.into_iter().enumerate() {
+        let mut mill = Simulator::new(Options::default());
+        mill.send(format!("$900={number}\nG1 F100\n"));
+        mill.run_until_idle();
+        mill.take_output();
+        mill.send(format!("{letter}1\n"));
+        mill.run_until_idle();
+        if !mill.take_output().contains(&format!("error:{}", Error::UnsupportedCommand.code())) {
+            found.push(name);
+        }
+    }
+    found
+}
+
+/// The table of letters.
+fn letters() -> String {
+    let mut known: BTreeMap<String, Vec<&str>> = ('A'..='Z')
+        .filter(|letter| !"GM".contains(*letter))
+        .map(|letter| (letter.to_string(), dialects_of_letter(letter)))
+        .filter(|(_, dialects)| !dialects.is_empty())
+        .collect();
+    let mut table = "| letter | dialects | what for |\n|---|---|---|\n".to_owned();
+    for (row, meaning) in LETTERS {
+        let of: Vec<Vec<&str>> =
+            row.split(' ').map(|letter| known.remove(letter).unwrap_or_else(|| panic!("no letter {letter}"))).collect();
+        assert!(of.iter().all(|other| other == &of[0]), "{row}: {of:?}");
+        let _ = writeln!(table, "| `{row}` | {} | {meaning} |", names(&of[0]));
+    }
+    assert!(known.is_empty(), "letters without a meaning in tests/book/words.rs: {known:?}");
+    table
+}
+
+#[test]
+fn the_page_of_words_has_those_of_the_firmware() {
+    let (table, letters) = (table(), letters());
+    keep(&root().join("docs/gcode.md"), |text| with_table(&with_table(text, "words", &table), "letters", &letters));
+}
+
+/// Words behind an error in the section of what is not supported, up to the next error.
+fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
+    let section = text.split("## Not supported").nth(1).expect("a section");
+    let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();
+    let words: Vec<&str> = list.unwrap_or_default().split_whitespace().collect();
+    // `M52 P1` and `M53 P0` are words that are known, with a value that is not.
+    words
+        .windows(2)
+        .map(|pair| pair[0])
+        .chain(words.last().copied())
+        .filter(|w| !w.starts_with('P'))
+        .map(str::to_owned)
+        .collect()
+}
+
+/// Words without a fraction, of those that have one only the number before it.
+fn wholes(words: impl Iterator<Item = String>) -> BTreeSet<String> {
+    words.map(|word| word.split('.').next().unwrap_or_default().to_owned()).collect()
+}
+
+#[test]
+fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
+    let page = read(&root().join("docs/gcode.md"));
+    let refused =
+        |error: Error| asked(Dialect::Oxmill).filter(move |(_, said)| *said == Err(error)).map(|(word, _)| word);
+    assert_eq!(refused_on_the_page(&page, Error::CutterCompensation), refused(Error::CutterCompensation).collect());
+    let mut named = refused_on_the_page(&page, Error::NotSupported);
+    for known in ["M52", "M53"] {
+        assert!(named.remove(known), "{known}");
+    }
+    let every: BTreeSet<String> = refused(Error::NotSupported).collect();
+    for word in &named {
+        assert!(every.contains(word), "the firmware does not refuse {word} by error:121");
+    }
+    assert_eq!(wholes(named.into_iter()), wholes(every.into_iter()));
+}
