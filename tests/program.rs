@@ -74,6 +74,22 @@ fn check_is_run_on_one_screen() {
     assert_eq!(run(&["check", "no such file"]).status.code(), Some(2));
 }
 
+/// What a terminal has shown for `$$` is a file of settings as it is.
+#[test]
+fn settings_may_be_what_a_machine_has_said() {
+    let job = file("said.nc", "G1 X10 F60000\n");
+    let mut child = oxmill(&["serve", "--stdio", "--set", "110=3000"]).stdin(Stdio::piped()).spawn().expect("a start");
+    child.stdin.take().expect("a pipe").write_all(b"$$\n").expect("a listener");
+    let said = String::from_utf8(child.wait_with_output().expect("an end").stdout).expect("text");
+    assert!(said.contains("Grbl 1.1h") && said.contains("$110=3000.000") && said.contains("ok"), "{said}");
+    let saved = file("said.txt", &format!("{said}[MSG:so]\n<Idle|MPos:0.000,0.000,0.000>\n"));
+    let seconds = |with: &[&str]| json(&run(&[&["run", text(&job), "--json"], with].concat()))["duration_s"].as_f64();
+    assert_eq!(seconds(&["--settings", text(&saved)]), seconds(&["--set", "110=3000"]));
+    assert_ne!(seconds(&["--settings", text(&saved)]), seconds(&[]));
+    let other = file("said_other.txt", "okay\n");
+    assert_eq!(run(&["run", text(&job), "--settings", text(&other)]).status.code(), Some(2));
+}
+
 #[test]
 fn plot_draws_the_job() {
     let job = file("plot.nc", "G21 G91\nG1 X10 Y5 F600\n");

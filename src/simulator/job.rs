@@ -74,7 +74,7 @@ pub fn power_up(options: &MachineOptions, record: Option<Output>) -> Result<(Sim
         for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
-            if !setting.is_empty() {
+            if !setting.is_empty() && !is_said_around_settings(line) {
                 lines.push((format!("line {} of {}", index + 1, path.display()), setting.to_owned()));
             }
         }
@@ -94,6 +94,12 @@ pub fn power_up(options: &MachineOptions, record: Option<Output>) -> Result<(Sim
         }
     }
     Ok((simulator, recorder))
+}
+
+/// Whether a line is what a machine says before and behind the answer to `$$`, which a saved answer may have too.
+fn is_said_around_settings(line: &str) -> bool {
+    let line = line.trim();
+    line == "ok" || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
 /// How the summary is printed.
