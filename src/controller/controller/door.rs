@@ -2,7 +2,7 @@
 
 use super::Controller;
 use crate::error::Alarm;
-use crate::machine::door::ParkingPoint;
+use crate::machine::door::{Opening, ParkingPoint};
 use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
@@ -13,6 +13,7 @@ use crate::units::Duration;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The door input or 0x84.
     pub(super) fn open_door(&mut self) {
+        self.switch_off_for_door();
         match self.mode {
             Mode::Jog { .. } => {
                 self.motion.hold();
@@ -40,6 +41,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => return,
         }
         self.say(|out| report::message(out, "Check Door"));
+    }
+
+    /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
+    fn switch_off_for_door(&mut self) {
+        match self.mode {
+            Mode::Door(door) if self.door.opening().spindle_on => {
+                self.door.open(Opening { spindle_on: false, ..self.door.opening() });
+                if matches!(door, Door::Parking | Door::Parked) {
+                    self.suspend_for_door();
+                }
+            }
+            Mode::Stopping { then } if then.alarm().is_some() => self.switch_off(),
+            Mode::Critical(_) => self.switch_off(),
+            _ => {}
+        }
     }
 
     /// Braking; then what the open door does.
@@ -162,13 +178,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    fn switch_off_and_park(&mut self) {
+    fn suspend_for_door(&mut self) {
         self.door.keep_coolant(self.accessories.coolant());
-        if !self.door.opening().spindle_on {
-            self.accessories.set_coolant(Coolant::default());
-            self.accessories.suspend();
-        }
+        self.accessories.set_coolant(Coolant::default());
+        self.accessories.suspend();
         self.replies.overrides_changed();
+    }
+
+    fn switch_off_and_park(&mut self) {
+        if self.door.opening().spindle_on {
+            self.door.keep_coolant(self.accessories.coolant());
+        } else {
+            self.suspend_for_door();
+        }
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
             self.mode = Mode::Door(Door::Parking);
         } else {

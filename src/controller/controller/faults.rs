@@ -13,6 +13,7 @@ use crate::error::Alarm;
 use crate::machine::door::Opening;
 use crate::machine::inputs;
 use crate::machine::reaction::{Braking, Reaction};
+use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::protocol::report;
@@ -24,10 +25,30 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let under_way = self.stop_under_way();
         let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
         let braking = Reaction::to(alarm, &self.settings).braking;
+        if self.is_bounce(alarm) {
+            return;
+        }
+        self.keep_speed();
         if braking == Braking::AtOnce || stopped.already || self.stops.is_awaited() || !self.can_brake() {
             self.stop_for(reason, stopped);
         } else if under_way != Some(reason) {
             self.brake_for(alarm, braking);
+        }
+    }
+
+    /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
+    fn is_bounce(&self, alarm: Alarm) -> bool {
+        matches!(self.mode, Mode::Door(_))
+            && alarm == Alarm::HardLimit
+            && self.door.opening().alarm == Some(alarm)
+            && !self.stops.is_awaited()
+            && !self.is_parking_blocked()
+    }
+
+    /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
+    fn keep_speed(&mut self) {
+        if let Some(power) = self.motion.running_power() {
+            self.accessories.set_speed(SpindleRange::of(&self.settings).speed_of(power));
         }
     }
 
@@ -40,7 +61,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
         // What rests when the fault comes is not set in motion.
-        let retract = braking == Braking::Retract && !self.motion.is_at_rest();
+        let retract = braking == Braking::Retract && !self.motion.is_at_rest() && !self.is_parking_blocked();
+        if self.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
+            // The segments that are still to come carry the beam's power; and an open door means no spindle.
+            self.accessories.suspend();
+        }
         self.tell_trip(self.motion.line_number());
         self.task.forget_jog();
         self.accessories.end_spin_up();
@@ -70,16 +95,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
     }
 
-    /// Why motion stops or brakes, if it does for good.
-    pub(super) fn stop_under_way(&self) -> Option<StopReason> {
-        let alarm = match self.mode {
-            Mode::Stopping { then } => then.alarm(),
-            Mode::Door(_) => self.door.opening().alarm,
-            _ => None,
-        };
-        self.stops.awaited().or(alarm.map(StopReason::Alarm))
-    }
-
     /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
     pub(super) fn host_fault(&mut self) {
         let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.settings);
@@ -89,6 +104,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => {
                 let retract = braking == Braking::Retract && !self.motion.is_at_rest();
                 self.door.open(Opening { retract, spindle_on, alarm: None });
+                self.darken_laser();
                 self.brake_for_door();
             }
         }

@@ -26,9 +26,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.home_switch(&mut stopped);
         } else if came.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
             let closed = inputs::axes_of_switches(came.limits, &self.settings);
-            let awaited = self.stop_under_way() == Some(StopReason::Alarm(Alarm::HardLimit));
-            if self.stop_under_way().is_none() || awaited {
-                self.inputs.trip_limits(closed, awaited);
+            let limit = StopReason::Alarm(Alarm::HardLimit);
+            let under_way = self.stop_under_way();
+            if under_way.is_none_or(|other| other.heavier(limit) == limit) {
+                self.inputs.trip_limits(closed, under_way == Some(limit));
             }
             self.fault(Alarm::HardLimit, &mut stopped);
         }
@@ -51,6 +52,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task, and in
     /// an emergency stop for no braking either.
     fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
+        if came.driver_fault {
+            // The driver may have lost steps.
+            self.reference.lose();
+        }
         let alarm = match (came.emergency_stop, came.driver_fault) {
             (true, _) => Alarm::EmergencyStop,
             (_, true) => Alarm::DriverFault,

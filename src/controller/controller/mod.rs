@@ -266,7 +266,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
         let silent = self.lines.heartbeat().silent_at();
-        let lost = if matches!(self.mode, Mode::Normal) { self.accessories.speed_lost_at() } else { None };
+        let watched = matches!(self.mode, Mode::Normal) && self.is_at_work();
+        let lost = if watched { self.accessories.speed_lost_at() } else { None };
         [moving, door, task, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
     }
 

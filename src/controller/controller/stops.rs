@@ -34,15 +34,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return;
             }
             StepEvent::Underrun { stops, position } => {
+                self.await_what_brakes();
                 self.stops.failed(stops, Alarm::Underrun);
                 self.stopped_at(&position);
             }
             StepEvent::Miscounted { stops, position } => {
+                self.await_what_brakes();
                 self.stops.failed(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
         }
         self.finish_stop();
+    }
+
+    /// The step task has failed while the machine braked for a fault: that one is told.
+    fn await_what_brakes(&mut self) {
+        if let Some(reason) = self.stop_under_way() {
+            self.stops.wait_for(reason);
+        }
     }
 
     fn stopped_at(&mut self, position: &PerAxis<i32, N>) {

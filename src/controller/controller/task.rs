@@ -93,6 +93,11 @@ impl Task {
         matches!(self, Task::None)
     }
 
+    /// Whether it belongs to a job, and is no answer that takes its time.
+    pub(super) fn is_program(&self) -> bool {
+        !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_))
+    }
+
     /// Whether a reset owes the host an `ok` for it.
     pub(super) fn answers_host(&self) -> bool {
         match self {

@@ -7,6 +7,7 @@ use crate::error::Alarm;
 use crate::gcode::{Dialect, Motion};
 use crate::machine::reaction::Reaction;
 use crate::machine::state::Mode;
+use crate::machine::stops::StopReason;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Instant};
 
@@ -32,7 +33,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether a job is under way.
     pub(super) fn is_at_work(&self) -> bool {
-        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
+        self.step_supply.is_running() || !self.motion.is_idle() || self.task.is_program()
     }
 
     /// Whether a spindle that turns continues to, at this alarm.
@@ -41,7 +42,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.settings),
             alarm => Reaction::to(alarm, &self.settings),
         };
-        reaction.spindle_on && !self.accessories.is_suspended()
+        let door_allows = !self.inputs.signals().door
+            && match self.mode {
+                Mode::Door(_) => self.door.opening().alarm.is_some() && self.door.opening().spindle_on,
+                _ => true,
+            };
+        reaction.spindle_on && door_allows && !self.accessories.is_suspended()
+    }
+
+    /// Why motion stops or brakes, if it does for good.
+    pub(super) fn stop_under_way(&self) -> Option<StopReason> {
+        let alarm = match self.mode {
+            Mode::Stopping { then } => then.alarm(),
+            Mode::Door(_) => self.door.opening().alarm,
+            _ => None,
+        };
+        self.stops.awaited().or(alarm.map(StopReason::Alarm))
     }
 
     fn has_nothing_to_do(&self) -> bool {

@@ -32,12 +32,19 @@ pub struct Accessories {
 /// Watches a spindle in mid-job that tells its speed.
 #[derive(Clone, Copy, Debug)]
 struct SpeedWatch {
-    /// The power it was given last.
-    power: u16,
-    /// Until then another speed may take.
+    /// What the spindle was given last; `None`: it was off, or is not known.
+    given: Option<(SpindleDirection, u16)>,
+    /// Until then another speed may take, if the input does not tell earlier that it is reached.
     settled_at: Instant,
-    /// Its speed is lost; at this moment it is for too long.
+    /// The input has told since then that it is not reached.
+    has_changed: bool,
+    /// The speed is lost; at this moment it is for too long.
     fault_at: Option<Instant>,
+}
+
+impl SpeedWatch {
+    const NONE: SpeedWatch =
+        SpeedWatch { given: None, settled_at: Instant::from_ticks(0), has_changed: false, fault_at: None };
 }
 
 /// Whether a spindle that was switched on turns as fast as it should.
@@ -61,7 +68,7 @@ impl Accessories {
         suspended: false,
         speed: 0.0,
         spinning_up: None,
-        watch: SpeedWatch { power: 0, settled_at: Instant::from_ticks(0), fault_at: None },
+        watch: SpeedWatch::NONE,
     };
 
     /// The overrides.
@@ -204,13 +211,18 @@ impl Accessories {
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
         let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
         if !watches {
-            self.watch.fault_at = None;
+            self.forget_speed();
         }
         watches
     }
 
-    /// Whether the spindle has not been up to speed for longer than `$929`, nor within `$916` of another `power`. `at_work`: a job
-    /// is under way and does not wait for it.
+    /// The spindle has been off, or nobody has looked at it.
+    pub fn forget_speed(&mut self) {
+        self.watch = SpeedWatch::NONE;
+    }
+
+    /// Whether the spindle has not been up to speed for longer than `$929` while a job is `at_work`. After another direction or
+    /// `power` it has the time of `$916`.
     pub fn has_lost_speed<const N: usize>(
         &mut self,
         at_work: bool,
@@ -219,19 +231,21 @@ impl Accessories {
         now: Instant,
         settings: &Settings<N>,
     ) -> bool {
-        if !at_work {
-            self.watch = SpeedWatch { power, settled_at: now, fault_at: None };
-            return false;
+        let given = Some((self.direction, power));
+        if given != self.watch.given {
+            let settled_at = now + settings.seconds(Key::AtSpeedWithin);
+            self.watch = SpeedWatch { given, settled_at, ..SpeedWatch::NONE };
         }
-        if power != self.watch.power {
-            self.watch = SpeedWatch { power, settled_at: now + settings.seconds(Key::AtSpeedWithin), fault_at: None };
-        }
-        if self.is_at_speed(input, settings) {
+        if power == 0 || self.is_at_speed(input, settings) {
+            if self.watch.has_changed {
+                self.watch.settled_at = now;
+            }
             self.watch.fault_at = None;
             return false;
         }
+        self.watch.has_changed = true;
         let fault_at = (now + settings.seconds(Key::SpeedLoss)).max(self.watch.settled_at);
-        now >= *self.watch.fault_at.get_or_insert(fault_at)
+        now >= *self.watch.fault_at.get_or_insert(fault_at) && at_work
     }
 
     /// When the spindle's speed will have been lost for too long, if it stays lost.
@@ -321,12 +335,17 @@ mod tests {
         on.set_spindle(SpindleDirection::Clockwise, &settings);
         assert!(on.watches_speed(&settings));
         let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
-        assert!(!lost(false, 100, false, 8), "nothing is cut");
-        assert!(!lost(true, 100, false, 10) && !lost(true, 100, false, 11) && lost(true, 100, false, 12));
-        assert!(!lost(true, 100, true, 13) && !lost(true, 100, false, 14), "it had come back");
-        // Another speed takes its time.
-        assert!(!lost(true, 200, false, 20) && !lost(true, 200, false, 24) && lost(true, 200, false, 25));
-        assert_eq!(on.speed_lost_at(), Some(at(25)));
+        // It has come up, and has no more need of its time.
+        assert!(!lost(false, 100, false, 6) && !lost(false, 100, true, 7));
+        assert!(!lost(true, 100, false, 8) && !lost(true, 100, false, 9) && lost(true, 100, false, 10));
+        assert!(!lost(true, 100, true, 11) && !lost(true, 100, false, 12), "it had come back");
+        assert!(!lost(false, 100, false, 14) && lost(true, 100, false, 15), "a job that begins meets it as it is");
+        // Another speed takes its time, whether it is asked for at work or before.
+        assert!(!lost(false, 200, true, 20) && !lost(true, 200, false, 21) && !lost(true, 200, false, 24));
+        assert!(lost(true, 200, false, 25));
+        assert!(!lost(true, 0, false, 40), "S0");
+        assert!(!lost(true, 300, false, 41) && !lost(true, 300, false, 45));
+        assert_eq!(on.speed_lost_at(), Some(at(46)));
         on.suspend();
         assert!(!on.watches_speed(&settings));
         assert_eq!(on.speed_lost_at(), None);

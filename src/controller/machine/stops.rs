@@ -35,10 +35,12 @@ impl StopReason {
         match self {
             StopReason::Nothing => 1,
             StopReason::Switch | StopReason::Contact => 2,
-            StopReason::Alarm(Alarm::EmergencyStop) => 5,
-            StopReason::Alarm(Alarm::DriverFault) => 4,
-            StopReason::Alarm(_) => 3,
-            StopReason::Reset => 6,
+            // Nothing of the motors or the position is wrong.
+            StopReason::Alarm(Alarm::SpindleSpeed | Alarm::AbortInMotion) => 3,
+            StopReason::Alarm(Alarm::DriverFault) => 5,
+            StopReason::Alarm(Alarm::EmergencyStop) => 6,
+            StopReason::Alarm(_) => 4,
+            StopReason::Reset => 7,
         }
     }
 }
@@ -228,6 +230,7 @@ mod tests {
         let rising = [
             StopReason::Nothing,
             StopReason::Contact,
+            StopReason::Alarm(Alarm::SpindleSpeed),
             StopReason::Alarm(Alarm::HardLimit),
             StopReason::Alarm(Alarm::DriverFault),
             StopReason::Alarm(Alarm::EmergencyStop),
