@@ -373,6 +373,22 @@ mod tests {
         assert!(check.simulator().trace().events() > 500);
     }
 
+    /// The machine is still in its first move when the last line is read.
+    #[test]
+    fn a_move_keeps_its_tool_and_line_however_many_lines_follow() {
+        let text = format!("G21 G91 T5 M6\nG1 X1 F60\n{}", "F60\n".repeat(70_000));
+        let mut simulator = Simulator::new(crate::Options::default());
+        simulator.meter_mut().draw(crate::path::Drawing::new([0.0; 3], 0.0));
+        let mut check = Check::new(simulator, JobText::new(io::Cursor::new(text)));
+        while !check.advance(u32::MAX) {}
+        let summary = check.summary("a.nc", 0.0);
+        let tools: Vec<u32> = summary.tools.iter().filter(|row| row.feed_s > 0.0).map(|row| row.tool).collect();
+        assert_eq!(tools, [5], "{summary}");
+        let drawing = check.simulator_mut().meter_mut().take_drawing().expect("a drawing");
+        let lines: Vec<u32> = drawing.points().iter().skip(1).map(|point| point.mark.line).collect();
+        assert!(lines.iter().all(|line| *line == 2), "{lines:?}");
+    }
+
     #[test]
     fn a_job_in_pieces_is_the_same_job() {
         let text = "G21 G91\nG1 X3 Y1 F600\nbad\nG2 X2 I1\nM0\nG0 Z1\n";

@@ -3,8 +3,9 @@
 
 use std::collections::VecDeque;
 
-/// Numbers that are kept: more than there are lines on their way.
-const KEPT: usize = 1 << 16;
+/// Numbers that are kept at least, before those that no queued move has are forgotten: more than there are moves in a
+/// look-ahead, so that this is rare.
+const KEPT: usize = 1 << 12;
 
 /// What a move belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,15 +26,17 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// A line begins, or is still in work. The number of its moves, if it is another one than before.
-    pub fn begin(&mut self, mark: Mark) -> Option<u32> {
+    /// A line begins, or is still in work. The number of its moves, if it is another one than before. `queued` tells the
+    /// numbers of the moves that are on their way: of those of lines that move nothing there is no end.
+    pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;
         }
         self.last = self.last.wrapping_add(1);
         self.known.push_back((self.last, mark));
         if self.known.len() > KEPT {
-            self.known.pop_front();
+            let (queued, last) = (queued(), self.last);
+            self.known.retain(|(number, _)| *number == last || queued.contains(number));
         }
         Some(self.last)
     }
@@ -54,13 +57,16 @@ mod tests {
     fn a_number_means_its_line_until_a_later_one_comes() {
         let mut marks = Marks::default();
         let mark = |line| Mark { line, tool: 3, arc: false };
-        assert_eq!((marks.begin(mark(5)), marks.begin(mark(5)), marks.begin(mark(6))), (Some(1), None, Some(2)));
-        assert_eq!((marks.of(0), marks.of(1), marks.of(1), marks.of(2)), (Mark::default(), mark(5), mark(5), mark(6)));
+        let begin = |marks: &mut Marks, line| marks.begin(mark(line), || vec![2, 3]);
+        let numbers = [5, 5, 6, 7].map(|line| begin(&mut marks, line));
+        assert_eq!(numbers, [Some(1), None, Some(2), Some(3)]);
+        assert_eq!([0, 1, 1, 2].map(|number| marks.of(number)), [Mark::default(), mark(5), mark(5), mark(6)]);
         assert_eq!(marks.of(1), Mark::default());
-        for line in 7..200_000 {
-            marks.begin(mark(line));
+        for line in 8..200_000 {
+            begin(&mut marks, line);
+            assert!(marks.known.len() <= KEPT + 1);
         }
-        assert_eq!(marks.known.len(), KEPT);
+        assert_eq!([2, 3].map(|number| marks.of(number)), [mark(6), mark(7)], "those of queued moves");
         assert_eq!(marks.of(marks.last), mark(199_999));
     }
 }

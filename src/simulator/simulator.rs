@@ -485,7 +485,7 @@ impl Simulator {
         if let Some(marks) = &mut self.marks {
             let controller = &mut self.controller;
             let (line, tool, arc) = (controller.lines_read(), controller.tool_in_work(), controller.is_arc_in_work());
-            if let Some(number) = marks.begin(Mark { line, tool, arc }) {
+            if let Some(number) = marks.begin(Mark { line, tool, arc }, || controller.queued_line_numbers().collect()) {
                 controller.number_moves(number);
             }
         }

@@ -99,6 +99,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.running_line_number()
     }
 
+    /// N words of the move that was handed to the step task last, and of those that will be.
+    pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
+        self.motion.queued_line_numbers()
+    }
+
     /// Moves that are queued from here on have this number instead of their N words: for a simulator that shows which line a
     /// move belongs to. Motion does not depend on it.
     pub fn number_moves(&mut self, number: u32) {

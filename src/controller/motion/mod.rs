@@ -494,6 +494,13 @@ impl<const N: usize> AnyMotion<N> {
         self.source.running.line_number
     }
 
+    /// N words of the move that is handed over now or was last, and of those queued behind it.
+    pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
+        let planner = &self.queue.planner;
+        let queued = (0..planner.len()).filter_map(|place| planner.block(place)).map(|block| block.line_number);
+        core::iter::once(self.running_line_number()).chain(queued)
+    }
+
     /// Moves have this number from here on, instead of their N words.
     pub fn number_moves(&mut self, number: u32) {
         self.queue.numbering = Numbering::Given(number);

@@ -483,7 +483,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 
     #[inline]
-    fn block(&self, place: usize) -> Option<&Block<N>> {
+    pub(super) fn block(&self, place: usize) -> Option<&Block<N>> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
