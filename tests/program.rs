@@ -417,10 +417,45 @@ fn a_recorded_job_is_played_again() {
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);
     let output = run(&["replay", text(&changed)]);
-    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(output.status.code(), Some(3), "worse than the refused line that both have");
     assert!(String::from_utf8_lossy(&output.stderr).contains("at its end the recording has the motors at"));
+    // One that was cut off cannot be compared.
+    let (cut, _) = other.trim_end().rsplit_once('\n').expect("lines");
+    assert_eq!(run(&["replay", text(&file("cut.rec", &format!("{cut}\n")))]).status.code(), Some(3));
     assert_eq!(run(&["replay", text(&job)]).status.code(), Some(2), "no recording");
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
+}
+
+/// What hinders the machine is found before an older recording is lost.
+#[test]
+fn a_recording_is_kept_until_there_is_a_new_one() {
+    let job = file("kept.nc", "G0 X1\n");
+    let old = file("kept.rec", "an older one");
+    let kept = || fs::read_to_string(&old).expect("a file") == "an older one";
+    let record = ["--record", text(&old)];
+    for wrong in [["--set", "$7=1"], ["--settings", "no such file"], ["--machine", text(&job)]] {
+        assert_eq!(run(&[&["run", text(&job)], &record[..], &wrong[..]].concat()).status.code(), Some(2));
+        assert!(kept(), "{wrong:?}");
+        assert_eq!(run(&[&["serve", "--stdio"], &record[..], &wrong[..]].concat()).status.code(), Some(2));
+        assert!(kept(), "{wrong:?}");
+    }
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("an address").to_string();
+    assert_eq!(run(&[&["serve", "--tcp", &address], &record[..]].concat()).status.code(), Some(2));
+    assert!(kept(), "a port that is in use");
+    assert!(run(&[&["run", text(&job)], &record[..]].concat()).status.success());
+    assert!(fs::read_to_string(&old).expect("a file").starts_with("oxmill recording 1\n"));
+}
+
+#[test]
+fn exit_statuses_are_explained() {
+    let said = run(&["man"]).stdout;
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/json.md")).expect("docs/json.md");
+    for line in oxmill_simulator::command_line::EXIT_STATUS.lines().skip(1) {
+        let (status, meaning) = line.trim().split_once("  ").expect("a number and its meaning");
+        assert!(page.contains(&format!("| {status} | {meaning} |")), "docs/json.md: {line}");
+    }
+    assert!(String::from_utf8_lossy(&said).contains("Exit status"));
 }
 
 /// What acts at power-up only would not have acted yet when the settings were made.

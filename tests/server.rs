@@ -57,9 +57,112 @@ fn a_page_is_served_to_this_computer_only() {
         ask("/machine", address, &more)
     };
     assert!(socket(&format!("Origin: http://{address}\r\n")).starts_with("HTTP/1.1 101 "));
+    // The same cookie in a handshake.
+    let key = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==";
+    let head =
+        format!("GET /machine HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{key}\r\nCookie: name=Andr");
+    assert!(answer_to(address, &[head.as_bytes(), b"\xE9\r\n\r\n"].concat()).starts_with("HTTP/1.1 101 "));
+    // A head that is too long or has no end is not answered, however slowly it comes, nor is one that is none.
+    let long = format!("GET / HTTP/1.1\r\nHost: {address}\r\nX: {}", "x".repeat(1 << 15));
+    for request in [long.as_bytes(), b"GET / HTTP/1.1\r\n", b"\r\n\r\n"] {
+        let answer = answer_to(address, request);
+        assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 403 "), "{answer}");
+    }
     for origin in ["", "Origin: null\r\n", "Origin: http://evil.example\r\n", &format!("Origin: https://{address}\r\n")]
     {
         assert!(socket(origin).starts_with("HTTP/1.1 403 "), "{origin}");
+    }
+}
+
+/// The first bytes that come back to some, and nothing if the connection is closed without any.
+fn answer_to(address: &str, request: &[u8]) -> String {
+    let mut stream = TcpStream::connect(address).expect("it listens");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    stream.write_all(request).expect("it reads");
+    let mut answer = [0; 4096];
+    // Closed with unread bytes in it, a connection is reset.
+    let length = match stream.read(&mut answer) {
+        Err(error) if error.kind() == ErrorKind::ConnectionReset => 0,
+        read => read.expect("an answer, or an end, in time"),
+    };
+    String::from_utf8_lossy(&answer[..length]).into_owned()
+}
+
+/// What any web page may have a browser send to a port of this computer. The body is lines of a machine.
+const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n";
+
+#[test]
+fn a_web_page_moves_nothing_on_a_port_of_lines() {
+    let server = Server::new(&[]);
+    for request in
+        [format!("{REQUEST}G0 X9\n"), "OPTIONS / HTTP/1.1\r\n\r\nG0 X9\n".into(), "\x16\x03\x01\x02\nG0 X9\n".into()]
+    {
+        let mut browser = server.served();
+        browser.send(&request);
+        let mut said = String::new();
+        match browser.lines.read_to_string(&mut said) {
+            Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
+            Ok(_) => assert_eq!(said, "", "nothing is answered"),
+        }
+        let mut host = server.served_at_last();
+        assert!(host.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"), "{request}");
+    }
+    // A line that begins like one, in pieces, is a line.
+    let mut host = server.served_at_last();
+    host.send("G");
+    std::thread::sleep(Duration::from_millis(50));
+    host.send("0 X1\n");
+    assert_eq!(host.line(), "ok");
+    assert!(host.wait_for("<Idle").contains("MPos:1.000,0.000,0.000"));
+}
+
+#[test]
+fn a_web_page_moves_no_pin() {
+    let (_server, said) = Server::with_words(&["serve", "--tcp", "127.0.0.1:0", "--pins", "127.0.0.1:0"], 1);
+    let pins = said[0].strip_prefix("pins on ").expect("an address");
+    assert_eq!(answer_to(pins, b"door 1\n"), "ok\n");
+    assert_eq!(answer_to(pins, format!("{REQUEST}door 0\n").as_bytes()), "");
+    // A line without an end is no line.
+    assert_eq!(answer_to(pins, &[b'x'; 1 << 16]), "");
+}
+
+#[test]
+fn a_port_that_is_open_to_others_says_so() {
+    let (_server, said) = Server::with_words(&["serve", "--tcp", "0.0.0.0:0", "--pins", "0.0.0.0:0"], 3);
+    let warnings = said.iter().filter(|line| line.contains("is open to other computers")).count();
+    assert_eq!(warnings, 2, "{said:?}");
+}
+
+/// Threads and open files of a program.
+#[cfg(target_os = "linux")]
+fn held(program: &Child) -> [usize; 2] {
+    let count = |of: &str| std::fs::read_dir(format!("/proc/{}/{of}", program.id())).map_or(0, Iterator::count);
+    [count("task"), count("fd")]
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn thousands_of_connections_leave_nothing_behind() {
+    let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("many.html");
+    std::fs::write(&page, "<meta charset=\"utf-8\"><meta content=\"connect-src 'none'\">").expect("a file");
+    let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
+    for server in [Server::new(&[]), Server::started(&web, "web http://")] {
+        let address = server.address.trim_end_matches('/');
+        let before = held(&server.program);
+        // Some are idle at the same time: more than there are places, so that the last ones are closed.
+        let idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).expect("it listens")).collect();
+        std::thread::sleep(Duration::from_millis(200));
+        let during = held(&server.program);
+        assert!(during[0] < before[0] + 64 + 8, "{before:?} {during:?}");
+        drop(idle);
+        for _ in 0..3000 {
+            drop(TcpStream::connect(address).expect("it listens"));
+        }
+        let end = Instant::now() + PATIENCE;
+        while held(&server.program).iter().zip(&before).any(|(now, before)| now > before) {
+            assert!(Instant::now() < end, "{before:?} {:?}", held(&server.program));
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 }
 
@@ -87,6 +190,22 @@ impl Server {
         BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it listens");
         let address = line.trim().strip_prefix(word).expect("an address").to_owned();
         Server { program, address }
+    }
+
+    /// Started, with the first lines that it says to standard error.
+    fn with_words(options: &[&str], lines: usize) -> (Server, Vec<String>) {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+            .args(options)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let stderr = BufReader::new(program.stderr.take().expect("a pipe"));
+        let (sender, said) = std::sync::mpsc::channel();
+        std::thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| sender.send(line)));
+        let said = (0..lines).map(|_| said.recv_timeout(PATIENCE).unwrap_or_default()).collect();
+        (Server { program, address: String::new() }, said)
     }
 
     fn connect(&self) -> Client {

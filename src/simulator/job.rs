@@ -53,8 +53,9 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// A simulator as the options describe it, its settings applied; and its recording, if it is recorded from power-up on.
-pub fn power_up(options: &MachineOptions, record: Option<Output>) -> Result<(Simulator, Option<Recorder>)> {
+/// A simulator as the options describe it, its settings applied; and its recording from power-up on, if it is recorded:
+/// [`begin_recording`] has to follow.
+pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
     if let Some(operations) = options.cut_power {
         store.cut_power_after(operations, HALF_WORD);
@@ -62,10 +63,10 @@ pub fn power_up(options: &MachineOptions, record: Option<Output>) -> Result<(Sim
     let machine = options.machine.as_deref().map(files::read_machine).transpose()?;
     let (fittings, machine) = machine.unwrap_or_default();
     let mut simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
-    if record.is_some() && options.cut_power.is_some() {
+    if recorded && options.cut_power.is_some() {
         bail!("a power cut cannot be recorded");
     }
-    let mut recorder = record.map(|file| begin_recording(file, &mut simulator, &machine)).transpose()?;
+    let mut recorder = recorded.then(|| Recorder::begin(&mut simulator, &machine));
     simulator.run_until_idle();
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
@@ -102,6 +103,23 @@ fn is_said_around_settings(line: &str) -> bool {
     line == "ok" || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
+/// How a command has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// All went well.
+    Good,
+    /// The job has refused lines, ended in an alarm, or was not taken to its end.
+    Faulty,
+    /// What was played is not what was recorded, or cannot be compared with it.
+    OtherSteps,
+}
+
+impl Ending {
+    fn of(summary: &Summary) -> Self {
+        if summary.is_good() { Self::Good } else { Self::Faulty }
+    }
+}
+
 /// How the summary is printed.
 #[derive(Clone, Copy, Debug)]
 enum Form {
@@ -112,38 +130,38 @@ enum Form {
     Json,
 }
 
-/// Carries out `check`. The result is whether the job went without a fault.
+/// Carries out `check`.
 ///
 /// # Errors
 /// If a file cannot be read, or a setting is refused.
-pub fn check(options: CheckJob) -> Result<bool> {
+pub fn check(options: CheckJob) -> Result<Ending> {
     let CheckJob { job, json, machine } = options;
     let form = if json { Form::Json } else { Form::Short };
     carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, machine }, form)
 }
 
-/// Carries out `plot`. The result is whether the job went without a fault.
+/// Carries out `plot`.
 ///
 /// # Errors
 /// If a file cannot be read or written, or a setting is refused.
-pub fn plot(options: PlotJob) -> Result<bool> {
+pub fn plot(options: PlotJob) -> Result<Ending> {
     let PlotJob { job, output, machine } = options;
     carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, machine }, Form::Short)
 }
 
-/// Carries out `run`. The result is whether the job went without a fault.
+/// Carries out `run`.
 ///
 /// # Errors
 /// If a file cannot be read or written, or a setting is refused.
-pub fn run(options: &Run) -> Result<bool> {
+pub fn run(options: &Run) -> Result<Ending> {
     carry_out_job(options, if options.json { Form::Json } else { Form::Whole })
 }
 
-/// Carries out `replay`. The result is whether the machine did the same without a fault.
+/// Carries out `replay`. Other steps are graver than faults of the job, which the recording may have, too.
 ///
 /// # Errors
 /// If the recording cannot be read or played.
-pub fn replay(options: &Replay) -> Result<bool> {
+pub fn replay(options: &Replay) -> Result<Ending> {
     let started = Instant::now();
     let path = options.recording.display();
     let text = files::read(&options.recording, RECORDING)
@@ -152,10 +170,10 @@ pub fn replay(options: &Replay) -> Result<bool> {
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
     let mut simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
     let (check, same) = if let Some(job) = recording.job() {
-        recording.play(&mut simulator, |_| {}).map_err(|why| anyhow!("{path}: {why}"))?;
+        let begun = recording.play(&mut simulator, |_| {});
         let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
         while !check.advance(ROUNDS) {}
-        let same = recording.compare_end(check.simulator());
+        let same = begun.and_then(|()| recording.compare_end(check.simulator()));
         (check, same)
     } else {
         let (origin, mut said) = (simulator.clock().now(), String::new());
@@ -170,18 +188,18 @@ pub fn replay(options: &Replay) -> Result<bool> {
     if let Err(why) = &same {
         eprintln!("oxmill: {path}: {why}");
     }
-    Ok(same.is_ok() && summary.is_good())
+    Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
 }
 
-/// Begins a recording in this file.
-fn begin_recording(file: Output, simulator: &mut Simulator, machine: &str) -> Result<Recorder> {
+/// Empties the file and writes the recording into it from here on. Whatever else may hinder the machine has been found.
+pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) -> Result<()> {
+    let (Some(recorder), Some(file)) = (recorder, file) else { return Ok(()) };
     let path = file.path().display().to_string();
-    let recorder =
-        file.begin().and_then(|file| Recorder::begin(Box::new(io::BufWriter::new(file)), simulator, machine));
-    recorder.with_context(|| format!("cannot write the recording {path}"))
+    let written = file.begin().and_then(|file| recorder.write_to(Box::new(io::BufWriter::new(file))));
+    written.with_context(|| format!("cannot write the recording {path}"))
 }
 
-fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
+fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let started = Instant::now();
     for path in &options.plot {
         plot::format_of(path)?;
@@ -192,8 +210,9 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
     let plots = options.plot.iter().map(|path| output(path, "drawing")).collect::<Result<Vec<_>>>()?;
     let trace = options.trace.as_deref().map(|path| output(path, "trace")).transpose()?;
     let record = options.record.as_deref().map(|path| output(path, "recording")).transpose()?;
-    let (mut simulator, recorder) = power_up(&options.machine, record)?;
+    let (mut simulator, mut recorder) = power_up(&options.machine, record.is_some())?;
     check_store(&simulator, options.machine.store.as_deref())?;
+    begin_recording(&mut recorder, record)?;
     let origin = simulator.clock().now();
     if let Some(trace) = trace {
         let path = trace.path().display().to_string();
@@ -234,7 +253,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<bool> {
         failures.extend(plots.into_iter().filter_map(|plot| plot::write(plot, &drawing, &summary).err()));
     }
     let mut failures = failures.into_iter();
-    let Some(first) = failures.next() else { return Ok(summary.is_good()) };
+    let Some(first) = failures.next() else { return Ok(Ending::of(&summary)) };
     for other in failures {
         eprintln!("oxmill: {other:#}");
     }

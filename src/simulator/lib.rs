@@ -32,6 +32,8 @@ pub mod job;
 pub mod machine;
 pub mod marks;
 pub mod meter;
+#[cfg(feature = "program")]
+mod no_browser;
 pub mod path;
 pub mod pins;
 #[cfg(feature = "program")]
@@ -66,10 +68,11 @@ use clap::{CommandFactory, Parser};
 #[cfg(feature = "program")]
 use command_line::{Command, CommandLine};
 #[cfg(feature = "program")]
+use job::Ending;
+#[cfg(feature = "program")]
 use std::process::ExitCode;
 
-/// The program. 0: all went well; 1: the job had errors or ended in an alarm; 2: it could not be begun, or a file could not
-/// be read to its end or written.
+/// The program. Its exit status is explained by [`command_line::EXIT_STATUS`].
 #[cfg(feature = "program")]
 pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
@@ -79,17 +82,18 @@ pub fn main() -> ExitCode {
         Command::Replay(options) => job::replay(&options),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
-            Ok(true)
+            Ok(Ending::Good)
         }
         Command::Man => clap_mangen::Man::new(CommandLine::command())
             .render(&mut std::io::stdout())
-            .map(|()| true)
+            .map(|()| Ending::Good)
             .map_err(anyhow::Error::from),
-        Command::Serve(options) => server::serve(&options).map(|()| true),
+        Command::Serve(options) => server::serve(&options).map(|()| Ending::Good),
     };
     match result {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(1),
+        Ok(Ending::Good) => ExitCode::SUCCESS,
+        Ok(Ending::Faulty) => ExitCode::from(1),
+        Ok(Ending::OtherSteps) => ExitCode::from(3),
         Err(error) => {
             eprintln!("oxmill: {error:#}");
             ExitCode::from(2)

@@ -66,33 +66,54 @@ fn place(simulator: &Simulator) -> String {
 
 /// Writes a recording while it happens.
 pub struct Recorder {
-    out: Box<dyn Write>,
+    /// What is not written yet.
+    held: Vec<u8>,
+    out: Option<Box<dyn Write>>,
     last: String,
     /// When the place of the machine is looked at again.
     next_look: u64,
 }
 
 impl Recorder {
-    /// Begins the recording of a simulator that has just been powered up; `machine` describes what is fitted to it.
+    /// Begins the recording of a simulator that has just been powered up; `machine` describes what is fitted to it. It is kept
+    /// in memory until it is told where to write: a file that has an older recording loses it only to a machine that works.
+    pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
+        let (board, now) = (*simulator.board(), simulator.clock().now());
+        let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
+        for record in simulator.store_mut().records() {
+            let _ = write!(head, "record {} ", record.key);
+            for byte in &record.value {
+                let _ = write!(head, "{byte:02x}");
+            }
+            head.push('\n');
+        }
+        for line in machine.lines() {
+            let _ = writeln!(head, "machine {line}");
+        }
+        let _ = writeln!(head, "begin {now}");
+        Self { held: head.into_bytes(), out: None, last: place(simulator), next_look: now }
+    }
+
+    /// Where it is written from here on, with all that has come in before.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn begin(mut out: Box<dyn Write>, simulator: &mut Simulator, machine: &str) -> io::Result<Self> {
-        let (board, now) = (*simulator.board(), simulator.clock().now());
-        writeln!(out, "{TITLE}\nboard {} {}", board.name, board.step_clock_hz)?;
-        for record in simulator.store_mut().records() {
-            let value = record.value.iter().fold(String::new(), |mut text, byte| {
-                let _ = write!(text, "{byte:02x}");
-                text
-            });
-            writeln!(out, "record {} {value}", record.key)?;
+    pub fn write_to(&mut self, out: Box<dyn Write>) -> io::Result<()> {
+        self.out = Some(out);
+        self.pass_on()?;
+        self.flush()
+    }
+
+    fn pass_on(&mut self) -> io::Result<()> {
+        if let Some(out) = &mut self.out {
+            out.write_all(&self.held)?;
+            self.held.clear();
         }
-        for line in machine.lines() {
-            writeln!(out, "machine {line}")?;
-        }
-        writeln!(out, "begin {now}")?;
-        out.flush()?;
-        Ok(Self { out, last: place(simulator), next_look: now })
+        Ok(())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.as_mut().map_or(Ok(()), |out| out.flush())
     }
 
     /// Something comes in now.
@@ -113,8 +134,9 @@ impl Recorder {
 
     /// A line of now. Whatever ends the program, it is there.
     fn write(&mut self, simulator: &Simulator, text: &str) -> io::Result<()> {
-        writeln!(self.out, "{} {text}", simulator.clock().now())?;
-        self.out.flush()
+        self.held.extend(format!("{} {text}\n", simulator.clock().now()).into_bytes());
+        self.pass_on()?;
+        self.flush()
     }
 
     /// Time has passed: where the machine is, once a second of its time.
@@ -148,7 +170,8 @@ impl Recorder {
     /// # Errors
     /// If it cannot be written.
     pub fn job_line(&mut self, line: &[u8]) -> io::Result<()> {
-        writeln!(self.out, "job {}", line.escape_ascii())
+        self.held.extend(format!("job {}\n", line.escape_ascii()).into_bytes());
+        self.pass_on()
     }
 
     /// The end: where the machine is.

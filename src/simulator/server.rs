@@ -9,7 +9,8 @@
 
 use crate::command_line::{Serve, Speed};
 use crate::files::{Output, check_apart};
-use crate::job::{UNRECORDED, check_power, machine_roles, power_up};
+use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up};
+use crate::no_browser::NoBrowser;
 use crate::recording::{Input, Recorder};
 use crate::simulator::Simulator;
 use crate::web_link::{self, Site};
@@ -57,7 +58,13 @@ pub(crate) enum Happened {
 }
 
 /// Somebody who has connected.
-pub(crate) enum Visitor {
+pub(crate) struct Visitor {
+    pub(crate) link: Connection,
+    pub(crate) place: Taken,
+}
+
+/// How somebody is connected.
+pub(crate) enum Connection {
     /// To the port of `--tcp`.
     Program(TcpStream),
     /// To that of `--web`.
@@ -66,20 +73,25 @@ pub(crate) enum Visitor {
 
 impl Visitor {
     fn stream(&self) -> &TcpStream {
-        match self {
-            Visitor::Program(stream) => stream,
-            Visitor::Page(socket) => socket.get_ref(),
+        match &self.link {
+            Connection::Program(stream) => stream,
+            Connection::Page(socket) => socket.get_ref(),
         }
     }
 
     /// Is told why it is not served.
     fn turn_away(self) {
-        match self {
-            Visitor::Program(stream) => turn_away(&stream),
-            Visitor::Page(socket) => web_link::turn_away(*socket, TURNED_AWAY),
+        match self.link {
+            Connection::Program(stream) => turn_away(&stream),
+            Connection::Page(socket) => web_link::turn_away(*socket, TURNED_AWAY),
         }
     }
 }
+
+/// Connections that are looked after at a time; with more a new one is closed at once.
+const CONNECTIONS: usize = 64;
+/// Longest line of the pin protocol, bytes.
+const PIN_LINE: u64 = 256;
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
@@ -87,7 +99,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     let open =
         |path: &Path| Output::open(path).with_context(|| format!("cannot write the recording {}", path.display()));
     let record = options.record.as_deref().map(open).transpose()?;
-    let (simulator, recorder) = power_up(&options.machine, record)?;
+    let (simulator, mut recorder) = power_up(&options.machine, record.is_some())?;
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
@@ -96,7 +108,15 @@ pub fn serve(options: &Serve) -> Result<()> {
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
     }
-    let device = Device::new(simulator, options.speed, options.reset_on_connect, recorder);
+    let written = open_link(options, sender)?;
+    begin_recording(&mut recorder, record)?;
+    Device::new(simulator, options.speed, options.reset_on_connect, recorder).run(&receiver)?;
+    // The device is gone, and so is who could give the writer more: what it still has goes out.
+    written.map_or(Ok(()), |writer| writer.join().map_err(|_| anyhow!("the answers could not be written")))
+}
+
+/// Opens the link, whose clients the sender tells of. The writer of standard output, if that is the link.
+fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<thread::JoinHandle<()>>> {
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
         println!("tcp {}", listener.local_addr()?);
@@ -111,18 +131,36 @@ pub fn serve(options: &Serve) -> Result<()> {
         let inbox = Arc::new(Inbox::default());
         let (answers, written) = writer(io::stdout(), inbox.clone());
         thread::spawn(move || serve_stdio(Client { inbox, answers, stream: None, is_program: true }, &sender));
-        device.run(&receiver)?;
-        // The device is gone, and so is who could give the writer more: what it still has goes out.
-        return written.join().map_err(|_| anyhow!("the answers could not be written"));
+        return Ok(Some(written));
     } else {
         #[cfg(unix)]
         pty::open(options.link.pty.as_ref().and_then(Option::as_deref), sender)?;
     }
-    device.run(&receiver)
+    Ok(None)
 }
 
+/// Says so if others than this computer can connect.
 fn listen(address: &str) -> Result<TcpListener> {
-    TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))
+    let listener = TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
+    let address = listener.local_addr()?;
+    if !address.ip().is_loopback() {
+        eprintln!("oxmill: {address} is open to other computers: whoever reaches it moves this machine");
+    }
+    Ok(listener)
+}
+
+/// Places for connections. A thread that looks after one keeps its place until it ends.
+#[derive(Clone, Default)]
+pub(crate) struct Places(Arc<()>);
+
+/// A place that is taken.
+pub(crate) struct Taken(#[allow(dead_code, reason = "it is counted")] Arc<()>);
+
+impl Places {
+    /// `None` if there is none left.
+    pub(crate) fn take(&self) -> Option<Taken> {
+        (Arc::strong_count(&self.0) <= CONNECTIONS).then(|| Taken(self.0.clone()))
+    }
 }
 
 /// Bytes of a client on their way from the thread that reads them to the loop.
@@ -387,16 +425,24 @@ impl Device {
         let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
         let inbox = Arc::new(Inbox::default());
-        match visitor {
-            Visitor::Program(stream) => {
+        let Visitor { link, place } = visitor;
+        match link {
+            Connection::Program(stream) => {
                 let (answers, _) = writer(back, inbox.clone());
                 self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
-                thread::spawn(move || pass_bytes(&mut &stream, &inbox, &sender, || hung_up(&stream)));
+                thread::spawn(move || {
+                    let mut reader = NoBrowser::new(&stream);
+                    pass_bytes(&mut reader, &inbox, &sender, || hung_up(&stream));
+                    drop(place);
+                });
             }
-            Visitor::Page(socket) => {
+            Connection::Page(socket) => {
                 let (answers, spoken) = sync_channel(ANSWERS);
                 self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
-                thread::spawn(move || web_link::pass_messages(*socket, &inbox, &spoken, &sender));
+                thread::spawn(move || {
+                    web_link::pass_messages(*socket, &inbox, &spoken, &sender);
+                    drop(place);
+                });
             }
         }
     }
@@ -540,9 +586,11 @@ fn turn_away(mut stream: &TcpStream) {
 }
 
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
+    let places = Places::default();
     for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
-        if sender.send(Happened::Knocked(Visitor::Program(stream), sender.clone())).is_err() {
+        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
+        let visitor = Visitor { link: Connection::Program(stream), place };
+        if sender.send(Happened::Knocked(visitor, sender.clone())).is_err() {
             return;
         }
     }
@@ -557,28 +605,36 @@ fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
 }
 
 fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
+    let places = Places::default();
     for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
         let sender = sender.clone();
-        thread::spawn(move || serve_pin_client(&stream, &sender));
+        thread::spawn(move || {
+            // Whoever says something else than lines is closed.
+            let _ = serve_pin_client(&stream, &sender);
+            drop(place);
+        });
     }
 }
 
-fn serve_pin_client(stream: &std::net::TcpStream, sender: &SyncSender<Happened>) {
+fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
     let mut back = stream;
     let (reply, answers) = channel();
-    for line in BufReader::new(stream).lines() {
-        let Ok(line) = line else { return };
+    let mut reader = BufReader::new(NoBrowser::new(stream));
+    loop {
+        let mut line = String::new();
+        reader.by_ref().take(PIN_LINE).read_line(&mut line)?;
+        if !line.ends_with('\n') {
+            return Ok(());
+        }
         if line.trim().is_empty() {
             continue;
         }
-        if sender.send(Happened::Pins(line, reply.clone())).is_err() {
-            return;
+        if sender.send(Happened::Pins(line.trim_end().into(), reply.clone())).is_err() {
+            return Ok(());
         }
-        let Ok(answer) = answers.recv() else { return };
-        if back.write_all(format!("{answer}\n").as_bytes()).is_err() {
-            return;
-        }
+        let Ok(answer) = answers.recv() else { return Ok(()) };
+        back.write_all(format!("{answer}\n").as_bytes())?;
     }
 }
 

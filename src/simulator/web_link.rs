@@ -4,7 +4,7 @@
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
 
-use crate::server::{Happened, Inbox, Visitor, hung_up};
+use crate::server::{Connection, Happened, Inbox, Places, Taken, Visitor, hung_up};
 use anyhow::{Context, Result, ensure};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -14,6 +14,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 use std::thread;
 use std::time::{Duration, Instant};
 use tungstenite::handshake::server::{Request, Response};
+use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, WebSocket};
 
 /// How long a request may take to come, and how long it is.
@@ -23,6 +24,8 @@ const REQUEST: usize = 1 << 14;
 const LOOK: Duration = Duration::from_millis(3);
 /// How long a page that does not read may hold its thread.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Longest message of a page, which sends a line at a time, bytes.
+const MESSAGE: usize = 1 << 16;
 /// Where the machine is.
 const DEVICE: &str = "/machine";
 /// What the page asks of the browser, and what it has to ask for here besides.
@@ -85,15 +88,16 @@ fn usual_page() -> Result<PathBuf> {
 
 /// Answers browsers, each in a thread of its own.
 pub fn serve_web(listener: &TcpListener, site: &Arc<Site>, sender: &SyncSender<Happened>) {
+    let places = Places::default();
     for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
         let (site, sender) = (site.clone(), sender.clone());
         // A browser that fails to ask properly gets no answer; nothing else depends on it.
-        thread::spawn(move || answer(stream, &site, &sender));
+        thread::spawn(move || answer(stream, place, &site, &sender));
     }
 }
 
-fn answer(stream: TcpStream, site: &Site, sender: &SyncSender<Happened>) -> io::Result<()> {
+fn answer(stream: TcpStream, place: Taken, site: &Site, sender: &SyncSender<Happened>) -> io::Result<()> {
     stream.set_read_timeout(Some(REQUEST_TIME))?;
     stream.set_write_timeout(Some(REQUEST_TIME))?;
     let request = look_at_request(&stream)?;
@@ -111,8 +115,10 @@ fn answer(stream: TcpStream, site: &Site, sender: &SyncSender<Happened>) -> io::
         (DEVICE, true) => {
             #[allow(clippy::result_large_err, reason = "what the library wants")]
             let accept = |_: &Request, response: Response| Ok(response);
-            if let Ok(socket) = tungstenite::accept_hdr(stream, accept) {
-                let _ = sender.send(Happened::Knocked(Visitor::Page(Box::new(socket)), sender.clone()));
+            let bounds = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
+            if let Ok(socket) = tungstenite::accept_hdr_with_config(stream, accept, Some(bounds)) {
+                let visitor = Visitor { link: Connection::Page(Box::new(socket)), place };
+                let _ = sender.send(Happened::Knocked(visitor, sender.clone()));
             }
             Ok(())
         }

@@ -83,7 +83,8 @@ fn machine() -> (Simulator, Recorder, File, String) {
     let fittings = oxmill_simulator::Fittings::parse(MACHINE).unwrap();
     let mut mill = Simulator::new(Options { fittings, ..Options::default() });
     let file = File::default();
-    let mut recorder = Recorder::begin(Box::new(file.clone()), &mut mill, MACHINE).unwrap();
+    let mut recorder = Recorder::begin(&mut mill, MACHINE);
+    recorder.write_to(Box::new(file.clone())).unwrap();
     mill.run_until_idle();
     mill.take_output();
     let settings = b"$110=900\n$21=1\nG10 L2 P1 X1.5\n".to_vec();
