@@ -44,18 +44,17 @@ const html = `
     <button type="button" data-line="$H">Home</button>
     <button type="button" data-line="$X">Unlock</button>
     <button id="probe" type="button">Probe Z</button>
-    <label for="plate">plate</label><input id="plate" type="number" value="10" step="any" style="width:64px" aria-label="thickness of the plate in mm">
+    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:58px" aria-label="thickness of the plate in mm"></span>
     <button id="read" type="button">Settings to forecast</button>
   </div>
   <h2>Jog: hold to move</h2>
   <div class="jog" id="jog"></div>
   <div class="row"><label for="jog-feed">at</label><input id="jog-feed" type="number" value="400" min="1" step="any" style="width:80px"><span>mm/min</span></div>
   <h2>Overrides</h2>
-  <div class="row">
-    <span id="overrides">100 %, 100 %, 100 %</span>
-    <button type="button" data-realtime="feedMinus">Feed −</button><button type="button" data-realtime="feed100">100</button><button type="button" data-realtime="feedPlus">Feed +</button>
-    <button type="button" data-realtime="rapid25">Rapid 25</button><button type="button" data-realtime="rapid50">50</button><button type="button" data-realtime="rapid100">100</button>
-    <button type="button" data-realtime="spindleMinus">Spindle −</button><button type="button" data-realtime="spindlePlus">Spindle +</button>
+  <div class="overrides">
+    <span>Feed</span><b id="override-0">100 %</b><button type="button" data-realtime="feedMinus" aria-label="feed 10 % less">−</button><button type="button" data-realtime="feed100" aria-label="feed at 100 %">100</button><button type="button" data-realtime="feedPlus" aria-label="feed 10 % more">+</button>
+    <span>Rapids</span><b id="override-1">100 %</b><button type="button" data-realtime="rapid25" aria-label="rapids at 25 %">25</button><button type="button" data-realtime="rapid50" aria-label="rapids at 50 %">50</button><button type="button" data-realtime="rapid100" aria-label="rapids at 100 %">100</button>
+    <span>Spindle</span><b id="override-2">100 %</b><button type="button" data-realtime="spindleMinus" aria-label="spindle 10 % less">−</button><button type="button" data-realtime="spindle100" aria-label="spindle at 100 %">100</button><button type="button" data-realtime="spindlePlus" aria-label="spindle 10 % more">+</button>
   </div>
   <h2>Console</h2>
   <div class="console" id="console" role="log" tabindex="0" aria-label="Console"></div>
@@ -131,7 +130,7 @@ export class MachinePanel {
       $(`at-${axis}`).textContent = (status.machine[axis] ?? 0).toFixed(3);
     }
     this.app.player.showMachine(status.machine);
-    if (status.fields.Ov) $("overrides").textContent = status.fields.Ov.split(",").map(part => `${part} %`).join(", ");
+    for (const [index, part] of (status.fields.Ov?.split(",") ?? []).entries()) $(`override-${index}`).textContent = `${part} %`;
   }
 
   /** Whether the machine has something to do: all lines may be answered while it still moves. */

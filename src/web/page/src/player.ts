@@ -151,7 +151,7 @@ export class Player {
     const button = $("play");
     button.innerHTML = this.playing ? "&#9208;" : "&#9654;";
     button.setAttribute("aria-label", this.playing ? "Pause" : "Play");
-    if (this.time >= endOf(this.path)) this.seek(0);
+    if (this.playing && this.time >= endOf(this.path)) this.seek(0);
     let last: number | undefined;
     const step = (now: number) => {
       if (!this.playing || !this.path) return;

@@ -27,6 +27,9 @@ export const REALTIME = {
 /** Receive buffer of a controller that has not told its own. */
 const SMALLEST_BUFFER = 128;
 
+/** What becomes of a line that this sender does not send. */
+const UNCHECKED = "not sent: with checked lines each line has a number, a length and a checksum, and this page sends plain ones";
+
 interface Sent { length: number; line?: number; answered?: (answer: string) => void }
 
 export class Sender {
@@ -100,6 +103,14 @@ export class Sender {
         this.done++;
         continue;
       }
+      if (beginsChecks(text)) {
+        if (command) this.commands.shift()?.answered?.(UNCHECKED);
+        else {
+          this.done++;
+          this.onrefused(++this.next, UNCHECKED);
+        }
+        continue;
+      }
       const bytes = plain(text);
       if (this.flight.length && this.used + bytes.length > this.room) return;
       if (command) this.commands.shift();
@@ -143,6 +154,11 @@ export class Sender {
     const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + this.offset[i]) ?? [0, 0, 0];
     return { state, machine, work: machine.map((v, i) => v - this.offset[i]), fields };
   }
+}
+
+/** Whether the machine would answer in checked lines from here on. */
+function beginsChecks(text: string): boolean {
+  return /^\$LC=ON$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
 }
 
 /** A line as it goes over the wire: no byte of it is a realtime command. */

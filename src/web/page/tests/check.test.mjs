@@ -1,12 +1,7 @@
 // Check, forecast and picture, against the program of this host.
 import assert from "node:assert/strict";
 import { checked, open, openJob } from "./browser.mjs";
-import { example, examples, page as file, run, traced } from "./program.mjs";
-
-/** A small mill. */
-const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
-const BOARDS = ["desk", "blackpill_f411", "nucleo_f446re"];
-const same = (a, b, what) => assert.deepEqual({ ...a, host_s: 0, job: "" }, { ...b, host_s: 0, job: "" }, what);
+import { BOARDS, example, examples, MILL, page as file, run, same, traced } from "./program.mjs";
 
 /** Chooses settings and waits for the check with them. */
 async function settings(page, values) {

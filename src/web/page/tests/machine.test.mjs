@@ -2,9 +2,7 @@
 import assert from "node:assert/strict";
 import net from "node:net";
 import { open, openJob, PATIENCE } from "./browser.mjs";
-import { example, page as file, run, serve } from "./program.mjs";
-
-const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
+import { example, MILL, page as file, run, serve } from "./program.mjs";
 
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
@@ -44,8 +42,10 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   await openJob(page, "long.nc", "G21 G91\nG1 X200 F300\nG1 X-200\n");
   await page.click("#start");
   await state(page, "^Run");
-  await page.click("[data-realtime=feedMinus]");
-  await page.waitForFunction(() => document.getElementById("overrides").textContent.startsWith("90 %"));
+  for (const [index, name, percent] of [[0, "feedMinus", 90], [1, "rapid25", 25], [2, "spindlePlus", 110], [2, "spindle100", 100], [0, "feed100", 100]]) {
+    await page.click(`[data-realtime=${name}]`);
+    await page.waitForFunction(([index, text]) => document.getElementById(`override-${index}`).textContent === text, [index, `${percent} %`]);
+  }
   await page.click("[data-realtime=hold]");
   await state(page, "^Hold:0");
   const held = await place(page);
@@ -58,6 +58,25 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
   await page.click("[data-line='$X']");
   await state(page, "^Idle");
+  assert.deepEqual(faults, []);
+}
+
+/** The page does not know answers in checked lines: it asks for none, typed or in a job. */
+export async function checked_lines_are_not_begun(browser) {
+  const { page, faults } = await powered(browser);
+  const wrong = () => page.locator("#console .wrong").allInnerTexts();
+  for (const typed of ["$LC=ON", " $lc = on ; as the other sender does"]) {
+    await page.fill("#command", typed);
+    await page.press("#command", "Enter");
+  }
+  await page.waitForFunction(() => document.querySelectorAll("#console .wrong").length === 2);
+  for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
+  await openJob(page, "checked.nc", "G21 G91\n$LC=ON\nG1 X2 F600\n");
+  await page.click("#start");
+  await jobDone(page);
+  assert.match((await wrong())[2], /^line 2: not sent: /);
+  await page.waitForFunction(() => oxmill.app.machine.status.machine[0] === 2);
+  assert.equal(await page.evaluate(() => oxmill.app.machine.line("$LC=OFF")), "ok");
   assert.deepEqual(faults, []);
 }
 

@@ -1,4 +1,5 @@
 // The program of this host, for comparison: what the page gives has to be the same.
+import assert from "node:assert/strict";
 import { execFileSync, spawn, spawnSync } from "node:child_process";
 import { mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -10,6 +11,12 @@ export const page = join(root, "target/web/oxmill.html");
 export const wasm = join(root, "target/web/oxmill.wasm");
 const oxmill = join(root, "target/release/oxmill");
 const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
+
+/** A small mill. */
+export const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
+export const BOARDS = ["desk", "blackpill_f411", "nucleo_f446re"];
+/** Two summaries are one, but for the name of the job and how long it took. */
+export const same = (a, b, what) => assert.deepEqual({ ...a, host_s: 0, job: "" }, { ...b, host_s: 0, job: "" }, what);
 
 export const examples = () => readdirSync(join(root, "examples")).filter(name => name.endsWith(".nc"));
 export const example = name => readFileSync(join(root, "examples", name), "utf8");

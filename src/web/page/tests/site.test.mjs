@@ -1,0 +1,80 @@
+// The page from a web server, which is a site; and in Firefox, where it is installed.
+import assert from "node:assert/strict";
+import { existsSync, readFileSync } from "node:fs";
+import { createServer } from "node:http";
+import { pathToFileURL } from "node:url";
+import puppeteer from "puppeteer-core";
+import { open, openJob, PATIENCE } from "./browser.mjs";
+import { BOARDS, example, examples, MILL, page as file, run, same } from "./program.mjs";
+
+const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
+
+/** Any web server: it knows the page, and notes what else it is asked for. */
+async function site() {
+  const others = [];
+  const server = createServer((request, response) => {
+    const known = request.url === "/oxmill.html";
+    if (!known) others.push(request.url);
+    response.writeHead(known ? 200 : 404, { "content-type": "text/html; charset=utf-8" });
+    response.end(known ? readFileSync(file) : "");
+  });
+  await new Promise(listening => server.listen(0, "127.0.0.1", listening));
+  return { url: `http://127.0.0.1:${server.address().port}/oxmill.html`, others, stop: () => server.close() };
+}
+
+export async function the_page_is_the_same_as_a_site(browser) {
+  const { url, others, stop } = await site();
+  try {
+    const { page, faults } = await open(browser, url);
+    // Once it is loaded, it needs the server no more.
+    stop();
+    const text = example("pocket_mm.nc");
+    same(await openJob(page, "pocket_mm.nc", text), run("pocket_mm.nc", text), "from a web server");
+    await page.click("#tab-machine");
+    assert(await page.locator("#served").isHidden(), "no machine is behind this server");
+    await page.click("#power");
+    await page.waitForFunction(() => /^Idle/.test(oxmill.app.machine.status?.state ?? ""), null, { timeout: PATIENCE });
+    const connected = await page.evaluate(url => fetch(url).then(() => true, () => false), url);
+    assert.equal(connected, false, "the policy holds");
+    assert.deepEqual(faults.filter(fault => !/Content Security Policy/.test(fault)), []);
+    assert.deepEqual(others, []);
+  } finally {
+    stop();
+  }
+}
+
+/** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
+export async function firefox_says_the_same() {
+  if (!FIREFOX) {
+    console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
+    return;
+  }
+  const { url, others, stop } = await site();
+  const browser = await puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE });
+  try {
+    for (const place of [pathToFileURL(file).href, url]) {
+      const page = await browser.newPage();
+      const faults = [];
+      page.on("pageerror", error => faults.push(`error: ${error.message}`));
+      page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
+      await page.goto(place);
+      await page.waitForFunction(() => globalThis.oxmill?.app.checked, { timeout: PATIENCE });
+      for (const name of place === url ? ["pocket_mm.nc"] : examples()) {
+        for (const board of BOARDS) {
+          const order = { board, settings: MILL };
+          const found = await page.evaluate((text, order) => oxmill.check(text, order), example(name), order);
+          same(found, run(name, example(name), order), `${name} on ${board}`);
+        }
+      }
+      await page.click("#tab-machine");
+      await page.click("#power");
+      await page.waitForFunction(() => /^Idle/.test(oxmill.app.machine.status?.state ?? ""), { timeout: PATIENCE });
+      assert.deepEqual(faults, []);
+      await page.close();
+    }
+    assert.deepEqual(others, []);
+  } finally {
+    await browser.close();
+    stop();
+  }
+}
