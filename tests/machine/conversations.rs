@@ -6,6 +6,7 @@
 //! => G1\x18\r\n       send these bytes and nothing else; \xNN, \r, \n and \\ stand for bytes
 //! <- ok               the next line of the answer, after virtual time if need be
 //! <- <Run|MPos:*      * stands for any text
+//! <~ ok               answers up to one of this form, whatever they are
 //! .. 0.5              half a second of virtual time passes
 //! .. idle             time passes until nothing moves and nothing is owed
 //! .. quiet            no answer is left unread, and none comes in a tenth of a second
@@ -59,6 +60,14 @@ impl Talk {
                 Some(line) => return Err(format!("expected {rest:?}, got {line:?}")),
                 None => return Err(format!("expected {rest:?}, got nothing")),
             },
+            "<~" => {
+                while let Some(line) = self.next_line() {
+                    if matches(rest, &line) {
+                        return Ok(());
+                    }
+                }
+                return Err(format!("expected {rest:?} among the answers, got none"));
+            }
             ".." if rest == "idle" => {
                 if !self.rig.run_until(PATIENCE, |rig| rig.is_idle()) {
                     return Err("never idle".into());
@@ -170,6 +179,8 @@ fn the_player_notices_what_is_wrong() {
         ("<- \n<- Grbl 1.1h ['$' for help]\n-> G21\n", "left unread"),
         ("<- \n<- Grbl 1.1h ['$' for help]\n-> G21\n.. quiet\n", "unexpected"),
         ("<- \n<- Grbl 1.1h ['$' for help]\n-> G21\n<- error:1\n", "expected"),
+        ("<~ Grbl 1.1g*\n", "got none"),
+        ("<~ Grbl*\n-> $G\n<~ [GC:G1*\n", "got none"),
         ("say hello\n", "not understood"),
         ("=> \\xZZ\n", "not a byte"),
     ] {
