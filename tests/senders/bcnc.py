@@ -1,133 +1,178 @@
 #!/usr/bin/env python3
-"""Streams a job from bCNC to the simulator over a pseudo terminal, without a display, and checks where it ends.
+"""Streams jobs from bCNC, in its window, to the simulator over a pseudo terminal, and checks where they end.
 
-    python3 -m venv target/bcnc && target/bcnc/bin/pip install bCNC
     cargo build --release
-    target/bcnc/bin/python tests/senders/bcnc.py [JOB.nc ...]
+    bash tests/senders/install
+    target/tools/senders/python/bin/python tests/senders/bcnc.py [--program target/release/oxmill] [--dialect grbl]
 
-What is tested is bCNC's own code: loading and compiling the file (`GCode`), opening the port, the character-counting
-thread (`Sender.serialIO`) and the reading of answers and reports (`controllers/GRBL1`). Only its window is left out;
-`run` below is what the window's Run button does, without the drawing.
-
-Passes if bCNC comes to the end of each job, saw no error and no alarm, and believes the machine to be where
-`oxmill run` leaves it. Needs Linux or macOS, and Python with tkinter (bCNC imports it).
+The program that runs is bCNC's own, from its `main` on: window, buttons, the thread that counts characters, the reading of answers and
+reports. The window is on a display in memory (Xvfb), and what a user would do is done within the program, by the same events as
+those of its buttons. A box that the program shows is a fault. Needs Linux, Xvfb, and Python with tkinter.
 """
 
-import builtins
 import importlib.util
-import json
 import os
+import queue
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
+from tkinter import messagebox
 
-ROOT = Path(__file__).resolve().parents[2]
-OXMILL = ROOT / "target/release/oxmill"
-JOBS = ["examples/five_circles.nc", "tests/jobs/arcs.nc", "tests/jobs/lines.nc", "tests/jobs/relief.nc"]
-# Times faster than life; the bytes on the line are as many.
-SPEED = "8"
-PATIENCE = 600
+import machine
 
 found = importlib.util.find_spec("bCNC")
 if found is None or found.origin is None:
-    sys.exit("bCNC is missing: pip install bCNC")
-BCNC = Path(found.origin).parent
-for folder in ["", "lib", "controllers", "plugins"]:
-    sys.path.insert(0, str(BCNC / folder))
-
+    sys.exit("bCNC is missing: bash tests/senders/install")
+sys.path.append(str(Path(found.origin).parent))
 # bCNC reads and writes its settings in the user's folder; a test has one of its own.
 HOME = tempfile.mkdtemp()
 os.environ["HOME"] = HOME
-
-# bCNC installs its translation as a builtin before it imports the rest.
-builtins._ = str
-import Utils  # noqa: E402
-
-Utils.prgpath = str(BCNC)
-Utils.loadConfiguration(True)
-import Sender  # noqa: E402
-from CNC import CNC, WAIT  # noqa: E402
+# No box that asks whether to look for updates, and no server for a phone.
+(Path(HOME) / ".bCNC").write_text("[bCNC]\ncheckinterval = 0\nlastcheck = 1\n[Connection]\npendant = 0\nopenserial = 0\n")
 
 
-class Headless(Sender.Sender):
-    """bCNC without its window."""
-
-    def disable(self):
-        pass
-
-    def enable(self):
-        pass
-
-    def checkStop(self):
-        return self._stop
-
-    def run(self):
-        """The Run button."""
-        self.cleanAfter = True
-        self.initRun()
-        self._runLines = sys.maxsize
-        self._gcount = 0
-        CNC.vars["running"] = True
-        CNC.vars["_OvChanged"] = True
-        paths = self.gcode.compile(self.queue, self.checkStop)
-        if not paths:
-            sys.exit("bCNC finds nothing to run")
-        self._runLines = len(paths) + 1
-        self.queue.put((WAIT,))
-
-    def wait(self, condition, what):
-        """Waits as the window's timer does: reads the log and ends the run when all lines have been executed."""
-        until = time.time() + PATIENCE
-        while not condition():
-            if time.time() > until:
-                sys.exit(f"bCNC waits in vain: {what}; state {CNC.vars['state']}, {self._gcount} of {self._runLines}")
-            while not self.log.empty():
-                kind, text = self.log.get_nowait()
-                if kind == Sender.Sender.MSG_ERROR or "error:" in str(text) or "ALARM" in str(text):
-                    sys.exit(f"bCNC was told {text!r}")
-            if self.running and self._gcount >= self._runLines:
-                self.runEnded()
-            time.sleep(0.05)
+def display():
+    """A display in memory, which ends with its last window; its name."""
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-terminate"]
+    subprocess.Popen(command, pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        return f":{told.readline().strip()}"
 
 
-def stream(job):
-    options = ["--dialect", "grbl"]
-    plain = subprocess.run([OXMILL, "run", ROOT / job, "--json", *options], capture_output=True, text=True, check=False)
-    summary = json.loads(plain.stdout)
-    if plain.returncode != 0:
-        sys.exit(f"{job}: oxmill run: {summary['errors']}")
-    with tempfile.TemporaryDirectory() as folder:
-        port = f"{folder}/mill"
-        mill = subprocess.Popen([OXMILL, "serve", "--pty", port, "--speed", SPEED, *options], stdout=subprocess.PIPE)
-        try:
-            mill.stdout.readline()
-            bcnc = Headless()
-            bcnc.gcode.load(str(ROOT / job))
-            bcnc.open(port, 115200)
-            bcnc.wait(lambda: CNC.vars["state"] == "Idle", "for the machine to be idle")
-            began = time.time()
-            bcnc.run()
-            bcnc.wait(lambda: not bcnc.running, "for the end of the job")
-            bcnc.wait(lambda: CNC.vars["state"] == "Idle", "for rest")
-            # One more report, to be sure that it is the last.
-            time.sleep(0.5)
-            believed = [CNC.vars[name] for name in ("mx", "my", "mz")]
-            took = time.time() - began
-            lines = bcnc._gcount
-            bcnc.close()
-        finally:
-            mill.kill()
-            mill.wait()
-    expected = summary["position_mm"]
-    if any(abs(a - b) > 0.0006 for a, b in zip(believed, expected, strict=True)):
-        sys.exit(f"{job}: bCNC believes {believed}, the machine should be at {expected}")
-    print(f"{job}: {lines} lines in {took:.1f} s, ended at {believed}")
+class Window:
+    """bCNC's window; all that is done in it is done by its own thread."""
+
+    def __init__(self):
+        self.application = None
+        self.boxes = []
+        # Jobs that were started, and those that bCNC has cleaned up after: by a hold, a reset and `$X`, beside the window.
+        self.started = self.cleaned = 0
+        self.to_do = queue.Queue()
+
+    def look(self):
+        """Called by the window's timer: does what the proof asks for."""
+        while not self.to_do.empty():
+            action, done = self.to_do.get()
+            try:
+                done.put(action())
+            except Exception as why:
+                done.put(why)
+        self.application.after(20, self.look)
+
+    def do(self, action):
+        if self.boxes:
+            raise machine.Failed(f"bCNC shows a box: {self.boxes}")
+        done = queue.Queue()
+        self.to_do.put((action, done))
+        outcome = done.get(timeout=machine.PATIENCE)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def event(self, name):
+        self.do(lambda: self.application.event_generate(name))
+
+    def open(self, port):
+        def press():
+            bmain.Page.frames["Serial"].portCombo.set(port)
+            self.application.openClose()
+
+        self.do(press)
+        machine.wait("for bCNC to see the machine idle", lambda: CNC.vars["state"] == "Idle")
+
+    def close(self):
+        self.do(self.application.openClose)
+
+    def start(self):
+        machine.wait("for bCNC to be answered", self.is_answered)
+        self.do(lambda: self.application.load(str(machine.JOB)))
+        self.started += 1
+        self.event("<<Run>>")
+
+    def is_answered(self):
+        """Whether the greeting after the last reset has come: bCNC would drop a job that is begun before it."""
+        CNC.vars["G"] = []
+        self.do(self.application.viewState)
+        time.sleep(0.3)
+        return CNC.vars["G"] != []
+
+    def hold(self):
+        self.event("<<FeedHold>>")
+        machine.wait("for bCNC to show the hold", lambda: CNC.vars["state"].startswith("Hold"))
+
+    def resume(self):
+        self.event("<<Resume>>")
+
+    def override(self):
+        """The slider of the feed override."""
+        state = bmain.Page.frames["State"]
+
+        def slide():
+            state.overrideCombo.set("Feed")
+            state.override.set(110)
+            state.overrideChange()
+
+        self.do(slide)
+        machine.wait("for bCNC to know the override", lambda: CNC.vars["OvFeed"] == 110)
+
+    def check_override(self, notes):
+        machine.checks_feed_override(notes)
+
+    def reset(self):
+        self.do(self.application.softReset)
+        # To bCNC the job is running until it is stopped, which resets the machine once more.
+        self.event("<<Stop>>")
+
+    def unlock(self):
+        machine.wait("for bCNC to end the run", self.ended)
+        self.do(self.application.unlock)
+        machine.wait("for bCNC to clean up", self.is_done)
+
+    def ended(self):
+        return not self.application.running
+
+    def is_done(self):
+        return not self.application.running and self.cleaned == self.started and CNC.vars["state"] == "Idle"
+
+    def place(self):
+        return [CNC.vars[name] for name in ("mx", "my", "mz")]
+
+    def show(self, options):
+        """Runs bCNC in this thread, and the proof beside it."""
+
+        class Application(bmain.Application):
+            def mainloop(self, *_):
+                window.application = self
+                self.after(20, window.look)
+                threading.Thread(target=machine.main, args=({"bCNC in its window": lambda: window}, options), daemon=True).start()
+                super().mainloop()
+
+            def jobDone(self):
+                super().jobDone()
+                window.cleaned += 1
+
+        window = self
+        bmain.Application = Application
+        for box in ("showinfo", "showwarning", "showerror", "askquestion", "askyesno", "askokcancel"):
+            setattr(messagebox, box, lambda *said, **_: self.boxes.append(said))
+        start.main()
 
 
-for name in sys.argv[1:] or JOBS:
-    stream(name)
-print("bCNC: all jobs ran to their end")
-# bCNC's threads may still wait for a port that is gone.
-os._exit(0)
+if __name__ == "__main__":
+    os.environ["DISPLAY"] = display()
+    from bCNC import __main__ as start
+
+    # It has to come first: it installs the translation that the rest is written with.
+    import Helpers  # noqa: F401
+    import bmain
+    from CNC import CNC
+
+    options = machine.arguments()
+    # What is left is bCNC's own to read.
+    del sys.argv[1:]
+    Window().show(options)

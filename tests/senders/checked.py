@@ -13,7 +13,6 @@ sends each job a line at a time without checks, to show what is lost then; that 
 import argparse
 import random
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -23,46 +22,12 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 import checked_sender  # noqa: E402
 
+import machine  # noqa: E402
+
 JOBS = [f"tests/jobs/{name}.nc" for name in ["axes", "arcs", "chords", "helix", "increments", "jerk", "lines", "power"]]
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch"]]
 # Long enough that a late byte is seen, short enough that nobody waits.
 LATE = 0.02
-PATIENCE = 120
-
-
-class Machine:
-    """A simulator, and the port on which it tells what its step outputs have done."""
-
-    def __init__(self, program):
-        command = [program, "serve", "--tcp", "127.0.0.1:0", "--speed", "max", "--pins", "127.0.0.1:0"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        self.address = self.process.stdout.readline().split()[1]
-        pins = self.process.stderr.readline().split()[-1].rsplit(":", 1)
-        self.pins = socket.create_connection((pins[0], int(pins[1])), timeout=PATIENCE)
-        self.answers = self.pins.makefile()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.pins.close()
-        self.process.kill()
-        self.process.communicate()
-
-    def steps(self):
-        """Motor positions and pulses, and the order of all steps, once nothing moves any more."""
-        before, same, until = None, 0, time.monotonic() + PATIENCE
-        while time.monotonic() < until:
-            self.pins.sendall(b"steps\n")
-            now = self.answers.readline().strip()
-            if not now.startswith("steps "):
-                sys.exit(f"the machine does not tell its steps but `{now}`")
-            same = same + 1 if now == before else 0
-            if same == 4:
-                return now.split(" order ")
-            before = now
-            time.sleep(0.2)
-        sys.exit("the machine does not come to rest")
 
 
 class Line:
@@ -136,8 +101,8 @@ def plain(link, lines):
 
 def run(options, lines, send, rate, seed):
     """The steps of a job, what its sender says, and the faults of the link."""
-    with Machine(options.program) as machine:
-        line = Line(machine.address, rate, seed)
+    with machine.Machine(options.program, "--tcp", "127.0.0.1:0", "--speed", "max") as mill:
+        line = Line(mill.address, rate, seed)
         link = checked_sender.Tcp(line.address)
         begin = time.monotonic()
         try:
@@ -145,7 +110,7 @@ def run(options, lines, send, rate, seed):
         except checked_sender.Stopped as why:
             said = f"stopped: {why}"
         seconds = time.monotonic() - begin
-        steps = machine.steps()
+        steps = mill.rest().split(" order ")
         link.socket.close()
         line.close()
         return steps, said, line.faults, seconds

@@ -1,0 +1,107 @@
+#!/usr/bin/env python3
+"""Streams jobs by the Python library grbl-streamer to the simulator over a pseudo terminal, and checks where they end.
+
+    cargo build --release
+    bash tests/senders/install
+    target/tools/senders/python/bin/python tests/senders/with_grbl_streamer.py [--program target/release/oxmill] [--dialect grbl]
+
+The library counts characters, asks `?` five times a second beside a job, and overrides the feed by other F words.
+"""
+
+import time
+
+import machine
+from grbl_streamer import GrblStreamer
+
+# Between two feeds of the job, so that it cannot be one of its own.
+FEED = "F123.0"
+
+
+class Library:
+    def __init__(self):
+        self.errors = []
+        self.completed = self.booted = self.states = 0
+        self.streamer = GrblStreamer(self.event)
+        self.streamer.setup_logging()
+
+    def event(self, name, *data):
+        """What the library tells its program, from its threads."""
+        if name == "on_job_completed":
+            self.completed += 1
+        elif name == "on_boot":
+            self.booted += 1
+        elif name == "on_read" and data[0].startswith("[GC:"):
+            self.states += 1
+        elif name == "on_error":
+            self.errors.append(data)
+
+    def open(self, port):
+        # The library resets the machine. A machine greets when its port is opened, too, and the library forgets a job at each
+        # greeting: both come before the answer to what is sent now.
+        self.states = 0
+        self.streamer.cnect(port)
+        machine.wait("for the library to be answered", self.is_answered)
+        self.streamer.poll_start()
+        self.wait_for("Idle")
+
+    def is_answered(self):
+        # At a greeting it throws away one line of what has been received, so it may have to ask again.
+        self.streamer.get_gcode_parser_state()
+        time.sleep(0.3)
+        return self.states > 0
+
+    def wait_for(self, state):
+        machine.wait(f"for the library to know {state}", lambda: self.streamer.cmode == state)
+
+    def close(self):
+        self.streamer.disconnect()
+
+    def start(self):
+        # It takes an answer to what it asks for by itself for one to the job, and sends from two threads then.
+        self.streamer.poll_stop()
+        self.states = 0
+        machine.wait("for the library to be answered", self.is_answered)
+        self.streamer.job_new()
+        self.streamer.set_feed_override(False)
+        self.streamer.load_file(str(machine.JOB))
+        self.completed, self.errors = 0, []
+        self.streamer.job_run()
+        self.streamer.poll_start()
+
+    def hold(self):
+        self.streamer.hold()
+        self.wait_for("Hold:0")
+
+    def resume(self):
+        self.streamer.resume()
+
+    def override(self):
+        self.streamer.set_feed_override(True)
+        self.streamer.request_feed(123)
+
+    def check_override(self, notes):
+        if not any(FEED in line for line in notes[0]) or not any("|FS:123," in report for report in notes[3]):
+            raise machine.Failed("the feed was not overridden")
+
+    def reset(self):
+        booted = self.booted
+        # Else it sends lines behind the reset until it sees the greeting, and they are refused.
+        self.streamer.job_halt()
+        self.streamer.softreset()
+        machine.wait("for the library to see the greeting", lambda: self.booted > booted)
+
+    def unlock(self):
+        machine.wait("for the library to know the state", lambda: self.streamer.cmode in ("Alarm", "Idle"))
+        self.streamer.killalarm()
+        self.wait_for("Idle")
+
+    def is_done(self):
+        if self.errors:
+            raise machine.Failed(f"the library was told {self.errors}")
+        return self.completed > 0 and self.streamer.cmode == "Idle"
+
+    def place(self):
+        return self.streamer.cmpos
+
+
+machine.main({"grbl-streamer 2.0.2": Library})
