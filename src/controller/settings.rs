@@ -198,7 +198,7 @@ table! {
         ProbePullDown: 911, "Probe input with a pull-down", "", Probing, "", Kind::Switch, 0.0, false;
         ResetIsEmergencyStop: 912, "Reset input is an emergency stop", "", ControlInputs, "", Kind::Switch, 0.0, false;
         EmergencyDriversOff: 913, "Emergency stop and driver fault switch the drivers off", "", ControlInputs, "", Kind::Switch, 0.0, false;
-        HoldWithoutHost: 914, "Hold when the host goes in mid-job", "", General, "", Kind::Switch, 1.0, false;
+        HoldWithoutHost: 914, "The host's going in mid-job is a fault", "", General, "", Kind::Switch, 1.0, false;
         AtSpeed: 915, "Spindle at-speed input", "", Spindle, "None,Low at speed,High at speed", Kind::Whole(0, 2), 0.0, false;
         AtSpeedWithin: 916, "Longest time from spindle on to at speed", "s", Spindle, "", Kind::Real, 10.0, false;
         CurveAcceleration: 917, "Acceleration in curves, share of $120 to $122", "%", Motion, "", Kind::Whole(10, 1000), 100.0, false;

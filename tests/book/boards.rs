@@ -63,7 +63,7 @@ fn boards_table() -> String {
         "| board | chip | flash, RAM | processor | look-ahead | host | left out |\n|---|---|---|---|---|---|---|\n"
             .to_owned();
     for board in real() {
-        let script = file(&format!("boards/{}/chip.x", board.name));
+        let script = file(&format!("boards/images/chips/{}.x", board.name));
         let chip = script.trim_start_matches("/* ").split(':').next().expect("a chip").to_owned();
         let (flash, ram) = (kib(&script, "CHIP_FLASH_SIZE"), kib(&script, "CHIP_RAM_SIZE"));
         let (name, core, blocks) = (board.name, board.core_hz / 1_000_000, board.blocks);

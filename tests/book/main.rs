@@ -109,7 +109,7 @@ fn the_page_of_errors_is_the_tables() {
     for error in Error::ALL {
         let _ = writeln!(page, "| {} | {} | {} |", error.code(), error.text(), advice::for_error(*error));
     }
-    page += "\n## Alarms\n\nAn alarm locks the machine until `$X`, `$H` or a reset.\n\n| alarm | meaning | what helps |\n|---|---|---|\n";
+    page += "\n## Alarms\n\nAn alarm locks the machine until `$X` or `$H`; after one that says so a reset comes first.\n\n| alarm | meaning | what helps |\n|---|---|---|\n";
     for alarm in Alarm::ALL {
         let _ = writeln!(page, "| {} | {} | {} |", alarm.code(), alarm.text(), advice::for_alarm(*alarm));
     }

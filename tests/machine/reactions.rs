@@ -158,7 +158,14 @@ impl State {
     fn spindle_turns(self) -> bool {
         !matches!(
             self,
-            State::DoorParked | State::DoorReturning | State::Home | State::Alarm | State::Check | State::Sleep
+            State::DoorBraking
+                | State::DoorPullingOut
+                | State::DoorParked
+                | State::DoorReturning
+                | State::Home
+                | State::Alarm
+                | State::Check
+                | State::Sleep
         )
     }
 
@@ -269,7 +276,8 @@ impl Case {
     }
 
     fn retracts(&self) -> bool {
-        self.reaction % 3 == 2 && self.state.brakes()
+        // The position of a driver at fault is not one to park by.
+        self.reaction % 3 == 2 && self.state.brakes() && self.fault != Fault::Driver
     }
 
     /// How far the tool has moved along X and Z since the fault, mm.
@@ -309,6 +317,13 @@ impl Case {
             let off = told[axis] - self.origin.1[axis] - counted[axis];
             assert!(off.abs() < 0.003, "axis {axis} is off by {off}: {name}");
         }
+    }
+
+    /// Homing has failed, and says so.
+    fn check_homing(&self) {
+        let name = self.name();
+        assert!(self.said.contains(self.fault.alarm()), "{name}");
+        assert!(!self.mill.controller().is_trusted() && !turns(&self.mill), "{name}");
     }
 
     /// A job that waits for its host can be resumed, and ends where it should.
@@ -365,7 +380,9 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
                     continue;
                 }
                 case.check_path();
-                if state != State::Home {
+                if state == State::Home {
+                    case.check_homing();
+                } else {
                     case.check_outcome();
                     case.check_reset();
                 }
@@ -399,5 +416,110 @@ fn a_spindle_that_does_not_come_up_stays_on_only_if_that_is_set() {
         assert!(said.contains("ALARM:14\r") && mill.controller().is_trusted(), "{said}");
         assert_eq!(turns(&mill), on, "$927={reaction}: {said}");
         assert!((position(&mill)[2] + 30.0).abs() < 0.003, "{:?} {said}", position(&mill));
+    }
+}
+
+/// A homed machine with these settings that mills along X.
+fn milling(settings: &str) -> Simulator {
+    let mut mill = homed();
+    mill.send(settings);
+    assert!(mill.run_until_idle());
+    State::Run.enter(&mut mill);
+    mill
+}
+
+#[test]
+fn no_beam_is_left_while_the_machine_brakes() {
+    for (fault, settings) in [
+        (Fault::Emergency, "$925=1\n"),
+        (Fault::Limit, "$924=4\n"),
+        (Fault::Driver, "$926=2\n"),
+        (Fault::Host, "$928=5\n"),
+    ] {
+        for beam in ["M3", "M4"] {
+            let mut mill = homed();
+            mill.send(format!("$32=1\n{settings}{beam} S1000\nG91 G1 X-20 F1200\n"));
+            mill.run_for(Duration::from_millis(300));
+            assert!(mill.power() != 0 && mill.is_stepping(), "{}", mill.take_output());
+            fault.happen(&mut mill);
+            mill.run_for(Duration::from_millis(5));
+            // What the step task had been given still has its power; the enable output is off.
+            mill.run_for(Duration::from_millis(25));
+            assert!(mill.power() == 0 && mill.is_stepping(), "{fault:?} {beam}: {}", mill.take_output());
+            mill.run_for(Duration::from_secs(2));
+            assert_eq!(mill.power(), 0);
+        }
+    }
+}
+
+#[test]
+fn at_an_open_door_no_spindle_turns() {
+    let mut mill = milling("$928=5\n");
+    mill.disconnect();
+    mill.run_for(Duration::from_secs(12));
+    assert!(turns(&mill), "{}", mill.take_output());
+    pin(&mut mill, "door 1");
+    mill.run_for(Duration::from_millis(10));
+    assert!(!turns(&mill), "parked for a host that has gone");
+    for milliseconds in [0, 2000] {
+        let mut mill = milling("$924=4\n");
+        pin(&mut mill, "limit y 1");
+        mill.run_for(Duration::from_millis(3 + milliseconds));
+        assert!(turns(&mill), "{}", mill.take_output());
+        pin(&mut mill, "door 1");
+        mill.run_for(Duration::from_millis(10));
+        assert!(!turns(&mill), "{milliseconds} ms after the fault: {}", mill.take_output());
+        assert!(mill.run_until_idle());
+        assert!(!turns(&mill));
+    }
+}
+
+#[test]
+fn the_heavier_of_two_faults_is_told_and_acts() {
+    // The button cuts the power of the drivers, too.
+    let mut mill = milling("$925=1\n$926=1\n");
+    pin(&mut mill, "estop 1");
+    mill.run_for(Duration::from_millis(5));
+    pin(&mut mill, "fault 1");
+    mill.run_for(Duration::from_secs(2));
+    let said = mill.take_output();
+    assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
+    assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
+    // A switch that stops at once, while the machine brakes for a spindle that may stay on.
+    let mut mill = milling("$927=4\n");
+    pin(&mut mill, "at_speed 0");
+    mill.run_for(Duration::from_millis(55));
+    pin(&mut mill, "limit y 1");
+    mill.run_for(Duration::from_secs(2));
+    let said = mill.take_output();
+    assert!(said.contains("lost its speed") && said.contains("[MSG:Limit switch Y"), "{said}");
+    assert!(said.contains("ALARM:1\r") && !said.contains("ALARM:14"), "{said}");
+    assert!(!turns(&mill) && !mill.controller().is_trusted(), "{said}");
+}
+
+#[test]
+fn a_switch_that_bounces_does_not_end_its_own_parking_move() {
+    let mut mill = milling("$924=2\n");
+    for level in ["limit y 1", "limit y 0", "limit y 1", "limit y 0"] {
+        pin(&mut mill, level);
+        mill.run_for(Duration::from_secs(1));
+    }
+    mill.run_for(Duration::from_secs(10));
+    let said = mill.take_output();
+    assert!(mill.controller().is_trusted() && said.contains("ALARM:1\r"), "{said}");
+    assert!((position(&mill)[2] - PARKED_Z).abs() < 0.01, "{:?} {said}", position(&mill));
+}
+
+#[test]
+fn a_spindle_that_stays_on_keeps_its_speed() {
+    for reaction in [3, 4, 5] {
+        let mut mill = homed();
+        mill.send(format!("$924={reaction}\nM3 S300\nG91 G1 X-10 F1200 S300\nG1 X-10 S1000\n"));
+        mill.run_for(Duration::from_millis(300));
+        let power = mill.power();
+        pin(&mut mill, "limit y 1");
+        mill.run_for(Duration::from_secs(12));
+        assert!(turns(&mill), "{}", mill.take_output());
+        assert!(power != 0 && mill.power().abs_diff(power) <= 1, "{} instead of {power}", mill.power());
     }
 }

@@ -13,7 +13,6 @@ use crate::error::Alarm;
 use crate::machine::door::Opening;
 use crate::machine::inputs;
 use crate::machine::reaction::{Braking, Reaction};
-use crate::machine::spindle::SpindleRange;
 use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::protocol::report;
@@ -43,13 +42,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.door.opening().alarm == Some(alarm)
             && !self.stops.is_awaited()
             && !self.is_parking_blocked()
-    }
-
-    /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
-    fn keep_speed(&mut self) {
-        if let Some(power) = self.motion.running_power() {
-            self.accessories.set_speed(SpindleRange::of(&self.settings).speed_of(power));
-        }
     }
 
     fn can_brake(&self) -> bool {

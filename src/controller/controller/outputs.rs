@@ -8,7 +8,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
-use crate::messages::{SlowOutputs, SpindleDirection, Wiring};
+use crate::messages::{Coolant, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::Key;
 use crate::units::Instant;
 
@@ -26,6 +26,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// When [`Controller::has_spun_up`] has to be asked again, if no input changes.
     pub(super) fn next_look_at_spindle(&self, until: Instant) -> Instant {
         Accessories::next_look(until, self.now, &self.settings)
+    }
+
+    /// Spindle and coolant, whose state the next line inherits.
+    pub(super) fn switch_off(&mut self) {
+        self.accessories.switch_off();
+        self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
     }
 
     /// Power of the spindle while nothing moves.

@@ -6,7 +6,7 @@ use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::machine::accessories::Accessories;
 use crate::machine::state::Mode;
-use crate::messages::{Coolant, GangedMotors, SpindleDirection};
+use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key, Settings};
@@ -51,12 +51,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn lock(&mut self, alarm: Alarm) {
         self.tell_alarm(alarm);
         self.mode = Mode::Alarm(Some(alarm));
-    }
-
-    /// Spindle and coolant, whose state the next line inherits.
-    pub(super) fn switch_off(&mut self) {
-        self.accessories.switch_off();
-        self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
     }
 
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.

@@ -5,6 +5,7 @@ use super::Controller;
 use super::task::Task;
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
+use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::machine::stops::{Finished, StopReason};
 use crate::messages::StepEvent;
@@ -26,6 +27,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn step_event(&mut self, event: &StepEvent<N>) {
         match *event {
             StepEvent::Stopped { stops, moving, position } => {
+                if moving && !matches!(self.mode, Mode::Home(_)) {
+                    self.keep_speed();
+                }
                 self.stops.happened(stops, moving, self.motion.line_number());
                 self.stopped_at(&position);
             }
@@ -51,6 +55,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn await_what_brakes(&mut self) {
         if let Some(reason) = self.stop_under_way() {
             self.stops.wait_for(reason);
+        }
+    }
+
+    /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
+    pub(super) fn keep_speed(&mut self) {
+        if let Some(power) = self.motion.running_power() {
+            self.accessories.set_speed(SpindleRange::of(&self.settings).speed_of(power));
         }
     }
 

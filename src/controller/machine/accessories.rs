@@ -216,7 +216,7 @@ impl Accessories {
         watches
     }
 
-    /// The spindle has been off, or nobody has looked at it.
+    /// The spindle has been off, or was not looked at.
     pub fn forget_speed(&mut self) {
         self.watch = SpeedWatch::NONE;
     }
