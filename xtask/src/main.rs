@@ -51,7 +51,8 @@ usage:
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
   cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
-                             `--test [NAME..]` tries it in headless Chromium (needs Debian's package chromium)
+                             `--test [NAME..]` tries it in headless Chromium (needs Debian's package chromium);
+                             `--pictures` takes the screenshots of the README
   cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
@@ -89,6 +90,7 @@ fn main() -> ExitCode {
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
         ["web"] => web::build(),
         ["web", "--test", ref names @ ..] => web::test(names),
+        ["web", "--pictures"] => web::pictures(),
         ["mutants", ref names @ ..] => mutants::run(names),
         ["fuzz", ref arguments @ ..] => fuzz::fuzz(arguments),
         ["dist", "--check", ref parts @ ..] => dist::check(parts),

@@ -27,6 +27,12 @@ pub fn test(names: &[&str]) -> Result<(), Failure> {
     run(in_page("node").arg("tests/run.mjs").args(names))
 }
 
+/// Takes the screenshots of the README (`docs/pictures/*.png`).
+pub fn pictures() -> Result<(), Failure> {
+    build()?;
+    run(in_page("node").arg("tests/pictures.mjs"))
+}
+
 /// Builds the module.
 fn module() -> Result<(), Failure> {
     let built = run(cargo_without_paths()?.args([
