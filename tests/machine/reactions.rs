@@ -475,6 +475,43 @@ fn at_an_open_door_no_spindle_turns() {
 }
 
 #[test]
+fn a_door_that_opens_on_the_way_back_stops_the_spindle_where_it_is() {
+    let mut mill = milling("$928=5\n$57=100\n");
+    mill.disconnect();
+    mill.run_for(Duration::from_secs(12));
+    mill.connect();
+    mill.run_for(Duration::from_millis(10));
+    mill.send("~");
+    mill.run_for(Duration::from_millis(300));
+    assert!(status(&mut mill).contains("<Door:3|") && turns(&mill));
+    let deepest = position(&mill)[2];
+    pin(&mut mill, "door 1");
+    mill.run_for(Duration::from_millis(10));
+    assert!(!turns(&mill), "{}", mill.take_output());
+    mill.run_for(Duration::from_secs(12));
+    assert!(position(&mill)[2] > deepest && status(&mut mill).contains("<Door:1|"), "{:?}", position(&mill));
+}
+
+#[test]
+fn a_spindle_that_is_given_time_costs_no_time() {
+    let mut mill = homed();
+    pin(&mut mill, "at_speed 0");
+    mill.send("$916=1\n$929=0.1\n$394=4\n");
+    assert!(mill.run_until_idle());
+    mill.take_output();
+    // The watch is over before the spin-up is: each look at the clock would be a tick of it.
+    mill.send("M3 S500\n");
+    let begun = mill.clock().now();
+    let mut looks = 0;
+    while mill.clock().now() < begun + 6 * u64::from(mill.board().step_clock_hz) && mill.advance_once(u64::MAX / 4) {
+        looks += 1;
+    }
+    let said = mill.take_output();
+    assert!(looks < 10_000, "{looks} looks: {said}");
+    assert!(said.contains("ALARM:14\r"), "{said}");
+}
+
+#[test]
 fn the_heavier_of_two_faults_is_told_and_acts() {
     // The button cuts the power of the drivers, too.
     let mut mill = milling("$925=1\n$926=1\n");

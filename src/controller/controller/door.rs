@@ -48,7 +48,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.mode {
             Mode::Door(door) if self.door.opening().spindle_on => {
                 self.door.open(Opening { spindle_on: false, ..self.door.opening() });
-                if matches!(door, Door::Parking | Door::Parked) {
+                if matches!(door, Door::Parking | Door::Parked | Door::Returning) {
                     self.suspend_for_door();
                 }
             }

@@ -107,7 +107,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.accessories.watches_speed(&self.settings) {
             return;
         }
-        let at_work = self.is_at_work() && !self.task.is_spinning_up();
+        let at_work = self.needs_speed();
         let (power, input) = (self.resting_power(), self.inputs.signals().at_speed);
         if self.accessories.has_lost_speed(at_work, power, input, self.now, &self.settings) {
             self.say(|out| report::message(out, "The spindle has lost its speed"));

@@ -45,7 +45,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn leave_hold(&mut self) {
         self.restore_spindle();
-        self.accessories.forget_speed();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         // After a contact, or before a soft-limit alarm, there is nothing to resume.

@@ -266,8 +266,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
         let silent = self.lines.heartbeat().silent_at();
-        let watched = matches!(self.mode, Mode::Normal) && self.is_at_work();
-        let lost = if watched { self.accessories.speed_lost_at() } else { None };
+        let lost = if self.needs_speed() { self.accessories.speed_lost_at() } else { None };
         [moving, door, task, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
     }
 

@@ -38,12 +38,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return;
             }
             StepEvent::Underrun { stops, position } => {
-                self.await_what_brakes();
+                self.await_what_brakes(Alarm::Underrun);
                 self.stops.failed(stops, Alarm::Underrun);
                 self.stopped_at(&position);
             }
             StepEvent::Miscounted { stops, position } => {
-                self.await_what_brakes();
+                self.await_what_brakes(Alarm::Miscounted);
                 self.stops.failed(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
@@ -51,9 +51,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.finish_stop();
     }
 
-    /// The step task has failed while the machine braked for a fault: that one is told.
-    fn await_what_brakes(&mut self) {
-        if let Some(reason) = self.stop_under_way() {
+    /// The step task has failed while the machine braked for a fault: that one is told, if it is no lighter.
+    fn await_what_brakes(&mut self, failure: Alarm) {
+        if let Some(reason) = self.stop_under_way()
+            && reason.heavier(StopReason::Alarm(failure)) == reason
+        {
             self.stops.wait_for(reason);
         }
     }

@@ -33,7 +33,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether a job is under way.
     pub(super) fn is_at_work(&self) -> bool {
-        self.step_supply.is_running() || !self.motion.is_idle() || self.task.is_program()
+        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
+    }
+
+    /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
+    pub(super) fn needs_speed(&self) -> bool {
+        let works = self.step_supply.is_running() || !self.motion.is_idle() || self.task.is_program();
+        matches!(self.mode, Mode::Normal) && works && !self.task.is_spinning_up()
     }
 
     /// Whether a spindle that turns continues to, at this alarm.
@@ -57,7 +63,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Door(_) => self.door.opening().alarm,
             _ => None,
         };
-        self.stops.awaited().or(alarm.map(StopReason::Alarm))
+        let braking = alarm.map(StopReason::Alarm);
+        self.stops
+            .awaited()
+            .map_or(braking, |awaited| Some(braking.map_or(awaited, |braking| awaited.heavier(braking))))
     }
 
     fn has_nothing_to_do(&self) -> bool {

@@ -159,6 +159,9 @@ impl Accessories {
 
     /// Ends [`Accessories::suspend`]. Whether it was suspended.
     pub fn restore(&mut self) -> bool {
+        if self.suspended {
+            self.forget_speed();
+        }
         core::mem::take(&mut self.suspended)
     }
 
@@ -217,7 +220,7 @@ impl Accessories {
     }
 
     /// The spindle has been off, or was not looked at.
-    pub fn forget_speed(&mut self) {
+    fn forget_speed(&mut self) {
         self.watch = SpeedWatch::NONE;
     }
 
@@ -231,10 +234,13 @@ impl Accessories {
         now: Instant,
         settings: &Settings<N>,
     ) -> bool {
-        let given = Some((self.direction, power));
-        if given != self.watch.given {
+        let given = self.watch.given.filter(|(direction, _)| *direction == self.direction);
+        // The power of a block and of a line differ in their rounding.
+        if given.is_none_or(|(_, before)| before.abs_diff(power) > 1) {
+            let lost = self.watch.fault_at.filter(|_| given.is_some() && self.watch.settled_at <= now);
             let settled_at = now + settings.seconds(Key::AtSpeedWithin);
-            self.watch = SpeedWatch { given, settled_at, ..SpeedWatch::NONE };
+            self.watch =
+                SpeedWatch { given: Some((self.direction, power)), settled_at, has_changed: false, fault_at: lost };
         }
         if power == 0 || self.is_at_speed(input, settings) {
             if self.watch.has_changed {
@@ -343,6 +349,10 @@ mod tests {
         // Another speed takes its time, whether it is asked for at work or before.
         assert!(!lost(false, 200, true, 20) && !lost(true, 200, false, 21) && !lost(true, 200, false, 24));
         assert!(lost(true, 200, false, 25));
+        assert!(
+            !lost(true, 200, true, 30) && !lost(true, 200, false, 31) && lost(true, 300, false, 33),
+            "no new time for what is lost"
+        );
         assert!(!lost(true, 0, false, 40), "S0");
         assert!(!lost(true, 300, false, 41) && !lost(true, 300, false, 45));
         assert_eq!(on.speed_lost_at(), Some(at(46)));
