@@ -21,6 +21,7 @@ class Library:
     def __init__(self):
         self.errors = []
         self.completed = self.booted = self.states = 0
+        self.starts = self.is_next_ok_the_last = False
         self.streamer = GrblStreamer(self.event)
         self.streamer.setup_logging()
 
@@ -34,6 +35,12 @@ class Library:
             self.states += 1
         elif name == "on_error":
             self.errors.append(data)
+        elif name == "on_read" and data[0].startswith("$N1="):
+            self.is_next_ok_the_last = self.starts
+        elif name == "on_rx_buffer_percent" and self.is_next_ok_the_last:
+            # An `ok` has been handled, and no other is to come.
+            self.starts = self.is_next_ok_the_last = False
+            self.streamer.job_run()
 
     def open(self, port):
         # The library resets the machine. A machine greets when its port is opened, too, and the library forgets a job at each
@@ -57,15 +64,17 @@ class Library:
         self.streamer.disconnect()
 
     def start(self):
-        # It takes an answer to what it asks for by itself for one to the job, and sends from two threads then.
+        # It sends lines both in the thread that starts a job and in the one that receives, from the first `ok` on, without a lock,
+        # and takes an answer to what it asks for by itself for one to the job. So the job is started by the receiving thread, with
+        # all else answered: what `$N` lists ends with `$N1=`, and then comes its `ok`.
         self.streamer.poll_stop()
-        self.states = 0
-        machine.wait("for the library to be answered", self.is_answered)
         self.streamer.job_new()
         self.streamer.set_feed_override(False)
         self.streamer.load_file(str(machine.JOB))
         self.completed, self.errors = 0, []
-        self.streamer.job_run()
+        self.starts = True
+        self.streamer.send_immediately("$N")
+        machine.wait("for the job to be started", lambda: not self.starts)
         self.streamer.poll_start()
 
     def hold(self):
