@@ -94,9 +94,12 @@ const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/
 #[test]
 fn a_web_page_moves_nothing_on_a_port_of_lines() {
     let server = Server::new(&[]);
-    for request in
-        [format!("{REQUEST}G0 X9\n"), "OPTIONS / HTTP/1.1\r\n\r\nG0 X9\n".into(), "\x16\x03\x01\x02\nG0 X9\n".into()]
-    {
+    for request in [
+        format!("{REQUEST}G0 X9\n"),
+        "OPTIONS / HTTP/1.1\r\n\r\nG0 X9\n".into(),
+        "G0 / HTTP/1.1\r\n\r\nG0 X9\n".into(),
+        "\x16\x03\x01\x02\nG0 X9\n".into(),
+    ] {
         let mut browser = server.served();
         browser.send(&request);
         let mut said = String::new();

@@ -1,56 +1,81 @@
 //! A port that takes lines must not take those of a browser: any web page that somebody visits can have one send a request to a
-//! port of this computer, with lines of G-code in it. The first bytes of a browser are told from those of a host, and nothing
-//! of such a connection is passed on.
+//! port of this computer, with lines of G-code in it. The first line of a connection tells a browser from a host, and nothing
+//! of a browser's is passed on.
 
 use std::io::{self, ErrorKind, Read};
 
-/// How the requests begin that a browser sends before it has asked this side. A line of G-code never does: after a letter there is
-/// a value. The last one is an encrypted connection, whose bytes may be realtime commands.
-const REQUESTS: [&[u8]; 10] =
-    [b"GET ", b"POST ", b"HEAD ", b"OPTIONS ", b"PUT ", b"DELETE ", b"PATCH ", b"CONNECT ", b"TRACE ", b"\x16\x03"];
+/// How an encrypted connection begins (RFC 8446, 5.1): its bytes may be realtime commands.
+const TLS: &[u8] = b"\x16\x03";
+/// Longer than any line that the firmware takes; the addresses of requests may be longer, and then it is one.
+const LONGEST_LINE: usize = 1024;
 
 /// A reader that fails if a browser writes to it.
 pub struct NoBrowser<R> {
     reader: R,
-    /// The first bytes, as long as a request may begin with them.
-    held: Option<Vec<u8>>,
+    /// The first line, as long as a request may begin with it.
+    first: Option<Vec<u8>>,
+    /// What has been read and is not held back.
+    passed: Vec<u8>,
 }
 
 impl<R: Read> NoBrowser<R> {
     /// Nothing has been read.
     pub fn new(reader: R) -> Self {
-        Self { reader, held: Some(Vec::new()) }
+        Self { reader, first: Some(Vec::new()), passed: Vec::new() }
     }
+}
 
-    /// Whether the first bytes are those of a request, as soon as they tell.
-    fn is_request(first: &[u8]) -> Option<bool> {
-        if REQUESTS.iter().any(|request| first.starts_with(request)) {
-            return Some(true);
-        }
-        let open = REQUESTS.iter().any(|request| request.starts_with(first));
-        (!open).then_some(false)
+/// Whether a first line is that of a request, as soon as it tells: `METHOD TARGET HTTP/1.1` (RFC 9112, 3), where a page may name any
+/// method.
+fn is_request(first: &[u8]) -> Option<bool> {
+    if first.starts_with(TLS) {
+        return Some(true);
     }
+    if TLS.starts_with(first) {
+        return None;
+    }
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or(first);
+    let method = line.split(|byte| *byte == b' ').next().unwrap_or(line);
+    let is_text = line.iter().all(|byte| (b' '..=b'~').contains(byte) || *byte == b'\r');
+    if !is_text || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
+        return Some(false);
+    }
+    if line.len() < first.len() {
+        let version = line.trim_ascii_end().rsplit(|byte| *byte == b' ').next().unwrap_or(line);
+        return Some(version.len() == 8 && version.starts_with(b"HTTP/"));
+    }
+    (line.len() > LONGEST_LINE).then_some(true)
+}
+
+/// Realtime commands of Grbl, which are carried out without a line.
+fn is_realtime(byte: u8) -> bool {
+    b"!?~\x18".contains(&byte) || byte >= 0x80
 }
 
 impl<R: Read> Read for NoBrowser<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        while let Some(held) = &mut self.held {
-            // No more than fits: what has been read is given out at once.
-            let room = buffer.len().saturating_sub(held.len());
-            let length = self.reader.read(&mut buffer[..room])?;
-            held.extend_from_slice(&buffer[..length]);
-            match Self::is_request(held) {
+        while let (Some(first), true) = (&mut self.first, self.passed.is_empty()) {
+            let mut piece = [0; 256];
+            let length = self.reader.read(&mut piece)?;
+            first.extend_from_slice(&piece[..length]);
+            let realtime = first.iter().take_while(|byte| is_realtime(**byte)).count();
+            self.passed.extend(first.drain(..realtime));
+            match is_request(first) {
                 Some(true) => return Err(ErrorKind::InvalidData.into()),
                 None if length > 0 => {}
                 _ => {
-                    let first = std::mem::take(held);
-                    self.held = None;
-                    buffer[..first.len()].copy_from_slice(&first);
-                    return Ok(first.len());
+                    self.passed.append(first);
+                    self.first = None;
                 }
             }
         }
-        self.reader.read(buffer)
+        if self.passed.is_empty() {
+            return self.reader.read(buffer);
+        }
+        let length = self.passed.len().min(buffer.len());
+        buffer[..length].copy_from_slice(&self.passed[..length]);
+        self.passed.drain(..length);
+        Ok(length)
     }
 }
 
@@ -66,8 +91,10 @@ mod tests {
             if self.0.is_empty() {
                 return Ok(0);
             }
-            let piece = self.0.remove(0);
+            let (piece, rest) = self.0[0].split_at(self.0[0].len().min(buffer.len()));
             buffer[..piece.len()].copy_from_slice(piece);
+            self.0[0] = rest;
+            self.0.retain(|piece| !piece.is_empty());
             Ok(piece.len())
         }
     }
@@ -84,23 +111,51 @@ mod tests {
 
     #[test]
     fn a_request_is_refused_however_it_is_cut() {
-        for first in
-            [&[b"POST / HTTP/1.1\r\n\r\nG0 X9\n" as &[u8]][..], &[b"P", b"U", b"T", b" /"], &[b"\x16", b"\x03\x01\x18"]]
-        {
-            assert!(read(first).is_err(), "{first:?}");
+        let long = [b"GET /".as_slice(), &[b'a'; LONGEST_LINE]].concat().leak();
+        for first in [
+            &[b"POST / HTTP/1.1\r\n\r\nG0 X9\n" as &[u8]][..],
+            &[b"P", b"U", b"T", b" /", b" HTTP", b"/1.0\r", b"\n"],
+            &[b"patch / HTTP/1.1\r\n"],
+            &[b"G0 /?X1 HTTP/1.1\n"],
+            &[b"~", b"! / HTTP/1.1\n"],
+            &[long],
+            &[b"\x16", b"\x03\x01\x18"],
+        ] {
+            let mut passed = vec![];
+            let mut reader = NoBrowser::new(Pieces(first.to_vec()));
+            let (mut buffer, mut refused) = ([0; 64], false);
+            while !refused {
+                match reader.read(&mut buffer) {
+                    Ok(0) => break,
+                    Ok(length) => passed.extend_from_slice(&buffer[..length]),
+                    Err(_) => refused = true,
+                }
+            }
+            assert!(refused && passed.iter().all(|byte| is_realtime(*byte)), "{first:?}: {passed:?}");
         }
     }
 
     #[test]
     fn hosts_are_read_byte_by_byte() {
-        for pieces in [&[b"G" as &[u8], b"0X1\n", b"GET "][..], &[b"?"], &[b"GE", b"!"], &[b"P"], &[]] {
+        for pieces in [
+            &[b"G" as &[u8], b"0X1\n", b"GET / HTTP/1.1\r\n"][..],
+            &[b"?"],
+            &[b"?", b"!", b"$$\n"],
+            &[b"G0 X10", b" (a HTTP/1.1)\n"],
+            &[b"(a HTTP/1.1)\n"],
+            &[b"probe 1\n", b"steps\n"],
+            &[b"P"],
+            &[],
+        ] {
             assert_eq!(read(pieces).unwrap(), pieces.concat(), "{pieces:?}");
         }
     }
 
     #[test]
-    fn bytes_that_tell_nothing_are_no_end() {
-        let mut reader = NoBrowser::new(Pieces(vec![b"G", b"0"]));
-        assert_eq!(reader.read(&mut [0; 8]).unwrap(), 2);
+    fn realtime_commands_do_not_wait_for_a_line() {
+        let mut reader = NoBrowser::new(Pieces(vec![b"?", b"\x18!", b"$X"]));
+        let mut buffer = [0; 8];
+        assert_eq!(reader.read(&mut buffer).unwrap(), 1);
+        assert_eq!(reader.read(&mut buffer).unwrap(), 2);
     }
 }

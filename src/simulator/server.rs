@@ -43,27 +43,27 @@ const LOOK: Duration = Duration::from_millis(20);
 const SLICE: Duration = Duration::from_millis(20);
 /// What a second client is told, and for how long at most it is listened to, so that it can read that.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
-const FAREWELL: Duration = Duration::from_secs(1);
+const CLOSING_TIME: Duration = Duration::from_secs(1);
 
 /// What the threads tell the loop.
 pub(crate) enum Happened {
     /// A client is there.
     Connected(Client),
-    /// Somebody has connected; the thread that reads from it needs the sender.
-    Knocked(Visitor, SyncSender<Happened>),
+    /// A connection has come in; the thread that reads from it needs the sender.
+    Connecting(Incoming, SyncSender<Happened>),
     /// Bytes of the client have come, or it has gone: see its [`Inbox`].
     Heard,
     /// A line of the pin protocol; the answer goes to the sender.
     Pins(String, Sender<String>),
 }
 
-/// Somebody who has connected.
-pub(crate) struct Visitor {
+/// A connection that has come in.
+pub(crate) struct Incoming {
     pub(crate) link: Connection,
     pub(crate) place: Taken,
 }
 
-/// How somebody is connected.
+/// How a client is connected.
 pub(crate) enum Connection {
     /// To the port of `--tcp`.
     Program(TcpStream),
@@ -71,7 +71,7 @@ pub(crate) enum Connection {
     Page(Box<WebSocket<TcpStream>>),
 }
 
-impl Visitor {
+impl Incoming {
     fn stream(&self) -> &TcpStream {
         match &self.link {
             Connection::Program(stream) => stream,
@@ -246,7 +246,7 @@ impl Client {
         self.inbox.has_ended() || self.stream.as_ref().is_some_and(hung_up)
     }
 
-    fn let_go(self) {
+    fn close(self) {
         self.inbox.close();
         if let Some(stream) = self.stream {
             // Its reader wakes up. That of a client that has gone has ended.
@@ -283,7 +283,7 @@ struct Device {
     anchor: (Instant, u64),
     client: Option<Client>,
     /// Clients on TCP that have come when the one before was about to go.
-    waiting: VecDeque<(Visitor, SyncSender<Happened>)>,
+    waiting: VecDeque<(Incoming, SyncSender<Happened>)>,
     /// An answer that the client had no room for.
     kept: Option<Vec<u8>>,
     recorder: Option<Recorder>,
@@ -367,7 +367,7 @@ impl Device {
     fn take(&mut self, happened: Happened) {
         match happened {
             Happened::Connected(client) => self.connected(client),
-            Happened::Knocked(visitor, sender) => self.knocked(visitor, sender),
+            Happened::Connecting(incoming, sender) => self.connecting(incoming, sender),
             Happened::Heard => {}
             Happened::Pins(line, reply) => {
                 let answer = self.simulator.pin_line(&line);
@@ -407,25 +407,25 @@ impl Device {
         })
     }
 
-    /// Serves somebody who has connected, or turns them away.
-    fn knocked(&mut self, visitor: Visitor, sender: SyncSender<Happened>) {
+    /// Serves a new connection, or turns it away.
+    fn connecting(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
         match &self.client {
-            None => self.admit(visitor, sender),
+            None => self.admit(incoming, sender),
             // Its reader is about to tell so.
-            Some(client) if client.has_gone() => self.waiting.push_back((visitor, sender)),
+            Some(client) if client.has_gone() => self.waiting.push_back((incoming, sender)),
             Some(_) => {
-                thread::spawn(move || visitor.turn_away());
+                thread::spawn(move || incoming.turn_away());
             }
         }
     }
 
-    fn admit(&mut self, visitor: Visitor, sender: SyncSender<Happened>) {
-        let stream = visitor.stream();
+    fn admit(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
+        let stream = incoming.stream();
         // Answers are short and each is waited for. A client that does not read holds its writer for so long at a time.
         let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
         let inbox = Arc::new(Inbox::default());
-        let Visitor { link, place } = visitor;
+        let Incoming { link, place } = incoming;
         match link {
             Connection::Program(stream) => {
                 let (answers, _) = writer(back, inbox.clone());
@@ -464,13 +464,13 @@ impl Device {
 
     fn left(&mut self) {
         if let Some(client) = self.client.take() {
-            client.let_go();
+            client.close();
             self.kept = None;
             self.record(&Input::Disconnect);
             self.simulator.disconnect();
         }
-        for (visitor, sender) in std::mem::take(&mut self.waiting) {
-            self.knocked(visitor, sender);
+        for (incoming, sender) in std::mem::take(&mut self.waiting) {
+            self.connecting(incoming, sender);
         }
     }
 
@@ -576,9 +576,9 @@ fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> bool {
 
 /// Tells a second client why it is not served. Nothing of what it says is looked at.
 fn turn_away(mut stream: &TcpStream) {
-    let end = Instant::now() + FAREWELL;
-    let _ = stream.set_write_timeout(Some(FAREWELL));
-    let _ = stream.set_read_timeout(Some(FAREWELL));
+    let end = Instant::now() + CLOSING_TIME;
+    let _ = stream.set_write_timeout(Some(CLOSING_TIME));
+    let _ = stream.set_read_timeout(Some(CLOSING_TIME));
     let told = stream.write_all(TURNED_AWAY).and_then(|()| stream.shutdown(Shutdown::Write));
     // A socket closed with unread bytes in it would take the line back.
     let mut thrown_away = [0; PIECE];
@@ -589,8 +589,8 @@ fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
     for stream in listener.incoming() {
         let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
-        let visitor = Visitor { link: Connection::Program(stream), place };
-        if sender.send(Happened::Knocked(visitor, sender.clone())).is_err() {
+        let incoming = Incoming { link: Connection::Program(stream), place };
+        if sender.send(Happened::Connecting(incoming, sender.clone())).is_err() {
             return;
         }
     }

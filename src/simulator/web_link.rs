@@ -4,7 +4,7 @@
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
 
-use crate::server::{Connection, Happened, Inbox, Places, Taken, Visitor, hung_up};
+use crate::server::{Connection, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use anyhow::{Context, Result, ensure};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -117,8 +117,8 @@ fn answer(stream: TcpStream, place: Taken, site: &Site, sender: &SyncSender<Happ
             let accept = |_: &Request, response: Response| Ok(response);
             let bounds = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
             if let Ok(socket) = tungstenite::accept_hdr_with_config(stream, accept, Some(bounds)) {
-                let visitor = Visitor { link: Connection::Page(Box::new(socket)), place };
-                let _ = sender.send(Happened::Knocked(visitor, sender.clone()));
+                let incoming = Incoming { link: Connection::Page(Box::new(socket)), place };
+                let _ = sender.send(Happened::Connecting(incoming, sender.clone()));
             }
             Ok(())
         }
