@@ -13,6 +13,7 @@ import os
 import re
 import subprocess
 import tempfile
+import threading
 
 import machine
 import requests
@@ -29,6 +30,8 @@ def start_server():
     for line in process.stdout:
         told = re.search(r"Starting the server at .*(http://127\.0\.0\.1:\d+)", line)
         if told:
+            # It would wait once a pipe that is not read is full.
+            threading.Thread(target=process.stdout.read, daemon=True).start()
             return process, told[1]
     raise machine.Failed("the server of cncjs does not start")
 
