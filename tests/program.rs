@@ -120,26 +120,39 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
-/// `docs/json.md` explains every field, and none that does not exist.
+/// `docs/json.md` explains every field with its type, and none that does not exist.
 #[test]
 fn the_page_of_the_json_has_its_fields() {
-    let job = file("json.nc", "G1 X1 F100\nG999\n$X\nG0 X1e9\n");
+    let job = file("json.nc", "G1 X1 F100\nG999\nT1\nG38.2 Z-1\n");
     let summary = json(&run(&["run", text(&job), "--json"]));
     let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/json.md")).expect("docs/json.md");
-    let named: Vec<&str> =
-        page.lines().filter_map(|line| line.strip_prefix("| `")?.split_once('`').map(|(name, _)| name)).collect();
-    let mut fields: Vec<String> = Vec::new();
+    let rows: Vec<(&str, &str)> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `")?.split_once("` | "))
+        .filter_map(|(name, rest)| Some((name, rest.split_once(" |")?.0)))
+        .collect();
+    let mut fields: Vec<(String, &Value)> = Vec::new();
     for (name, value) in summary.as_object().expect("an object") {
-        fields.push(name.clone());
-        if name == "errors" || name == "tools" {
-            fields.extend(value[0].as_object().expect("a row").keys().map(|key| format!("{name}[].{key}")));
-        }
+        fields.push((name.clone(), value));
+        let (row, mark) = if value.is_array() { (&value[0], "[]") } else { (value, "") };
+        fields.extend(row.as_object().into_iter().flatten().map(|(key, value)| (format!("{name}{mark}.{key}"), value)));
     }
-    for field in &fields {
-        assert!(named.contains(&field.as_str()), "docs/json.md has no row for `{field}`");
+    for (field, value) in &fields {
+        let row = rows.iter().find(|(name, _)| name == field);
+        let (_, kind) = row.unwrap_or_else(|| panic!("docs/json.md has no row for `{field}`"));
+        let found = match value {
+            Value::Null => "null",
+            Value::Bool(_) => "true or false",
+            Value::Number(_) => "number",
+            Value::String(_) => "text",
+            Value::Array(values) if values.first().is_some_and(Value::is_number) => "3 numbers",
+            Value::Array(_) => "list",
+            Value::Object(_) => "object",
+        };
+        assert!(kind.contains(found), "docs/json.md calls `{field}` {kind}, and it is {found}");
     }
-    for name in named.iter().filter(|name| !name.starts_with("alarm.")) {
-        assert!(fields.iter().any(|field| field == name), "docs/json.md explains `{name}`, which does not exist");
+    for (name, _) in &rows {
+        assert!(fields.iter().any(|(field, _)| field == name), "docs/json.md explains `{name}`, which does not exist");
     }
 }
 
