@@ -164,7 +164,7 @@ fn heading(area: &Area, summary: &Summary) -> Drawn {
     let text = format!(
         "{} · {} · {:.1} mm of path · board {}{faults}",
         counted(summary.lines, "line"),
-        clock_time(summary.duration_s),
+        clock_time(summary.forecast_s),
         summary.distance_mm,
         summary.board
     );
