@@ -1,7 +1,7 @@
 //! Bills of materials (SBOM) in CycloneDX 1.5 JSON: what is linked into a file, with licence and checksum of each crate.
 //!
-//! Made from `cargo tree` (which crates are linked, for this target and these features), `cargo metadata` (what they are) and
-//! the lock files. No time and no random number is in them: the same sources give the same bytes.
+//! Made from `cargo tree` (which crates are linked, for this target and these features, and which of them needs which),
+//! `cargo metadata` (what they are) and the lock files. No time and no random number is in them: the same sources give the same bytes.
 
 use super::{Failure, VERSION, read, write};
 use crate::paths::Compiler;
@@ -44,27 +44,30 @@ impl Sbom {
 
     /// Writes it.
     pub fn write(&self, compiler: &Compiler, path: &Path) -> Result<(), Failure> {
-        let metadata: Value = parsed(&told(&["metadata", "--locked", "--format-version", "1"])?)?;
-        let lock: toml::Table = text(&root().join("Cargo.lock"))?.parse().map_err(|e| format!("Cargo.lock: {e}"))?;
-        let mut crates = Crates::new(&metadata, &lock)?;
-        crates.keep(&linked(&self.tree()?));
-        let npm = if self.npm { npm(&parsed(&text(&web::page().join("package-lock.json"))?)?) } else { Vec::new() };
-        let bill = self.bill(&crates, npm, &compiler.version)?;
+        let bill = self.bill(&compiler.version)?;
         let json = serde_json::to_string_pretty(&bill).map_err(|error| error.to_string())?;
         write(path, format!("{json}\n").as_bytes())
     }
 
-    /// All crates that are linked, as cargo lists them.
+    /// All crates that are linked, each below the one that needs it, with the depth in front of its name.
     fn tree(&self) -> Result<String, Failure> {
         let mut arguments = vec!["tree", "--locked", "--package", self.package, "--target", &self.target];
-        arguments.extend(["--edges", "normal,no-proc-macro", "--prefix", "none", "--format", "{p}"]);
+        arguments.extend(["--edges", "normal,no-proc-macro", "--prefix", "depth", "--no-dedupe", "--format", "{p}"]);
         if let Some(features) = &self.features {
             arguments.extend(["--features", features]);
         }
         told(&arguments)
     }
 
-    fn bill(&self, crates: &Crates, npm: Vec<Value>, rust: &str) -> Result<Value, Failure> {
+    fn crates(&self) -> Result<Crates, Failure> {
+        // Without its feature a board's own crates are not in it.
+        let metadata = parsed(&told(&["metadata", "--locked", "--all-features", "--format-version", "1"])?)?;
+        let lock: toml::Table = text(&root().join("Cargo.lock"))?.parse().map_err(|e| format!("Cargo.lock: {e}"))?;
+        Crates::new(&metadata, &lock, linked(&self.tree()?)?)
+    }
+
+    fn bill(&self, rust: &str) -> Result<Value, Failure> {
+        let crates = self.crates()?;
         let root = format!("{}@{VERSION}", self.package);
         let own = |component: &Value| component["bom-ref"] == root.as_str();
         let mut components = crates.components()?;
@@ -77,7 +80,9 @@ impl Sbom {
             "description": "The standard library of Rust, as the compiler brings it",
             "licenses": [{ "expression": "MIT OR Apache-2.0" }],
         }));
-        components.extend(npm);
+        if self.npm {
+            components.extend(npm(&parsed(&text(&web::page().join("package-lock.json"))?)?));
+        }
         Ok(json!({
             "$schema": "http://cyclonedx.org/schema/bom-1.5.schema.json",
             "bomFormat": "CycloneDX", "specVersion": "1.5", "version": 1,
@@ -115,16 +120,30 @@ fn parsed(text: &str) -> Result<Value, Failure> {
 /// Name and version of a crate: `heapless@0.9.1`.
 type Name = String;
 
-/// Names of the crates in the lines of `cargo tree`: `heapless v0.9.1 (*)`.
-fn linked(tree: &str) -> BTreeSet<Name> {
-    let name = |line: &str| {
-        let mut words = line.split_whitespace();
-        Some(format!("{}@{}", words.next()?, words.next()?.strip_prefix('v')?))
-    };
-    tree.lines().filter_map(name).collect()
+/// Which crates each crate needs, from lines of `cargo tree`: `2heapless v0.9.1`, two levels below the root.
+fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
+    let mut needs = BTreeMap::<Name, BTreeSet<Name>>::new();
+    let mut above: Vec<Name> = Vec::new();
+    for line in tree.lines() {
+        let (depth, name) = placed(line).ok_or_else(|| format!("`cargo tree` is not understood: {line}"))?;
+        above.truncate(depth);
+        if let Some(parent) = above.last() {
+            needs.entry(parent.clone()).or_default().insert(name.clone());
+        }
+        needs.entry(name.clone()).or_default();
+        above.push(name);
+    }
+    Ok(needs)
 }
 
-/// What is known of crates.
+/// Depth and name of the crate in a line of `cargo tree`.
+fn placed(line: &str) -> Option<(usize, Name)> {
+    let (depth, package) = line.split_at(line.find(|c: char| !c.is_ascii_digit())?);
+    let mut words = package.split(' ');
+    Some((depth.parse().ok()?, format!("{}@{}", words.next()?, words.next()?.strip_prefix('v')?)))
+}
+
+/// What is known of the crates that are linked.
 struct Crates {
     packages: BTreeMap<Name, Value>,
     needs: BTreeMap<Name, BTreeSet<Name>>,
@@ -132,24 +151,15 @@ struct Crates {
 }
 
 impl Crates {
-    /// All crates of the lock file.
-    fn new(metadata: &Value, lock: &toml::Table) -> Result<Crates, Failure> {
-        let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    fn new(metadata: &Value, lock: &toml::Table, needs: BTreeMap<Name, BTreeSet<Name>>) -> Result<Crates, Failure> {
         let word = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        let all = metadata["packages"].as_array().into_iter().flatten();
+        let named = |package: &Value| format!("{}@{}", word(&package["name"]), word(&package["version"]));
+        let mut all: BTreeMap<Name, Value> = all.map(|package| (named(package), package.clone())).collect();
         let mut packages = BTreeMap::new();
-        let mut names = BTreeMap::new();
-        for package in list(&metadata["packages"]) {
-            let name = format!("{}@{}", word(&package["name"]), word(&package["version"]));
-            names.insert(word(&package["id"]), name.clone());
-            packages.insert(name, package);
-        }
-        let named = |id: &Value| names.get(&word(id)).cloned().ok_or_else(|| format!("cargo does not describe {id}"));
-        let mut needs = BTreeMap::new();
-        for node in list(&metadata["resolve"]["nodes"]) {
-            let linked = |dep: &&Value| list(&dep["dep_kinds"]).iter().any(|kind| kind["kind"].is_null());
-            let deps = list(&node["deps"]);
-            let used: Result<_, Failure> = deps.iter().filter(linked).map(|dep| named(&dep["pkg"])).collect();
-            needs.insert(named(&node["id"])?, used?);
+        for name in needs.keys() {
+            let package = all.remove(name).ok_or_else(|| format!("cargo links {name}, and does not describe it"))?;
+            packages.insert(name.clone(), package);
         }
         let mut checksums = BTreeMap::new();
         for package in lock.get("package").and_then(toml::Value::as_array).into_iter().flatten() {
@@ -159,15 +169,6 @@ impl Crates {
             }
         }
         Ok(Crates { packages, needs, checksums })
-    }
-
-    /// Forgets all others.
-    fn keep(&mut self, names: &BTreeSet<Name>) {
-        self.packages.retain(|name, _| names.contains(name));
-        self.needs.retain(|name, _| names.contains(name));
-        for needed in self.needs.values_mut() {
-            needed.retain(|name| names.contains(name));
-        }
     }
 
     fn components(&self) -> Result<Vec<Value>, Failure> {
@@ -214,29 +215,19 @@ fn npm(lock: &Value) -> Vec<Value> {
 mod tests {
     use super::*;
 
-    fn crates(keep: &[&str]) -> Crates {
-        let metadata = json!({
-            "packages": [
-                { "id": "p 1", "name": "program", "version": "1.0.0", "license": "MIT", "source": null },
-                { "id": "l 2", "name": "library", "version": "2.0.0", "license": "MIT/Apache-2.0", "source": "registry" },
-                { "id": "t 3", "name": "tool", "version": "3.0.0", "license": "MIT", "source": "registry" },
-            ],
-            "resolve": { "nodes": [
-                { "id": "p 1", "deps": [
-                    { "pkg": "l 2", "dep_kinds": [{ "kind": null }] }, { "pkg": "t 3", "dep_kinds": [{ "kind": "build" }] },
-                ] },
-                { "id": "l 2", "deps": [] }, { "id": "t 3", "deps": [] },
-            ] },
-        });
+    fn crates(tree: &str) -> Result<Crates, Failure> {
+        let metadata = json!({ "packages": [
+            { "name": "program", "version": "1.0.0", "license": "MIT", "source": null },
+            { "name": "library", "version": "2.0.0", "license": "MIT/Apache-2.0", "source": "registry" },
+            { "name": "tool", "version": "3.0.0", "license": "MIT", "source": "registry" },
+        ] });
         let lock = "[[package]]\nname = \"library\"\nversion = \"2.0.0\"\nchecksum = \"abcd\"\n".parse().unwrap();
-        let mut crates = Crates::new(&metadata, &lock).unwrap();
-        crates.keep(&keep.iter().map(|name| (*name).to_owned()).collect());
-        crates
+        Crates::new(&metadata, &lock, linked(tree)?)
     }
 
     #[test]
     fn a_bill_has_what_is_linked_and_nothing_else() {
-        let crates = crates(&["program@1.0.0", "library@2.0.0"]);
+        let crates = crates("0program v1.0.0 (/somewhere)\n1library v2.0.0\n").unwrap();
         let components = crates.components().unwrap();
         assert_eq!(components.len(), 2);
         assert_eq!(components[0]["purl"], "pkg:cargo/library@2.0.0");
@@ -249,13 +240,31 @@ mod tests {
 
     #[test]
     fn a_crate_of_a_registry_without_checksum_is_refused() {
-        assert!(crates(&["tool@3.0.0"]).components().unwrap_err().contains("checksum"));
+        assert!(crates("0tool v3.0.0").unwrap().components().unwrap_err().contains("checksum"));
+    }
+
+    #[test]
+    fn a_crate_that_nothing_is_known_of_is_refused() {
+        let tree = "0program v1.0.0 (/somewhere)\n1stranger v4.0.0\n";
+        assert!(crates(tree).err().unwrap().contains("stranger@4.0.0"));
     }
 
     #[test]
     fn lines_of_cargo_tree() {
-        let tree = "heapless v0.9.1\noxmill-sqrt v0.2.0 (/somewhere/src/sqrt)\nheapless v0.9.1 (*)\n\n";
-        assert_eq!(linked(tree), ["heapless@0.9.1", "oxmill-sqrt@0.2.0"].map(str::to_owned).into());
+        let tree = "0p v0.2.0 (/somewhere/p)\n1a v1.0.0\n2b v2.0.0\n3c v3.0.0\n1c v3.0.0\n1d v4.0.0\n2c v3.0.0\n";
+        let needs = [
+            ("p@0.2.0", vec!["a@1.0.0", "c@3.0.0", "d@4.0.0"]),
+            ("a@1.0.0", vec!["b@2.0.0"]),
+            ("b@2.0.0", vec!["c@3.0.0"]),
+            ("c@3.0.0", vec![]),
+            ("d@4.0.0", vec!["c@3.0.0"]),
+        ];
+        let owned =
+            |(name, needed): (&str, Vec<&str>)| (name.to_owned(), needed.into_iter().map(str::to_owned).collect());
+        assert_eq!(linked(tree).unwrap(), needs.into_iter().map(owned).collect());
+        for strange in ["heapless v0.9.1", "1heapless", "1heapless 0.9.1", ""] {
+            assert!(linked(&format!("{strange}\n")).is_err(), "{strange}");
+        }
     }
 
     #[test]
@@ -268,11 +277,47 @@ mod tests {
         assert_eq!(found[0]["purl"], "pkg:npm/%40a/b@2.0.0");
     }
 
+    /// Names of the components of a bill, and those that `needing` needs.
+    fn of_bill(sbom: &Sbom, needing: &str) -> (BTreeSet<String>, BTreeSet<String>) {
+        let bill = sbom.bill("1.0.0").unwrap();
+        let list = |value: &Value| value.as_array().unwrap().clone();
+        let name = |reference: &Value| reference.as_str().unwrap().rsplit_once('@').unwrap().0.to_owned();
+        let needed = list(&bill["dependencies"]).into_iter().filter(|entry| name(&entry["ref"]) == needing);
+        let needed = needed.flat_map(|entry| list(&entry["dependsOn"])).map(|needed| name(&needed));
+        (list(&bill["components"]).iter().map(|component| name(&component["bom-ref"])).collect(), needed.collect())
+    }
+
     /// The boards differ in what is linked: USB is not for the Nucleos.
     #[test]
-    fn the_features_of_a_board_are_seen() {
-        let has_usb =
-            |board: &str| linked(&Sbom::of_board(board).tree().unwrap()).iter().any(|n| n.starts_with("usb-device@"));
-        assert!(has_usb("blackpill_f411") && !has_usb("nucleo_f446re"));
+    fn a_bill_of_a_board_has_what_its_feature_links() {
+        let (black_pill, needed) = of_bill(&Sbom::of_board("blackpill_f411"), "oxmill-boards");
+        let (nucleo, needed_there) = of_bill(&Sbom::of_board("nucleo_f446re"), "oxmill-boards");
+        for name in ["stm32f4xx-hal", "stm32f4", "cortex-m-rt", "oxmill-controller", "rust-std"] {
+            assert!(black_pill.contains(name) && nucleo.contains(name), "{name}");
+        }
+        for name in ["usb-device", "usbd-serial"] {
+            assert!(black_pill.contains(name) && needed.contains(name), "{name}");
+            assert!(!nucleo.contains(name) && !needed_there.contains(name), "{name}");
+        }
+        // Of the board in QEMU.
+        assert!(!black_pill.iter().chain(&needed).any(|name| name.contains("mps2")));
+    }
+
+    #[test]
+    fn every_part_has_a_bill() {
+        let boards = crate::boards::BOARDS.into_iter().filter(|board| *board != crate::QEMU_BOARD).map(Sbom::of_board);
+        let host = Compiler::found().unwrap().host;
+        for sbom in boards.chain([Sbom::of_program(&host), Sbom::of_page()]) {
+            let bill = sbom.bill("1.0.0").unwrap();
+            let all = bill["components"].as_array().unwrap();
+            let known: Vec<&Value> =
+                all.iter().chain([&bill["metadata"]["component"]]).map(|c| &c["bom-ref"]).collect();
+            let needs = bill["dependencies"].as_array().unwrap();
+            assert!(needs.len() > 5, "{}: {}", sbom.name, needs.len());
+            for need in needs {
+                assert!(known.contains(&&need["ref"]), "{need}");
+                assert!(need["dependsOn"].as_array().unwrap().iter().all(|name| known.contains(&name)), "{need}");
+            }
+        }
     }
 }
