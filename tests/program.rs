@@ -120,6 +120,35 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
+/// Each option is in the manual, on standard output and in the files, which name each other.
+#[test]
+fn the_manual_has_the_options_of_each_command() {
+    let plain = |text: &str| text.replace('\\', "");
+    let whole = plain(&String::from_utf8_lossy(&run(&["man"]).stdout));
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("manual/man1");
+    fs::remove_dir_all(&folder).ok();
+    assert!(run(&["man", "--out", text(&folder)]).status.success());
+    let page = |name: &str| plain(&fs::read_to_string(folder.join(name)).expect("a page"));
+    for (command, options) in [
+        ("run", &["--record", "--plot", "--trace", "--store"][..]),
+        ("check", &["--json", "--board"]),
+        ("plot", &["--output"]),
+        ("serve", &["--web", "--page", "--pins", "--reset-on-connect"]),
+        ("replay", &["--json"]),
+        ("man", &["--out"]),
+        ("completions", &["SHELL"]),
+    ] {
+        let (title, of_command) = (format!("oxmill-{command} 1"), page(&format!("oxmill-{command}.1")));
+        assert!(whole.contains(&title) && of_command.contains(&title), "{command}");
+        assert!(page("oxmill.1").contains(&format!("oxmill-{command}(1)")), "{command}");
+        for option in options {
+            assert!(whole.contains(option) && of_command.contains(option), "{command} {option}");
+        }
+    }
+    let file = file("no_folder", "");
+    assert_eq!(run(&["man", "--out", text(&file)]).status.code(), Some(2));
+}
+
 /// `docs/json.md` explains every field with its type, and none that does not exist.
 #[test]
 fn the_page_of_the_json_has_its_fields() {

@@ -40,8 +40,12 @@ pub enum Command {
         /// The shell.
         shell: clap_complete::Shell,
     },
-    /// Writes the manual page to standard output.
-    Man,
+    /// Writes the manual: a page of the program and one of each command, in turn to standard output.
+    Man {
+        /// Writes each page to a file of this folder instead: oxmill.1, oxmill-run.1 and so on.
+        #[arg(long, value_name = "FOLDER")]
+        out: Option<PathBuf>,
+    },
 }
 
 /// `run`.

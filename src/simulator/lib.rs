@@ -30,6 +30,8 @@ pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
 pub mod machine;
+#[cfg(feature = "program")]
+mod manual;
 pub mod marks;
 pub mod meter;
 #[cfg(feature = "program")]
@@ -84,10 +86,7 @@ pub fn main() -> ExitCode {
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
             Ok(Ending::Good)
         }
-        Command::Man => clap_mangen::Man::new(CommandLine::command())
-            .render(&mut std::io::stdout())
-            .map(|()| Ending::Good)
-            .map_err(anyhow::Error::from),
+        Command::Man { out } => manual::write(out.as_deref()).map(|()| Ending::Good),
         Command::Serve(options) => server::serve(&options).map(|()| Ending::Good),
     };
     match result {

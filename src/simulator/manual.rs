@@ -1,0 +1,24 @@
+//! The manual: a page of the program and one of each command, made from the words of the command line.
+
+use crate::command_line::CommandLine;
+use anyhow::{Context, Result};
+use clap::CommandFactory;
+use clap_mangen::Man;
+use std::path::Path;
+use std::{fs, io, iter};
+
+/// Writes all pages in turn to standard output, or each to a file of the folder, which is made.
+///
+/// # Errors
+/// If they cannot be written.
+pub fn write(folder: Option<&Path>) -> Result<()> {
+    if let Some(folder) = folder {
+        let written =
+            fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(CommandLine::command(), folder));
+        return written.with_context(|| format!("cannot write the manual pages to {}", folder.display()));
+    }
+    let mut program = CommandLine::command().disable_help_subcommand(true);
+    program.build();
+    let mut pages = iter::once(&program).chain(program.get_subcommands());
+    pages.try_for_each(|page| Man::new(page.clone()).render(&mut io::stdout())).context("cannot write the manual")
+}
