@@ -7,6 +7,7 @@ use oxmill_controller::settings::{Kind, Row, Settings};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
 use oxmill_simulator::fittings::Description;
+use oxmill_simulator::homed::home;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
 use oxmill_simulator::streaming::Streaming;
@@ -33,6 +34,9 @@ pub struct Order {
     pub path: bool,
     /// What is fitted to the machine, with the names that a file for `--machine` has.
     pub machine: Option<Description>,
+    /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
+    /// For [`check`] and [`stream`] only.
+    pub work_zero: Option<[f64; AXES]>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
 }
@@ -69,12 +73,21 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
+/// A simulator as ordered, homed if a work zero is.
+fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
+    let mut simulator = power_up(order)?;
+    if let Some(place) = order.work_zero {
+        home(&mut simulator, place).map_err(|why| format!("the work zero: {why}"))?;
+    }
+    Ok(simulator)
+}
+
 /// A job that is ready to be checked.
 ///
 /// # Errors
-/// As [`power_up`].
+/// As [`power_up`], or if the machine cannot be homed and a work zero is ordered.
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
-    let mut simulator = power_up(order)?;
+    let mut simulator = power_up_for_job(order)?;
     if order.path {
         let start = simulator.meter().millimetres(simulator.machine().position());
         let seconds = simulator.clock().seconds(simulator.clock().now());
@@ -86,9 +99,9 @@ pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
 /// The same job over a link without limit, and over the one that is ordered.
 ///
 /// # Errors
-/// As [`power_up`].
+/// As [`check`].
 pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
-    Ok([Streaming::new(power_up(order)?, job, 0), Streaming::new(power_up(order)?, job, order.baud)])
+    Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
 }
 
 /// A machine that a host has been connected to.

@@ -31,8 +31,10 @@
 //! | `oxmill_fail()` | | does not return: a panic, to try how it is shown | |
 //!
 //! An order is JSON, all parts of which may be left out: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
-//! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "baud": 115200}`. `machine` has
-//! the names of the file that `--machine` reads. Settings are applied in the order of their numbers, the dialect last.
+//! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
+//! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine
+//! coordinates, the machine of a check or a stream is homed before the job and G54 is put there, as with `--work-zero`.
+//! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
 

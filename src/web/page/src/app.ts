@@ -44,7 +44,7 @@ export class App {
   /** What a check is made with. */
   order(more: Order = {}): Order {
     const board = $<HTMLSelectElement>("board").value;
-    return { name: this.job.name, board, ...more, settings: { ...this.settings.values(), ...more.settings } };
+    return { name: this.job.name, board, work_zero: this.settings.workZero(), ...more, settings: { ...this.settings.values(), ...more.settings } };
   }
 
   open(name: string, bytes: Uint8Array): void {

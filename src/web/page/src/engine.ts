@@ -7,6 +7,8 @@ export interface Order {
   settings?: Record<string, number>;
   path?: boolean;
   machine?: object;
+  /** Of G54 in mm of machine coordinates, for a machine that is homed before its job. */
+  work_zero?: number[];
   baud?: number;
 }
 

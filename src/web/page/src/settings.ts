@@ -16,6 +16,7 @@ export function rangeOf(setting: Setting): string {
 export class SettingsPanel {
   private changed: Record<string, number>;
   private readonly inputs = new Map<number, HTMLInputElement>();
+  private readonly place = [...$("work-zero").querySelectorAll("input")];
 
   constructor(readonly description: Description, private readonly onchange: () => void) {
     this.changed = stored();
@@ -27,7 +28,24 @@ export class SettingsPanel {
     $("find").addEventListener("input", () => this.find($<HTMLInputElement>("find").value));
     $("defaults").addEventListener("click", () => this.replace({}));
     $("take").addEventListener("click", () => this.replace(parseSettings($<HTMLTextAreaElement>("paste").value)));
+    for (const input of this.place) {
+      input.addEventListener("change", () => {
+        this.tellPlace();
+        this.onchange();
+      });
+    }
+    this.tellPlace();
     this.refresh();
+  }
+
+  /** The work zero in mm of machine coordinates, if the machine is homed before its job. */
+  workZero(): number[] | undefined {
+    return this.place.every(input => input.value !== "") ? this.place.map(input => Number(input.value)) : undefined;
+  }
+
+  private tellPlace(): void {
+    $("work-zero-note").textContent = this.workZero() ? "The machine is homed before the job: soft limits ($20) act. Homing has to be on ($22)."
+      : this.place.some(input => input.value !== "") ? "Not homed: X, Y and Z are needed." : "Not homed: soft limits do not act. Give a place to have it homed before the job.";
   }
 
   /** Settings that differ from those of a new controller. */

@@ -75,6 +75,41 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.deepEqual(faults, []);
 }
 
+/** A job that fits into the travel, and one that does not: by the firmware's own soft limits, behind its own homing. */
+export async function soft_limits_act_on_a_homed_machine(browser) {
+  const { page, faults } = await open(browser, file);
+  const own = { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 };
+  await settings(page, own);
+  const text = "G21 G90 F600\nG0 X0 Y0 Z0\nG1 X10\nG0 X31\nG0 X5\n";
+  assert.equal((await openJob(page, "limits.nc", text)).alarm, null);
+  assert.match(await page.textContent("#work-zero-note"), /Not homed: soft limits/);
+  const at = async (...place) => {
+    for (const [axis, value] of place.entries()) {
+      await page.fill(`[aria-label="Work zero ${"XYZ"[axis]}, machine mm"]`, String(value));
+      await page.keyboard.press("Tab");
+    }
+    // A check with some of the three may have ended meanwhile.
+    await page.evaluate(() => void oxmill.app.check());
+    const found = await checked(page);
+    same(found, run("limits.nc", text, { settings: own, work_zero: place }));
+    return found;
+  };
+  const inside = await at(-40, -20, -10);
+  assert.deepEqual([inside.alarm, inside.position_mm], [null, [-35, -20, -10]]);
+  const outside = await at(-30, -20, -10);
+  assert.deepEqual([outside.alarm.code, outside.alarm.line], [2, 4]);
+  assert.match(await page.textContent("#verdict"), /Ends in ALARM:2/);
+  assert.match(await page.locator("#errors button").innerText(), /line 4: ALARM:2/);
+  // What hinders homing is told, and nothing is shown as checked.
+  await page.evaluate(() => oxmill.app.settings.set(22, 0));
+  await page.waitForFunction(() => document.getElementById("verdict").textContent.includes("homing is needed ($22=1)"));
+  await page.fill('[aria-label="Work zero Y, machine mm"]', "");
+  await page.keyboard.press("Tab");
+  assert.equal((await checked(page)).alarm, null);
+  assert.match(await page.textContent("#work-zero-note"), /X, Y and Z are needed/);
+  assert.deepEqual(faults, []);
+}
+
 export async function a_million_lines_are_checked_within_bounds(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 120: 1000, 121: 1000, 122: 1000 });

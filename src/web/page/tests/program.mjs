@@ -21,9 +21,9 @@ export const same = (a, b, what) => assert.deepEqual({ ...a, host_s: 0, job: "" 
 export const examples = () => readdirSync(join(root, "examples")).filter(name => name.endsWith(".nc"));
 export const example = name => readFileSync(join(root, "examples", name), "utf8");
 
-function options({ board = "desk", settings = {}, dialect }) {
+function options({ board = "desk", settings = {}, dialect, work_zero }) {
   const set = Object.entries(settings).flatMap(([number, value]) => ["--set", `${number}=${value}`]);
-  return ["--board", board, ...set, ...(dialect ? ["--dialect", dialect] : [])];
+  return ["--board", board, ...set, ...(dialect ? ["--dialect", dialect] : []), ...(work_zero ? [`--work-zero=${work_zero}`] : [])];
 }
 
 function write(name, text) {
