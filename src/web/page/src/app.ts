@@ -7,7 +7,7 @@ import { MaterialPanel } from "./stock";
 import { Player } from "./player";
 import { placeAt } from "./track";
 import { SettingsPanel } from "./settings";
-import { showReport } from "./report";
+import { clearReport, showReport } from "./report";
 import { ForecastPanels } from "./forecast";
 import { tabs } from "./tabs";
 
@@ -52,6 +52,7 @@ export class App {
     this.job = { name, bytes, text, lines: text.split(/\r\n|\r|\n/) };
     if (this.job.lines.at(-1) === "") this.job.lines.pop();
     $("name").textContent = name;
+    this.clear("Checking");
     void this.check();
   }
 
@@ -79,9 +80,16 @@ export class App {
       if (running.signal.aborted) return;
       const why = (error as Error).message;
       if (why.startsWith("$")) $("refused").textContent = why;
-      $("verdict").replaceChildren(el("span", { className: "bad", textContent: `Not checked: ${why}` }));
+      this.clear(el("span", { className: "bad", textContent: `Not checked: ${why}` }));
     }
     progress.hidden = true;
+  }
+
+  /** Shows nothing of another job, or of other settings. */
+  private clear(verdict: string | HTMLElement): void {
+    $("verdict").replaceChildren(verdict);
+    clearReport();
+    this.player.clear();
   }
 
   private show(summary: Summary, path: Path): void {

@@ -11,6 +11,8 @@ import { type Coloring, endOf, isRapid, lineOf, placeAt, rowAt, rowOfLine, shade
 const LINE = 18;
 const TALLEST = 15_000_000;
 
+const NO_PATH: Path = { rows: new Float32Array(0), lines: new Uint32Array(0), tools: new Uint32Array(0) };
+
 export class Player {
   readonly picture?: Picture;
   /** The time that is shown, s, and the line that the tool is at. */
@@ -51,6 +53,21 @@ export class Player {
     ($("lines-all") as HTMLElement).style.height = `${Math.min(TALLEST, this.app.job.lines.length * LINE)}px`;
     this.seek(endOf(path));
     this.drawChart();
+  }
+
+  /** No path: its job was not checked. */
+  clear(): void {
+    if (this.playing) this.play();
+    this.summary = this.path = undefined;
+    [this.time, this.line] = [0, 0];
+    this.scrub.max = "0";
+    $("clock").textContent = "";
+    for (const picture of [this.picture, this.second]) picture?.show(NO_PATH, new Float32Array(0));
+    this.list.scrollTop = 0;
+    this.mark();
+    this.drawLines();
+    this.drawChart();
+    this.drawCursor();
   }
 
   /** Shows a time of the job. */

@@ -27,6 +27,13 @@ export function showReport(summary: Summary, goTo: (line: number) => void): void
   $("messages").replaceChildren(...[...said].map(textContent => el("li", { textContent })));
 }
 
+/** No figures of a job that was not checked. */
+export function clearReport(): void {
+  for (const id of ["bar", "kinds", "facts", "errors", "messages"]) $(id).replaceChildren();
+  $("bar").setAttribute("aria-label", "time by kind");
+  $("by-tool").hidden = true;
+}
+
 /** Parts of the forecast: name, seconds and colour. What is no kind of its own is a rest. */
 export function kinds(summary: Summary): (readonly [string, number, string])[] {
   const rest = summary.standing_s - summary.dwell_s - summary.spin_up_s;

@@ -46,6 +46,13 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   await page.keyboard.press("Tab");
   await page.waitForFunction(() => document.getElementById("refused").textContent.includes("error:6"));
   assert(await page.evaluate(() => oxmill.app.checked === undefined));
+  // Nor are the figures of the job before shown under its name, or under that of another.
+  for (const id of ["facts", "kinds", "errors", "messages", "bar", "clock"]) assert.equal(await page.textContent(`#${id}`), "", id);
+  assert.equal(await colorsOn(page, "view"), 0);
+  await page.setInputFiles("#file", { name: "other.nc", mimeType: "text/plain", buffer: Buffer.from("G0 X1\n") });
+  await page.waitForFunction(() => document.getElementById("verdict").textContent.startsWith("Not checked"));
+  assert.equal(await page.textContent("#facts"), "");
+  assert.match(await page.textContent("#lines-all"), /1 {2}G0 X1/);
   assert.deepEqual(faults, []);
 }
 
