@@ -27,6 +27,10 @@ export interface Summary {
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
 }
 
+/** Where work zero is at the end of a job, mm of machine coordinates. */
+export const workZero = (summary: Summary): [number, number, number] =>
+  summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]) as [number, number, number];
+
 /** A row has x, y, z in mm, speed in mm/s, begin and end in s. */
 export const ROW = 6;
 export const RAPID = 0x80000000;

@@ -40,6 +40,7 @@ export class Picture {
   private readonly box: Lines;
   private rows: Float32Array = new Float32Array(0);
   private shades: Float32Array = new Float32Array(0);
+  private zero: Vector = [0, 0, 0];
   private low: Vector = [0, 0, 0];
   private high: Vector = [1, 1, 1];
   private asked = false;
@@ -66,9 +67,10 @@ export class Picture {
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
-  /** Shows a path. */
-  show(path: Path, shades: Float32Array): void {
+  /** Shows a path, with the axes at its work zero. */
+  show(path: Path, shades: Float32Array, zero: Vector = [0, 0, 0]): void {
     this.rows = path.rows;
+    this.zero = zero;
     const count = path.lines.length;
     [this.low, this.high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
     for (let i = 0; i < count; i++) {
@@ -206,19 +208,20 @@ export class Picture {
     lines.count = data.length / STRIDE;
   }
 
-  /** A grid on the plane Z = 0 under the path, and the axes at 0. */
+  /** A grid on the plane of work zero under the path, and the axes at work zero. */
   private gridLines(): Float32Array {
-    const { low, high } = this;
+    const { low, high, zero } = this;
     const step = 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / 3));
-    const from = [0, 1].map(axis => Math.floor(low[axis] / step - 1) * step);
-    const to = [0, 1].map(axis => Math.ceil(high[axis] / step + 1) * step);
+    const from = [0, 1].map(axis => Math.floor((low[axis] - zero[axis]) / step - 1) * step);
+    const to = [0, 1].map(axis => Math.ceil((high[axis] - zero[axis]) / step + 1) * step);
     const all: number[] = [];
-    for (let x = from[0]; x <= to[0] + step / 2; x += step) all.push(...segment([x, from[1], 0], [x, to[1], 0]));
-    for (let y = from[1]; y <= to[1] + step / 2; y += step) all.push(...segment([from[0], y, 0], [to[0], y, 0]));
+    const line = (...ends: [Vector, Vector]) => all.push(...segment(...(ends.map(end => end.map((v, axis) => v + zero[axis])) as [Vector, Vector])));
+    for (let x = from[0]; x <= to[0] + step / 2; x += step) line([x, from[1], 0], [x, to[1], 0]);
+    for (let y = from[1]; y <= to[1] + step / 2; y += step) line([from[0], y, 0], [to[0], y, 0]);
     for (const axis of [0, 1, 2]) {
       const tip: Vector = [0, 0, 0];
       tip[axis] = step * 1.5;
-      all.push(...segment([0, 0, 0], tip), ...segment([0, 0, 0], tip));
+      for (let twice = 0; twice < 2; twice++) line([0, 0, 0], tip);
     }
     return new Float32Array(all);
   }

@@ -1,7 +1,7 @@
 // The picture with its time: scrubber, play, speed chart and the lines of the job.
 import type { App } from "./app";
 import { $, clock, css, el } from "./dom";
-import { type Path, ROW, type Summary } from "./engine";
+import { type Path, ROW, type Summary, workZero } from "./engine";
 import type { Material } from "./material";
 import { Picture } from "./picture";
 import { SHADE } from "./shaders";
@@ -46,7 +46,7 @@ export class Player {
   show(path: Path, summary: Summary): void {
     this.path = path;
     this.summary = summary;
-    this.picture?.show(path, this.color());
+    this.picture?.show(path, this.color(), workZero(summary));
     this.showSecond();
     this.limits();
     this.scrub.max = String(endOf(path));
@@ -127,12 +127,12 @@ export class Player {
     const shown = $<HTMLInputElement>("two").checked && this.picture !== undefined;
     $("second").hidden = !shown;
     $("picture").classList.toggle("two", shown);
-    if (!shown || !this.path) return;
+    if (!shown || !this.path || !this.summary) return;
     if (!this.second) {
       this.second = new Picture($<HTMLCanvasElement>("second"));
       this.second.onpick = row => this.seek(this.path ? this.path.rows[row * ROW + 5] : 0);
     }
-    this.second.show(this.path, this.color());
+    this.second.show(this.path, this.color(), workZero(this.summary));
     this.second.withPath = this.picture?.withPath ?? false;
     this.second.block(this.material);
     this.second.look(0, Math.PI / 2);

@@ -1,6 +1,6 @@
 // The verdict, the facts and the refused lines of a job.
 import { $, clock, el } from "./dom";
-import type { Summary } from "./engine";
+import { type Summary, workZero } from "./engine";
 
 /** Refused lines that are shown. */
 const SHOWN = 200;
@@ -64,7 +64,7 @@ function byTool({ tools }: Summary): void {
 
 function facts(summary: Summary): void {
   const { min, max } = summary.extents_mm;
-  const offset = summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]);
+  const offset = workZero(summary);
   const rows: [string, string][] = [
     ["lines", summary.lines.toLocaleString("en")],
     ["path at feed", `${(summary.distance_mm - summary.rapid_distance_mm).toFixed(1)} mm`],

@@ -179,6 +179,30 @@ export async function the_picture_is_where_the_machine_was(browser) {
   assert.deepEqual(faults, []);
 }
 
+/** How far a pixel near a place of the first view is from the background, 0 to 255. */
+const inkAt = (page, place) => page.evaluate(async place => {
+  const canvas = document.getElementById("view");
+  await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+  const gl = canvas.getContext("webgl2");
+  const [x, y] = oxmill.app.player.picture.place(place).map(at => Math.round(at * devicePixelRatio));
+  const [box, ground] = [new Uint8Array(7 * 7 * 4), new Uint8Array(4)];
+  gl.readPixels(x - 3, canvas.height - y - 4, 7, 7, gl.RGBA, gl.UNSIGNED_BYTE, box);
+  gl.readPixels(1, canvas.height - 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, ground);
+  return Math.max(...box.map((value, at) => Math.abs(value - ground[at % 4])));
+}, place);
+
+export async function the_axes_are_at_work_zero(browser) {
+  const { page, faults } = await open(browser, file);
+  // From the front the axis Z is the only line above the grid.
+  await openJob(page, "offset.nc", "G21 G90 G10 L2 P1 X30 Y10 Z20\nG1 X-40 Y-5 Z-30 F6000\nG1 X40\n");
+  await page.click("text=Front");
+  await page.evaluate(() => oxmill.app.player.seek(0));
+  const [there, apart] = [await inkAt(page, [30, 10, 30]), await inkAt(page, [0, 0, 30])];
+  assert(there > 8 && apart === 0, `${there}, ${apart}`);
+  assert.match(await page.textContent("#facts"), /work zero at30.000, 10.000, 20.000/);
+  assert.deepEqual(faults, []);
+}
+
 /** Colours of the scale on a canvas: so many pixels. */
 const colorsOn = (page, id) => page.evaluate(async id => {
   const canvas = document.getElementById(id);
