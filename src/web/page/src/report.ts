@@ -2,9 +2,6 @@
 import { $, clock, el } from "./dom";
 import { type Summary, workZero } from "./engine";
 
-/** Refused lines that are shown. */
-const SHOWN = 200;
-
 const count = (number: number, name: string) => `${number.toLocaleString("en")} ${name}${number === 1 ? "" : "s"}`;
 
 export function showReport(summary: Summary, goTo: (line: number) => void): void {
@@ -81,7 +78,7 @@ function facts(summary: Summary): void {
 }
 
 function list(summary: Summary, goTo: (line: number) => void): HTMLElement[] {
-  const items = summary.errors.slice(0, SHOWN).map(error => {
+  const items = summary.errors.map(error => {
     const button = el("button", { type: "button" },
       el("span", {}, `line ${error.line}: `, el("strong", { textContent: `error:${error.code}` }), ` ${error.text}`),
       el("code", { textContent: error.source || "(empty)" }), el("small", { textContent: error.advice }));
@@ -96,8 +93,7 @@ function list(summary: Summary, goTo: (line: number) => void): HTMLElement[] {
     button.addEventListener("click", () => goTo(alarm.line ?? 1));
     items.push(el("li", {}, button));
   }
-  const more = summary.errors.length + summary.more_errors - SHOWN;
-  if (more > 0) items.push(el("li", { textContent: `and ${more} more` }));
+  if (summary.more_errors > 0) items.push(el("li", { textContent: `and ${summary.more_errors} more` }));
   if (items.length === 0) items.push(el("li", { className: "none", textContent: "Nothing." }));
   return items;
 }

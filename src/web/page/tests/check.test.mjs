@@ -76,6 +76,10 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
       for (const part of [`line ${error.line}:`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].includes(part), `${name}: ${shown[index]}`);
     }
   }
+  // All that the report keeps, and how many there are beyond.
+  await openJob(page, "many.nc", "bad\n".repeat(1005));
+  assert.equal(await page.locator("#errors button").count(), 1000);
+  assert.equal(await page.locator("#errors li").last().innerText(), "and 5 more");
   await openJob(page, "bad.nc", jobs["bad.nc"]);
   await page.locator("#errors button").nth(2).click();
   assert.match(await page.locator("#lines [aria-selected=true]").innerText(), /G1 X20 F600 Q3/);
