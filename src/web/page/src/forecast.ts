@@ -21,6 +21,12 @@ export const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000];
 /** A job that takes longer than this part of its time without a limit is starved. */
 const STARVED = 1.005;
 
+/** A part of today's value of an axis, rounded unless it is today's itself; of the least where there is none today. */
+function partOf(today: number, part: number, least: number): number {
+  if (part === 1 && today > 0) return today;
+  return Number(((today > 0 ? today : least) * part).toPrecision(3));
+}
+
 export class ForecastPanels {
   private running?: AbortController;
 
@@ -46,9 +52,8 @@ export class ForecastPanels {
 
   private async vary(): Promise<void> {
     const parameter = PARAMETERS[Number($<HTMLSelectElement>("parameter").value)];
-    const today = this.app.settings.value(parameter.numbers[0]);
-    const base = today > 0 ? today : parameter.least;
-    const values = parameter.parts.map(part => Number((base * part).toPrecision(3)));
+    const today = parameter.numbers.map(number => this.app.settings.value(number));
+    const values = parameter.parts.map(part => today.map(now => partOf(now, part, parameter.least)));
     const times: number[] = [];
     const failures: string[] = [];
     const began = performance.now();
@@ -56,7 +61,7 @@ export class ForecastPanels {
     body("whatif-table").replaceChildren();
     try {
       await firmware.each(values.map(value => async () => {
-        const settings = Object.fromEntries(parameter.numbers.map(number => [String(number), value]));
+        const settings = Object.fromEntries(parameter.numbers.map((number, axis) => [String(number), value[axis]]));
         try {
           const { summary } = await firmware.check(this.app.order({ settings }), this.app.job.bytes, signal);
           return summary.errors.length || summary.alarm ? (summary.messages[0] ?? "the job has errors") : summary.forecast_s;
@@ -76,14 +81,15 @@ export class ForecastPanels {
     $<HTMLButtonElement>("vary").disabled = false;
   }
 
-  private bars(parameter: Parameter, values: number[], times: number[], failures: string[], today: number): void {
+  private bars(parameter: Parameter, values: number[][], times: number[], failures: string[], today: number[]): void {
     const longest = Math.max(...times.filter(time => time > 0));
     body("whatif-table").replaceChildren(...values.map((value, index) => {
       const bar = el("i");
       if (times[index]) bar.style.width = `${(times[index] / longest) * 100}%`;
-      const name = value === 0 ? "no limit" : `${value.toLocaleString("en")} ${parameter.unit}`;
+      const each = [...new Set(value)].map(one => one.toLocaleString("en", { maximumFractionDigits: 6 })).join(" / ");
+      const name = value.every(one => one === 0) ? "no limit" : `${each} ${parameter.unit}`;
       const result = failures[index] ?? (times[index] === undefined ? "…" : clock(times[index]));
-      const row = el("tr", { className: value === today ? "now" : "" }, el("td", { textContent: name }),
+      const row = el("tr", { className: value.every((one, axis) => one === today[axis]) ? "now" : "" }, el("td", { textContent: name }),
         el("td", { textContent: result }), el("td", {}, ...(times[index] ? [bar] : [])));
       row.dataset.seconds = String(times[index] ?? "");
       return row;

@@ -234,21 +234,39 @@ export async function two_views_show_one_time(browser) {
   assert.deepEqual(faults, []);
 }
 
+/** What is varied, in the order of the list, and the parts of today's values; today's jerk is 0. */
+const PARTS = [0.25, 0.5, 1, 2, 4, 8];
+const VARIED = [
+  { numbers: [120, 121], parts: PARTS }, { numbers: [122], parts: PARTS }, { numbers: [110, 111], parts: PARTS }, { numbers: [112], parts: PARTS },
+  { numbers: [11], parts: PARTS }, { numbers: [917], parts: [0.5, 0.75, 1, 1.5, 2, 4] },
+  { numbers: [220, 221], parts: [0, 2500, 5000, 10_000, 20_000, 40_000], absolute: true },
+];
+
+/** Each parameter, with values of today that no rounding leaves as they are, and that differ from axis to axis. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);
-  const text = example("pocket_mm.nc");
-  await settings(page, MILL);
-  await openJob(page, "pocket_mm.nc", text);
+  const text = "G21 G91 F1200\nG0 X9 Z2\nG1 X12 Y3\nG2 X8 Y8 J8\nG1 X-3 Z-4\nG1 Y7\nG0 X-20 Z2\n";
+  const own = { ...MILL, 11: 0.0125, 110: 5001, 112: 1234.5, 120: 123.5, 121: 246.5, 122: 101.5, 917: 100 };
+  await settings(page, own);
+  await openJob(page, "varied.nc", text);
   await page.click("#tab-whatif");
-  await page.click("#vary");
-  await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"), null, { timeout: 600_000 });
-  const shown = await page.locator("#whatif-table tbody tr").evaluateAll(rows => rows.map(row => [row.cells[0].textContent, Number(row.dataset.seconds)]));
-  assert.equal(shown.length, 6);
-  for (const [name, seconds] of shown) {
-    const value = Number(name.replace(/[^\d.]/g, "").replace(/\.$/, ""));
-    assert.equal(seconds, run("pocket_mm.nc", text, { settings: { ...MILL, 120: value, 121: value } }).forecast_s, name);
+  assert.equal(await page.locator("#parameter option").count(), VARIED.length);
+  for (const [index, { numbers, parts, absolute }] of VARIED.entries()) {
+    await page.selectOption("#parameter", String(index));
+    await page.click("#vary");
+    await page.waitForFunction(() => !document.getElementById("vary").disabled && document.querySelectorAll("#whatif-table tr[data-seconds]").length === 6);
+    const shown = await page.locator("#whatif-table tbody tr").evaluateAll(rows => rows.map(row => [row.cells[0].textContent, Number(row.dataset.seconds), row.className]));
+    const now = absolute ? 0 : parts.indexOf(1);
+    assert.deepEqual(shown.map(([, , name]) => name), parts.map((_, part) => (part === now ? "now" : "")), numbers.join());
+    for (const [row, [name, seconds]] of shown.entries()) {
+      const value = number => (absolute ? parts[row] : parts[row] === 1 ? own[number] : Number((own[number] * parts[row]).toPrecision(3)));
+      const varied = Object.fromEntries(numbers.map(number => [number, value(number)]));
+      const found = run("varied.nc", text, { settings: { ...own, ...varied } });
+      if (found.errors.length) assert(!seconds, `$${numbers} ${name}`);
+      else assert.equal(seconds, found.forecast_s, `$${numbers} ${name}`);
+    }
   }
-  assert(shown[0][1] > shown[5][1], "more acceleration is faster");
+  assert(await page.evaluate(() => document.getElementById("whatif-note").textContent.includes("6 whole jobs")));
   assert.deepEqual(faults, []);
 }
 
