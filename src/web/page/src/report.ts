@@ -63,6 +63,7 @@ function facts(summary: Summary): void {
   const { min, max } = summary.extents_mm;
   const offset = workZero(summary);
   const rows: [string, string][] = [
+    ["time", `${summary.forecast_s} s`],
     ["lines", summary.lines.toLocaleString("en")],
     ["path at feed", `${(summary.distance_mm - summary.rapid_distance_mm).toFixed(1)} mm`],
     ["path of rapids", `${summary.rapid_distance_mm.toFixed(1)} mm`],

@@ -40,7 +40,17 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   };
   await typed(110, 6000);
   const found = await typed(120, 500);
-  same(found, run("pcb_isolation.nc", text, { board: "blackpill_f411", settings: { 110: 6000, 120: 500 } }));
+  const expected = run("pcb_isolation.nc", text, { board: "blackpill_f411", settings: { 110: 6000, 120: 500 } });
+  same(found, expected);
+  // And what a person reads.
+  const whole = Math.round(expected.forecast_s);
+  assert.equal(await page.textContent("#verdict"), `${Math.floor(whole / 60)} min ${whole % 60} sEvery line is accepted.`);
+  const facts = await page.locator("#facts").evaluate(list => Object.fromEntries([...list.querySelectorAll("dt")].map(name => [name.textContent, name.nextSibling.textContent])));
+  assert.equal(facts.time, `${expected.forecast_s} s`);
+  assert.match(facts.time, /^\d+\.\d{6,} s$/);
+  assert.deepEqual([facts.trace, facts.lines], [expected.trace_hash, expected.lines.toLocaleString("en")]);
+  const { min, max } = expected.extents_mm;
+  for (const [axis, name] of ["X", "Y", "Z"].entries()) assert.equal(facts[`machine ${name}, mm`], `${min[axis].toFixed(3)} to ${max[axis].toFixed(3)}`);
   // A value that the firmware refuses is named, and the job is not shown as checked.
   await page.fill('[aria-label^="$0 "]', "256");
   await page.keyboard.press("Tab");
