@@ -120,6 +120,26 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
+/// The page lies beside the program, as in the archive of a release; if it does not, both ways to get it are named.
+#[test]
+fn the_page_is_looked_for_beside_the_program() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("released");
+    fs::remove_dir_all(&folder).ok();
+    fs::create_dir_all(&folder).expect("a folder");
+    let program = folder.join(format!("oxmill{}", std::env::consts::EXE_SUFFIX));
+    fs::copy(env!("CARGO_BIN_EXE_oxmill"), &program).expect("a copy");
+    let refused = || {
+        let output = Command::new(&program).current_dir(&folder).args(["serve", "--web", "0"]).output();
+        let output = output.expect("the program starts");
+        assert_eq!(output.status.code(), Some(2));
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let words = refused();
+    assert!(["release", "cargo xtask web", "--page"].iter().all(|way| words.contains(way)), "{words}");
+    fs::write(folder.join("oxmill.html"), "another page").expect("a file");
+    assert!(refused().contains("is not the page of Oxmill"));
+}
+
 /// Each option is in the manual, on standard output and in the files, which name each other.
 #[test]
 fn the_manual_has_the_options_of_each_command() {

@@ -83,7 +83,10 @@ fn usual_page() -> Result<PathBuf> {
     let beside = std::env::current_exe().ok().and_then(|program| Some(program.parent()?.join(NAME)));
     let built = Path::new("target/web").join(NAME);
     let found = beside.into_iter().chain([built]).find(|path| path.is_file());
-    found.context("there is no page: `cargo xtask web` makes it; or name it with --page FILE")
+    found.context(
+        "there is no page: put oxmill.html, which each release has, beside this program, or name it with --page FILE; \
+         from the sources `cargo xtask web` makes it",
+    )
 }
 
 /// Answers browsers, each in a thread of its own.

@@ -6,6 +6,9 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
+/// npm as it is started: on Windows it is a script.
+const NPM: &str = if cfg!(windows) { "npm.cmd" } else { "npm" };
+
 /// The target of the module.
 pub const MODULE: &str = "wasm32-unknown-unknown";
 
@@ -13,8 +16,8 @@ pub const MODULE: &str = "wasm32-unknown-unknown";
 pub fn build() -> Result<(), Failure> {
     module()?;
     tools()?;
-    run(in_page("npm").args(["run", "--silent", "types"]))?;
-    run(in_page("npm").args(["run", "--silent", "build"]))?;
+    run(in_page(NPM).args(["run", "--silent", "types"]))?;
+    run(in_page(NPM).args(["run", "--silent", "build"]))?;
     println!("{}", root().join("target/web/oxmill.html").display());
     Ok(())
 }
@@ -56,7 +59,7 @@ fn module() -> Result<(), Failure> {
 
 /// Installs the tools of the page as the lock file names them, unless they are there.
 fn tools() -> Result<(), Failure> {
-    if !exists("npm") {
+    if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());
     }
     let (lock, installed) = (page().join("package-lock.json"), page().join("node_modules/.package-lock.json"));
@@ -64,7 +67,7 @@ fn tools() -> Result<(), Failure> {
     if time(&installed).is_some_and(|done| time(&lock).is_some_and(|wanted| wanted <= done)) {
         return Ok(());
     }
-    run(in_page("npm").args(["ci", "--silent", "--ignore-scripts"]))
+    run(in_page(NPM).args(["ci", "--silent", "--ignore-scripts"]))
 }
 
 /// The folder of the page.

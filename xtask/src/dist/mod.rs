@@ -19,6 +19,10 @@ pub use elsewhere::check;
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// What every archive has with it.
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
+/// The file of the page.
+const PAGE: &str = "oxmill.html";
+/// The file of the program.
+const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
 
 /// The mdBook that makes the book; another one makes other pages of it.
 const MDBOOK: &str = "0.5.4";
@@ -120,14 +124,21 @@ fn check_suffix(path: &Path) -> Result<(), Failure> {
 
 fn make_program(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     run(cargo_without_paths()?.args(["build", "--release", "--locked", "--package", "oxmill"]))?;
-    let program = format!("oxmill{}", std::env::consts::EXE_SUFFIX);
-    let mut entries = vec![Entry::program(&program, read(&root().join("target/release").join(&program))?)];
-    for text in TEXTS {
-        entries.push(Entry::text(text, read(&root().join(text))?));
-    }
+    web::build()?;
+    let page = read(&root().join("target/web").join(PAGE))?;
+    let entries = beside_program(read(&root().join("target/release").join(PROGRAM))?, page)?;
     let name = program_name(&compiler.host);
     write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, entries)?)?;
     Sbom::of_program(&compiler.host).write(compiler, &folder.join(format!("{name}.cdx.json")))
+}
+
+/// What is in the archive of the program: the page, which `serve --web` looks for beside it, and the texts.
+fn beside_program(program: Vec<u8>, page: Vec<u8>) -> Result<Vec<Entry>, Failure> {
+    let mut entries = vec![Entry::program(PROGRAM, program), Entry::text(PAGE, page)];
+    for text in TEXTS {
+        entries.push(Entry::text(text, read(&root().join(text))?));
+    }
+    Ok(entries)
 }
 
 /// The archive of the program, as `cargo binstall` looks for it.
@@ -137,7 +148,7 @@ fn program_name(target: &str) -> String {
 
 fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     web::build()?;
-    for name in ["oxmill.html", "oxmill.wasm"] {
+    for name in [PAGE, "oxmill.wasm"] {
         write(&folder.join(name), &read(&root().join("target/web").join(name))?)?;
     }
     Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
@@ -196,6 +207,8 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
+    use std::io::Read;
 
     #[test]
     fn parts_have_names() {
@@ -233,6 +246,22 @@ mod tests {
         assert!(filled("pkg-url").ends_with(&format!("/v{VERSION}/{name}.tar.gz")), "{}", filled("pkg-url"));
         assert_eq!(filled("bin-dir"), format!("{name}/oxmill.exe"));
         assert_eq!(binstall["pkg-fmt"].as_str(), Some("tgz"));
+    }
+
+    /// `serve --web` looks there.
+    #[test]
+    fn the_page_is_beside_the_program() {
+        let packed = archive::packed("oxmill", beside_program(b"run".to_vec(), b"page".to_vec()).unwrap()).unwrap();
+        let mut archive = tar::Archive::new(flate2::read::GzDecoder::new(&packed[..]));
+        let mut texts = BTreeMap::new();
+        for entry in archive.entries().unwrap() {
+            let mut entry = entry.unwrap();
+            let (name, mut text) = (entry.path().unwrap().to_string_lossy().into_owned(), String::new());
+            entry.read_to_string(&mut text).unwrap();
+            texts.insert(name, text);
+        }
+        assert_eq!((&*texts[&format!("oxmill/{PROGRAM}")], &*texts["oxmill/oxmill.html"]), ("run", "page"));
+        assert!(texts["oxmill/LICENSE-MIT"].contains("MIT License"), "{:?}", texts.keys());
     }
 
     #[test]
