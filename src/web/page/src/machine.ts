@@ -195,6 +195,15 @@ export class MachinePanel {
     this.sender?.realtime(REALTIME.jogCancel);
   }
 
+  private start(): void {
+    try {
+      this.sender?.stream(this.app.job.text);
+      $("machine-note").textContent = "";
+    } catch (error) {
+      $("machine-note").textContent = `Nothing of the job is sent: ${(error as Error).message}`;
+    }
+  }
+
   private async probe(): Promise<void> {
     const thickness = Number($<HTMLInputElement>("plate").value);
     if ((await this.line("G21 G91 G38.2 Z-25 F100")) !== "ok") return;
@@ -240,7 +249,7 @@ export class MachinePanel {
       }
     });
     $("leave").addEventListener("click", () => this.detach("Disconnected."));
-    $("start").addEventListener("click", () => this.sender?.stream(this.app.job.text));
+    $("start").addEventListener("click", () => this.start());
     $("reset").addEventListener("click", () => this.sender?.reset());
     $("probe").addEventListener("click", () => void this.probe());
     $("read").addEventListener("click", () => void this.readSettings());

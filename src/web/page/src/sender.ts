@@ -27,8 +27,7 @@ export const REALTIME = {
 /** Receive buffer of a controller that has not told its own. */
 const SMALLEST_BUFFER = 128;
 
-/** What becomes of a line that this sender does not send. */
-const UNCHECKED = "not sent: with checked lines each line has a number, a length and a checksum, and this page sends plain ones";
+const UNCHECKED = "with checked lines each line has a number, a length and a checksum, and this page sends plain ones";
 
 interface Sent { length: number; line?: number; answered?: (answer: string) => void }
 
@@ -63,16 +62,23 @@ export class Sender {
 
   /** Sends a line between those of the job, and gives its answer. */
   command(text: string): Promise<string> {
+    const why = unsendable(text);
+    if (why) return Promise.resolve(`not sent: ${why}`);
     return new Promise(resolve => {
       this.commands.push({ text, answered: resolve });
       this.pump();
     });
   }
 
-  /** Begins a job. */
+  /** Begins a job. Throws, and sends nothing of it, if a line cannot be sent as it is. */
   stream(text: string): void {
-    this.lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
-    if (this.lines.at(-1) === "") this.lines.pop();
+    const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
+    if (lines.at(-1) === "") lines.pop();
+    for (const [index, line] of lines.entries()) {
+      const why = unsendable(line);
+      if (why) throw new Error(`line ${index + 1}: ${why}`);
+    }
+    this.lines = lines;
     [this.next, this.done] = [0, 0];
     this.pump();
   }
@@ -97,18 +103,10 @@ export class Sender {
       const command = this.commands[0];
       const text = command?.text ?? this.lines[this.next];
       if (text === undefined) return;
-      if (!command && text.trimStart().startsWith("%")) {
+      if (!command && TAPE_MARK.test(text)) {
         // A tape mark is no line for the controller.
         this.next++;
         this.done++;
-        continue;
-      }
-      if (beginsChecks(text)) {
-        if (command) this.commands.shift()?.answered?.(UNCHECKED);
-        else {
-          this.done++;
-          this.onrefused(++this.next, UNCHECKED);
-        }
         continue;
       }
       const bytes = plain(text);
@@ -159,6 +157,34 @@ export class Sender {
 /** Whether the machine would answer in checked lines from here on. */
 function beginsChecks(text: string): boolean {
   return /^\$LC=ON$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
+}
+
+/** A `%` with nothing but remarks behind it. */
+const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
+
+/** Why a line is not sent, if it is not: it may never become another one on its way. */
+function unsendable(text: string): string | undefined {
+  const found = foreign(text);
+  if (found === undefined) return beginsChecks(text) ? UNCHECKED : undefined;
+  const code = (found.codePointAt(0) as number).toString(16).toUpperCase().padStart(4, "0");
+  const shown = /\p{C}/u.test(found) ? "" : `"${found}" `;
+  return `${shown}(U+${code}) has no place outside comments`;
+}
+
+/**
+ * The first character outside comments that cannot go over the wire, or would be a realtime command there. Some machines
+ * take parentheses in comments in pairs, to the others the first `)` ends them: a comment is what is one to both.
+ */
+function foreign(text: string): string | undefined {
+  let [first, pairs] = [false, 0];
+  for (const character of text) {
+    if (character === "(") [first, pairs] = [true, pairs + 1];
+    else if (character === ")") [first, pairs] = [false, Math.max(0, pairs - 1)];
+    else if (first) continue;
+    else if (character === ";" && pairs === 0) return undefined;
+    else if (!/[\x21-\x7e]|[^\S\uFEFF]/.test(character) || "!?~".includes(character)) return character;
+  }
+  return undefined;
 }
 
 /** A line as it goes over the wire: no byte of it is a realtime command. */

@@ -61,8 +61,8 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The page does not know answers in checked lines: it asks for none, typed or in a job. */
-export async function checked_lines_are_not_begun(browser) {
+/** The page does not know answers in checked lines: it asks for none, typed or in a job. No more does it send characters that would become others on their way. */
+export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
   for (const typed of ["$LC=ON", " $lc = on ; as the other sender does"]) {
@@ -71,11 +71,14 @@ export async function checked_lines_are_not_begun(browser) {
   }
   await page.waitForFunction(() => document.querySelectorAll("#console .wrong").length === 2);
   for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
-  await openJob(page, "checked.nc", "G21 G91\n$LC=ON\nG1 X2 F600\n");
-  await page.click("#start");
-  await jobDone(page);
-  assert.match((await wrong())[2], /^line 2: not sent: /);
-  await page.waitForFunction(() => oxmill.app.machine.status.machine[0] === 2);
+  for (const [line, why] of [["$LC=ON", /with checked lines each line has a number/], ["G1 X\u22122 F600", /"\u2212" \(U\+2212\) has no place/]]) {
+    await openJob(page, "refused.nc", `G21 G91\n${line}\nG1 X2 F600\n`);
+    await page.click("#start");
+    const note = await page.locator("#machine-note").innerText();
+    assert.match(note, /^Nothing of the job is sent: line 2: /);
+    assert.match(note, why);
+    assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
+  }
   assert.equal(await page.evaluate(() => oxmill.app.machine.line("$LC=OFF")), "ok");
   assert.deepEqual(faults, []);
 }
