@@ -2,6 +2,7 @@
 //! it runs wherever a processor is; whoever drives it shows the progress.
 
 use crate::advice;
+use crate::boards::AXES;
 use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary};
@@ -83,6 +84,8 @@ impl Outcome {
 pub struct Check {
     simulator: Simulator,
     origin: u64,
+    /// Steps of the motors at the beginning.
+    began_at: [i32; AXES],
     outcome: Outcome,
     done: bool,
 }
@@ -95,7 +98,8 @@ impl Check {
         simulator.begin_job();
         simulator.take_output();
         simulator.load_job(job);
-        Self { simulator, origin, outcome: Outcome::default(), done: false }
+        let began_at = simulator.machine().position();
+        Self { simulator, origin, began_at, outcome: Outcome::default(), done: false }
     }
 
     /// A machine that has done something without a job, for its report.
@@ -115,7 +119,7 @@ impl Check {
                 outcome.alarm = Some(AlarmReport { code: alarm.code(), text, line: None, advice });
             }
         }
-        Self { simulator, origin, outcome, done: true }
+        Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
     /// Takes the job further by so many rounds of the virtual clock, some microseconds of the host each. Whether it has come
@@ -256,7 +260,7 @@ impl Check {
             moving_s: clock.seconds(simulator.busy_ticks()),
             position_mm: here,
             work_position_mm: simulator.work_position(),
-            steps: machine.position().map(i64::from),
+            steps: std::array::from_fn(|axis| i64::from(machine.position()[axis]) - i64::from(self.began_at[axis])),
             pulses: machine.pulses(),
             step_events: trace.events(),
             distance_mm: round(measured.distance),

@@ -1,6 +1,6 @@
 //! The words of the command line, and nothing of what they do.
 
-use crate::boards::{self, Board};
+use crate::boards::{self, AXES, Board};
 use crate::power_up::{Dialect, board_named};
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
@@ -63,8 +63,11 @@ pub struct Run {
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
     /// Writes what comes in, for `replay`.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "work_zero")]
     pub record: Option<PathBuf>,
+    /// Before the job.
+    #[command(flatten)]
+    pub start: Start,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
@@ -78,6 +81,9 @@ pub struct CheckJob {
     /// The summary as one JSON object on standard output, as `run --json` prints it.
     #[arg(long)]
     pub json: bool,
+    /// Before the job.
+    #[command(flatten)]
+    pub start: Start,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
@@ -91,6 +97,9 @@ pub struct PlotJob {
     /// Where the drawing goes. May be given more than once.
     #[arg(short, long, required = true, value_name = "FILE.svg|FILE.png")]
     pub output: Vec<PathBuf>,
+    /// Before the job.
+    #[command(flatten)]
+    pub start: Start,
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
@@ -189,6 +198,28 @@ impl MachineOptions {
     }
 }
 
+/// What is done before a job.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct Start {
+    /// Homes the machine before the job ($22=1 is needed), and puts the work zero of G54 here, in mm of machine coordinates:
+    /// soft limits ($20=1) act then. Without switches in --machine it has those that $23 and $130 to $132 ask for.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub work_zero: Option<WorkZero>,
+}
+
+/// A place in mm of machine coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorkZero(pub [f64; AXES]);
+
+impl std::str::FromStr for WorkZero {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+        let place = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+        place.map(WorkZero).ok_or_else(|| "three numbers with commas between are needed".into())
+    }
+}
+
 /// How virtual time follows the host's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
@@ -282,6 +313,17 @@ mod tests {
             panic!()
         };
         assert!(check.json && check.machine.set == ["110=1"] && check.job == *"a.nc");
+    }
+
+    #[test]
+    fn a_work_zero_has_three_numbers() {
+        let Command::Check(check) = parse("oxmill check a.nc --work-zero -150,-100.5,-30").unwrap() else { panic!() };
+        assert_eq!(check.start.work_zero, Some(WorkZero([-150.0, -100.5, -30.0])));
+        for wrong in ["1,2", "1,2,3,4", "1,2,x", "1;2;3"] {
+            assert!(parse(&format!("oxmill run a.nc --work-zero {wrong}")).is_err(), "{wrong}");
+        }
+        assert!(parse("oxmill run a.nc --work-zero 0,0,0 --record a.rec").is_err());
+        assert!(parse("oxmill plot a.nc -o a.svg --work-zero 0,0,0").is_ok());
     }
 
     #[test]

@@ -4,7 +4,7 @@
 use crate::boards::AXES;
 use crate::machine::Machine;
 use anyhow::{Context, Result, ensure};
-use oxmill_controller::axes::Axis;
+use oxmill_controller::axes::{Arrangement, Axis};
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 
@@ -77,9 +77,26 @@ struct Fitted {
     side: Side,
     bounce_us: u32,
     probe: bool,
+    /// Closed is a high pin, as at a switch that opens its circuit.
+    opens: bool,
     closed: bool,
     /// Microseconds of virtual time until which it chatters.
     chatters_until: u64,
+}
+
+/// Limit switches as a controller's settings want them for homing, one for each axis.
+#[derive(Clone, Debug)]
+pub struct HomeSwitches {
+    /// Of the motors, where no description says it: steps in a mm.
+    pub steps_per_mm: [f64; AXES],
+    /// How the motors move the carriages, where no description says it.
+    pub arrangement: Arrangement,
+    /// Places in mm from where the carriages are now. The sign is the direction in which the carriage closes the switch.
+    pub at_mm: [f64; AXES],
+    /// The axis that has another one, at its second motor.
+    pub second_motor: Option<usize>,
+    /// Whether they open their circuit where others close it (`$5`).
+    pub opens: bool,
 }
 
 /// Below any step: rounding.
@@ -127,6 +144,7 @@ impl Fittings {
                 side: contact.side,
                 bounce_us: contact.bounce_us,
                 probe,
+                opens: false,
                 closed: false,
                 chatters_until: 0,
             });
@@ -135,6 +153,59 @@ impl Fittings {
         ensure!(backlash_mm.iter().all(|b| b.is_finite() && *b >= 0.0), "backlash_mm must not be negative");
         ensure!(steps_per_mm.iter().all(|s| s.is_finite() && *s > 0.0), "steps_per_mm must be above 0");
         Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
+    }
+
+    /// Fits switches to a machine, unless it has switches of its own. Whether it had none.
+    pub fn fit_switches(&mut self, switches: &HomeSwitches) -> bool {
+        if self.contacts.iter().any(|contact| !contact.probe) {
+            return false;
+        }
+        if self.contacts.is_empty() {
+            self.steps_per_mm = switches.steps_per_mm;
+            self.kinematics = match switches.arrangement {
+                Arrangement::Cartesian => Kinematics::Cartesian,
+                Arrangement::CoreXy => Kinematics::CoreXy,
+            };
+        }
+        let first = (0..AXES).map(|axis| (axis, false));
+        for (axis, second_motor) in first.chain(switches.second_motor.map(|axis| (axis, true))) {
+            let at_mm = switches.at_mm[axis];
+            self.contacts.push(Fitted {
+                axis,
+                second_motor,
+                at_mm,
+                side: if at_mm < 0.0 { Side::Negative } else { Side::Positive },
+                bounce_us: 0,
+                probe: false,
+                opens: switches.opens,
+                closed: false,
+                chatters_until: 0,
+            });
+        }
+        true
+    }
+
+    /// The same places have other names from here on: `by` is added to the steps of the motors.
+    pub fn rename_places(&mut self, by: [i32; AXES]) {
+        if self.is_empty() {
+            return;
+        }
+        let motors: [f64; AXES] = std::array::from_fn(|motor| f64::from(by[motor]) / self.steps_per_mm[motor]);
+        let places = self.places(motors);
+        for contact in &mut self.contacts {
+            contact.at_mm += places[contact.axis];
+        }
+        for (driven, by) in self.driven_mm.iter_mut().zip(motors) {
+            *driven += by;
+        }
+    }
+
+    /// Where the carriages are when the drives of the motors are here, mm.
+    fn places(&self, [a, b, z]: [f64; AXES]) -> [f64; AXES] {
+        match self.kinematics {
+            Kinematics::Cartesian => [a, b, z],
+            Kinematics::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
+        }
     }
 
     /// Whether nothing is fitted that follows the motors.
@@ -152,11 +223,7 @@ impl Fittings {
             let turned = f64::from(motors[motor]) / self.steps_per_mm[motor];
             *driven = driven.clamp(turned - self.backlash_mm[motor], turned);
         }
-        let [a, b, z] = self.driven_mm;
-        let places = match self.kinematics {
-            Kinematics::Cartesian => [a, b, z],
-            Kinematics::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
-        };
+        let places = self.places(self.driven_mm);
         let mut changed = false;
         for contact in &mut self.contacts {
             let place = if contact.second_motor {
@@ -194,7 +261,7 @@ impl Fittings {
         let mut signals = Signals::default();
         for contact in &self.contacts {
             let chatters = now_us < contact.chatters_until && (now_us / 50).wrapping_mul(0x9E37_79B9) >> 7 & 3 == 0;
-            if contact.closed != chatters {
+            if (contact.closed != chatters) != contact.opens {
                 if contact.probe {
                     signals.probe = true;
                 } else if contact.second_motor {

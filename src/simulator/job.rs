@@ -1,8 +1,9 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
 use crate::check::Check;
-use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run};
+use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZero};
 use crate::files::{self, Output, Role};
+use crate::homed::home;
 use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
@@ -135,9 +136,9 @@ enum Form {
 /// # Errors
 /// If a file cannot be read, or a setting is refused.
 pub fn check(options: CheckJob) -> Result<Ending> {
-    let CheckJob { job, json, machine } = options;
+    let CheckJob { job, json, start, machine } = options;
     let form = if json { Form::Json } else { Form::Short };
-    carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, machine }, form)
+    carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, start, machine }, form)
 }
 
 /// Carries out `plot`.
@@ -145,8 +146,8 @@ pub fn check(options: CheckJob) -> Result<Ending> {
 /// # Errors
 /// If a file cannot be read or written, or a setting is refused.
 pub fn plot(options: PlotJob) -> Result<Ending> {
-    let PlotJob { job, output, machine } = options;
-    carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, machine }, Form::Short)
+    let PlotJob { job, output, start, machine } = options;
+    carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, start, machine }, Form::Short)
 }
 
 /// Carries out `run`.
@@ -212,6 +213,9 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let record = options.record.as_deref().map(|path| output(path, "recording")).transpose()?;
     let (mut simulator, mut recorder) = power_up(&options.machine, record.is_some())?;
     check_store(&simulator, options.machine.store.as_deref())?;
+    if let Some(WorkZero(place)) = options.start.work_zero {
+        home(&mut simulator, place).map_err(|why| anyhow!("--work-zero: {why}"))?;
+    }
     begin_recording(&mut recorder, record)?;
     let origin = simulator.clock().now();
     if let Some(trace) = trace {

@@ -25,6 +25,7 @@ pub mod files;
 pub mod fittings;
 #[cfg(feature = "program")]
 mod flash_file;
+pub mod homed;
 pub mod host_link;
 pub mod input_task;
 #[cfg(feature = "program")]

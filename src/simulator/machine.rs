@@ -97,6 +97,17 @@ impl Machine {
         self.pulses = [0; AXES];
     }
 
+    /// The same place has another name from here on: `by` is added to the steps of each motor.
+    pub fn rename_place(&mut self, by: [i32; AXES]) {
+        for (axis, by) in by.into_iter().enumerate() {
+            self.position[axis] = self.position[axis].wrapping_add(by);
+            if self.ganged & 1 << axis != 0 {
+                self.second = self.second.wrapping_add(by);
+            }
+        }
+        self.restart_extents();
+    }
+
     fn restart_extents(&mut self) {
         self.low = self.carriages();
         self.high = self.low;

@@ -227,6 +227,15 @@ impl Meter {
         self.place_of(steps.map(f64::from))
     }
 
+    /// Steps of the motors at a place of the carriages in mm, to the nearest.
+    pub fn steps_of(&self, [x, y, z]: [f64; AXES]) -> [i32; AXES] {
+        let motors = match self.arrangement {
+            Arrangement::Cartesian => [x, y, z],
+            Arrangement::CoreXy => [x + y, x - y, z],
+        };
+        std::array::from_fn(|motor| (motors[motor] * self.steps_per_mm[motor]).round() as i32)
+    }
+
     fn place_of(&self, steps: [f64; AXES]) -> [f64; AXES] {
         let [a, b, z] = std::array::from_fn(|motor| steps[motor] / self.steps_per_mm[motor]);
         match self.arrangement {
