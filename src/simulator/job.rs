@@ -169,27 +169,38 @@ pub fn replay(options: &Replay) -> Result<Ending> {
         .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
         .with_context(|| format!("cannot read the recording {path}"))?;
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
-    let mut simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
-    let (check, same) = if let Some(job) = recording.job() {
-        let begun = recording.play(&mut simulator, |_| {});
-        let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
-        while !check.advance(ROUNDS) {}
-        let same = begun.and_then(|()| recording.compare_end(check.simulator()));
-        (check, same)
-    } else {
-        let (origin, mut said) = (simulator.clock().now(), String::new());
-        let same = recording.play(&mut simulator, |text| said.push_str(text));
-        // What the last of it has begun.
-        simulator.run_until_idle();
-        said.push_str(&simulator.take_output());
-        (Check::of(simulator, origin, &said), same)
-    };
+    let simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
+    let length = recording.job().map_or_else(|| recording.length(), |job| job.len() as u64);
+    let progress = progress_bar(Some(length), "the recording");
+    let (check, same) = play(&recording, simulator, &progress);
+    progress.finish_and_clear();
     let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
     print(&summary, if options.json { Form::Json } else { Form::Whole })?;
     if let Err(why) = &same {
         eprintln!("oxmill: {path}: {why}");
     }
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
+}
+
+/// Plays a recording to its end and shows the progress: bytes of its job, or ticks of the step clock.
+fn play(recording: &Recording, mut simulator: Simulator, progress: &ProgressBar) -> (Check, Result<(), String>) {
+    if let Some(job) = recording.job() {
+        let begun = recording.play(&mut simulator, |_| {}, |_| {});
+        let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
+        carry_out(&mut check, progress);
+        let same = begun.and_then(|()| recording.compare_end(check.simulator()));
+        return (check, same);
+    }
+    let (clock, mut said) = (*simulator.clock(), String::new());
+    let pass = |ticks| {
+        progress.set_position(ticks);
+        progress.set_message(crate::summary::clock_time(clock.seconds(ticks)));
+    };
+    let same = recording.play(&mut simulator, |text| said.push_str(text), pass);
+    // What the last of it has begun.
+    simulator.run_until_idle();
+    said.push_str(&simulator.take_output());
+    (Check::of(simulator, clock.now(), &said), same)
 }
 
 /// Empties the file and writes the recording into it from here on. Whatever else may hinder the machine has been found.
@@ -238,7 +249,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
         Some(recorder) => JobText::new(RecordedJob::new(reader, recorder.clone())),
         None => JobText::new(reader),
     };
-    let progress = progress_bar(length);
+    let progress = progress_bar(length, "the file read");
     let mut check = Check::new(simulator, job);
     carry_out(&mut check, &progress);
     progress.finish_and_clear();
@@ -326,23 +337,22 @@ fn base_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-fn progress_bar(length: Option<u64>) -> ProgressBar {
+/// A bar for the share of `what`, if its length is known.
+fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
     // Standard error may be a terminal while standard output goes to a file: the bar is for the person who waits.
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let bar = length.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
     bar.set_draw_target(ProgressDrawTarget::stderr());
-    ProgressStyle::with_template(progress_template(length.is_some())).map_or(bar.clone(), |style| bar.with_style(style))
+    ProgressStyle::with_template(&progress_template(length.map(|_| what)))
+        .map_or(bar.clone(), |style| bar.with_style(style))
 }
 
 /// No time to go: it would have to be told from the part of the file that was read, and a line may take a second or a day.
-fn progress_template(length_is_known: bool) -> &'static str {
-    if length_is_known {
-        "{bar:40} {percent:>3} % of the file read, {msg} of machine time in {elapsed}"
-    } else {
-        "{spinner} {msg} of machine time in {elapsed}"
-    }
+fn progress_template(share_of: Option<&str>) -> String {
+    let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
+    share + " {msg} of machine time in {elapsed}"
 }
 
 #[cfg(test)]
@@ -351,10 +361,28 @@ mod tests {
 
     #[test]
     fn progress_names_no_time_that_is_not_known() {
-        for length_is_known in [true, false] {
-            let template = progress_template(length_is_known);
-            assert!(ProgressStyle::with_template(template).is_ok());
+        for share_of in [Some("the file read"), None] {
+            let template = progress_template(share_of);
+            assert!(ProgressStyle::with_template(&template).is_ok());
             assert!(!template.contains("eta") && template.contains("{elapsed}"), "{template}");
+        }
+    }
+
+    /// Of a job its bytes are counted, of a talk with a host the time.
+    #[test]
+    fn a_recording_shows_its_progress() {
+        let begin = "oxmill recording 1\nboard desk 1000000\nbegin 1000000\n";
+        let host = "1000000 connect\n2000000 host G1 X1 F60\\n\n4000000 disconnect\n".to_owned();
+        let job = format!("1000000 job\n{}", "job G1 X1 F6000\\n\njob G1 X0\\n\n".repeat(2000));
+        for (text, job) in [(host, false), (job, true)] {
+            let recording = Recording::parse(&format!("{begin}{text}")).unwrap();
+            let length = recording.job().map_or(recording.length(), |job| job.len() as u64);
+            assert_eq!(length, if job { 2000 * 18 } else { 3_000_000 });
+            let progress = ProgressBar::hidden();
+            play(&recording, recording.power_up().unwrap(), &progress).0;
+            let position = progress.position();
+            assert!(if job { (1..=length).contains(&position) } else { position == length }, "{position} of {length}");
+            assert!(!progress.message().is_empty());
         }
     }
 }

@@ -243,6 +243,11 @@ impl Recording {
         self.job.as_deref()
     }
 
+    /// How long it is as far as its last input, or its job: ticks of the step clock.
+    pub fn length(&self) -> u64 {
+        self.inputs.last().map_or(0, |(time, _)| time.saturating_sub(self.begin.unwrap_or_default()))
+    }
+
     /// Whether a machine that has come to the end of the job is where it was in the recording.
     ///
     /// # Errors
@@ -345,18 +350,24 @@ impl Recording {
         // As whoever records does before anything comes in: startup lines are carried out.
         simulator.run_until_idle();
         simulator.take_output();
-        advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {});
+        advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {}, |_| {});
         Ok(simulator)
     }
 
-    /// Plays what came in to a machine that has just been powered up, as far as its job, if it has one; `hear` gets what it says.
-    /// Then it is where that begins, or where the recording ends.
+    /// Plays what came in to a machine that has just been powered up, as far as its job, if it has one; `hear` gets what it says,
+    /// and `pass` now and then the time since the begin, ticks of the step clock. Then it is where that begins, or where the recording ends.
     ///
     /// # Errors
     /// Where the machine parts from the recording.
-    pub fn play(&self, simulator: &mut Simulator, mut hear: impl FnMut(&str)) -> Result<(), String> {
+    pub fn play(
+        &self,
+        simulator: &mut Simulator,
+        mut hear: impl FnMut(&str),
+        mut pass: impl FnMut(u64),
+    ) -> Result<(), String> {
+        let begin = self.begin.unwrap_or_default();
         for (time, input) in &self.inputs {
-            advance(simulator, *time, &mut hear);
+            advance(simulator, *time, &mut hear, |now| pass(now.saturating_sub(begin)));
             match input {
                 Input::Job => return Ok(()),
                 Input::Connect => simulator.connect(),
@@ -371,7 +382,7 @@ impl Recording {
                 Input::At(recorded) => {
                     let here = place(simulator);
                     if here != *recorded {
-                        let seconds = simulator.clock().seconds(time.saturating_sub(self.begin.unwrap_or_default()));
+                        let seconds = simulator.clock().seconds(time.saturating_sub(begin));
                         return Err(format!(
                             "{seconds:.6} s after its begin the recording has the motors at {recorded}; here they are at {here}"
                         ));
@@ -385,11 +396,12 @@ impl Recording {
 }
 
 /// Lets time pass; what the machine says is taken now and then, as by a host.
-fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str)) {
+fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mut pass: impl FnMut(u64)) {
     let slice = u64::from(simulator.board().step_clock_hz) / 50;
     while simulator.clock().now() < until {
         simulator.advance_to(until.min(simulator.clock().now() + slice));
         hear_all(simulator, &mut hear);
+        pass(simulator.clock().now());
     }
 }
 

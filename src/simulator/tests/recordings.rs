@@ -116,7 +116,7 @@ proptest! {
         let recording = Recording::parse(&file.text()).unwrap();
         let mut again = recording.power_up().unwrap();
         let mut said_again = String::new();
-        let played = recording.play(&mut again, |text| said_again.push_str(text));
+        let played = recording.play(&mut again, |text| said_again.push_str(text), |_| {});
         prop_assert_eq!(played, Ok(()), "{}", file.text());
         prop_assert_eq!(digest(&again), digest(&mill), "{}", file.text());
         prop_assert!(said_again.starts_with(&said), "{}\n{}\n{}", file.text(), said, said_again);
@@ -135,7 +135,7 @@ fn another_machine_parts_from_it() {
     for (from, to) in [("G1 X1 F600", "G1 Y1 F600"), (place.as_str(), " at 1 ")] {
         assert!(text.contains(from), "{text}");
         let recording = Recording::parse(&text.replace(from, to)).unwrap();
-        let why = recording.play(&mut recording.power_up().unwrap(), |_| {}).unwrap_err();
+        let why = recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {}).unwrap_err();
         assert!(why.starts_with("1.000000 s after its begin"), "{why}");
     }
 }
