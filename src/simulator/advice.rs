@@ -95,8 +95,12 @@ pub fn for_error(error: Error) -> &'static str {
 /// What helps against an alarm.
 pub fn for_alarm(alarm: Alarm) -> &'static str {
     match alarm {
-        Alarm::HardLimit => "Find out which switch has tripped ($PINS), unlock with $X, move away from it, and home.",
-        Alarm::SoftLimit => "Compare the job's extents and the work zero with the travel ($130 to $132); then $X.",
+        Alarm::HardLimit => {
+            "Find out which switch has tripped ($PINS), reset, unlock with $X, move away from it, and home."
+        }
+        Alarm::SoftLimit => {
+            "Compare the job's extents and the work zero with the travel ($130 to $132); then reset, and $X."
+        }
         Alarm::AbortInMotion => {
             "Home, or set the work zero again: the position may be lost. Hold before a reset keeps it."
         }
