@@ -8,6 +8,7 @@ import type { Task } from "./worker";
 export class PageLink implements Link {
   onsaid: (text: string) => void = () => {};
   onlost: (why: string) => void = () => {};
+  readonly greets = true;
   private readonly machine = worker();
 
   constructor(order: Order) {

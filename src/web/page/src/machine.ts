@@ -67,6 +67,8 @@ export class MachinePanel {
   private link?: Link;
   private poll?: ReturnType<typeof setInterval>;
   private jogging?: string;
+  /** Reports in a row that said that the machine does nothing, with no line under way. */
+  private rests = 0;
 
   constructor(private readonly app: App) {
     $("machine").innerHTML = html;
@@ -98,8 +100,12 @@ export class MachinePanel {
     sender.onstatus = status => this.show(status);
     sender.onmessage = text => this.say(text);
     sender.onrefused = (line, answer) => this.say(`line ${line}: ${answer}`, "wrong");
+    sender.onstopped = (line, why) => this.jobStopped(line, why);
+    sender.ongreeting = () => void this.line("$I");
     sender.onprogress = () => {
       $("sent").textContent = sender.lines.length ? `${sender.done} of ${sender.lines.length} lines` : "";
+      if (!sender.free) this.rests = 0;
+      this.allow();
     };
     $("live").hidden = $("leave").hidden = false;
     $("power").hidden = $("connect").hidden = $("served").hidden = true;
@@ -123,6 +129,8 @@ export class MachinePanel {
   private show(status: Status): void {
     this.status = status;
     const name = status.state.split(":")[0];
+    this.rests = this.sender?.free && /^(Idle|Check)$/.test(name) ? this.rests + 1 : 0;
+    this.allow();
     $("state").textContent = status.state;
     $("state").className = `state ${name}`;
     for (let axis = 0; axis < 3; axis++) {
@@ -131,6 +139,17 @@ export class MachinePanel {
     }
     this.app.player.showMachine(status.machine);
     for (const [index, part] of (status.fields.Ov?.split(",") ?? []).entries()) $(`override-${index}`).textContent = `${part} %`;
+  }
+
+  /** A job may begin when the one before is done: a single report may be older than its last move. */
+  private allow(): void {
+    $<HTMLButtonElement>("start").disabled = this.rests < 2;
+  }
+
+  private jobStopped(line: number, why: string): void {
+    const text = `The job has ended: ${why}. Its lines up to ${line} have been sent.`;
+    this.say(text, "wrong");
+    $("machine-note").textContent = /refused/.test(why) ? `${text} The machine is held: Reset drops what it has received, Resume carries it out.` : text;
   }
 
   /** Whether the machine has something to do: all lines may be answered while it still moves. */
@@ -197,7 +216,10 @@ export class MachinePanel {
 
   private start(): void {
     try {
+      if (this.rests < 2) throw new Error("the machine is not idle");
+      this.rests = 0;
       this.sender?.stream(this.app.job.text);
+      this.allow();
       $("machine-note").textContent = "";
     } catch (error) {
       $("machine-note").textContent = `Nothing of the job is sent: ${(error as Error).message}`;

@@ -8,6 +8,8 @@ export interface Link {
   /** Called when the machine is gone. */
   onlost: (why: string) => void;
   close(): Promise<void> | void;
+  /** Whether the machine is just being powered up, and will greet. */
+  readonly greets?: boolean;
 }
 
 export interface Status {
@@ -24,6 +26,11 @@ export const REALTIME = {
   spindle100: 0x99, spindlePlus: 0x9a, spindleMinus: 0x9b, spindleStop: 0x9e,
 } as const;
 
+/** Longest time until a controller greets, ms: after a reset, and after power-up. */
+const LONGEST_RESET = 2000;
+const LONGEST_START = 60_000;
+/** No line is written for so long after a greeting that nothing here has ordered, ms. */
+const SETTLING = 300;
 /** Receive buffer of a controller that has not told its own. */
 const SMALLEST_BUFFER = 128;
 
@@ -36,12 +43,19 @@ export class Sender {
   onmessage: (text: string) => void = () => {};
   onprogress: () => void = () => {};
   onrefused: (line: number, answer: string) => void = () => {};
+  /** Called when a job ends before its last line, with the number of its last line that was sent. */
+  onstopped: (line: number, why: string) => void = () => {};
+  /** Called when the machine has started without an order of this sender: by a reset button, a fall of the supply, or another host. */
+  ongreeting: () => void = () => {};
   /** Lines of the job, and how many of them have been answered. */
   lines: string[] = [];
   done = 0;
   /** Bytes of the controller's receive buffer. */
   room = SMALLEST_BUFFER;
   private next = 0;
+  private stopped = false;
+  private resetting = false;
+  private silence?: ReturnType<typeof setTimeout>;
   private readonly commands: { text: string; answered?: (answer: string) => void }[] = [];
   private flight: Sent[] = [];
   private heard = "";
@@ -49,6 +63,7 @@ export class Sender {
 
   constructor(private readonly link: Link) {
     link.onsaid = text => this.hear(text);
+    if (link.greets) this.expectGreeting(LONGEST_START);
   }
 
   /** Whether lines of a job are still to be sent or answered. */
@@ -70,8 +85,14 @@ export class Sender {
     });
   }
 
-  /** Begins a job. Throws, and sends nothing of it, if a line cannot be sent as it is. */
+  /** Whether nothing waits to be sent or answered. */
+  get free(): boolean {
+    return !this.busy && this.flight.length === 0 && this.commands.length === 0;
+  }
+
+  /** Begins a job. Throws, and sends nothing of it, if another is under way or a line cannot be sent as it is. */
   stream(text: string): void {
+    if (!this.free) throw new Error("the lines before it are not answered yet");
     const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
     if (lines.at(-1) === "") lines.pop();
     for (const [index, line] of lines.entries()) {
@@ -79,19 +100,61 @@ export class Sender {
       if (why) throw new Error(`line ${index + 1}: ${why}`);
     }
     this.lines = lines;
-    [this.next, this.done] = [0, 0];
+    [this.next, this.done, this.stopped] = [0, 0, false];
     this.pump();
   }
 
   /** Resets the controller. What was sent is void. */
   reset(): void {
     this.realtime(REALTIME.reset);
-    this.lines = [];
-    this.flight.forEach(sent => sent.answered?.("reset"));
-    this.flight = [];
-    this.commands.length = 0;
-    [this.next, this.done] = [0, 0];
+    this.forget();
+    this.expectGreeting(LONGEST_RESET);
     this.onprogress();
+  }
+
+  /** Sends no more of the job and of the lines that wait; what was sent is still to be answered. */
+  private stop(why: string): void {
+    for (const command of this.commands.splice(0)) command.answered?.(`not sent: ${why}`);
+    if (!this.busy || this.stopped) return;
+    this.stopped = true;
+    this.lines.length = this.next;
+    this.onstopped(this.next, why);
+  }
+
+  /** The controller has forgotten all lines. */
+  private forget(): void {
+    for (const sent of [...this.flight.splice(0), ...this.commands.splice(0)]) sent.answered?.("reset");
+    this.lines = [];
+    [this.next, this.done, this.stopped] = [0, 0, false];
+  }
+
+  /** Writes no line until the controller greets: what it answers before belongs to lines that are void. */
+  private expectGreeting(longest: number): void {
+    this.resetting = true;
+    this.pause(longest);
+  }
+
+  private pause(ms: number): void {
+    clearTimeout(this.silence);
+    this.silence = setTimeout(() => this.go(), ms);
+  }
+
+  private go(): void {
+    clearTimeout(this.silence);
+    this.silence = undefined;
+    this.resetting = false;
+    this.pump();
+  }
+
+  private greeted(): void {
+    if (this.resetting) return this.go();
+    const line = this.done;
+    const cut = this.busy;
+    this.forget();
+    // An answer may still come that was under way to a line of before.
+    this.pause(SETTLING);
+    if (cut) this.onstopped(line, "the machine was reset");
+    this.ongreeting();
   }
 
   private get used(): number {
@@ -99,7 +162,7 @@ export class Sender {
   }
 
   private pump(): void {
-    for (;;) {
+    while (this.silence === undefined) {
       const command = this.commands[0];
       const text = command?.text ?? this.lines[this.next];
       if (text === undefined) return;
@@ -121,7 +184,14 @@ export class Sender {
     this.heard += text;
     const lines = this.heard.split("\n");
     this.heard = lines.pop() ?? "";
-    for (const line of lines) this.line(line.trim());
+    for (const line of lines) {
+      try {
+        this.line(line.trim());
+      } catch (error) {
+        // What is shown of one line may fail: the answers behind it count all the same.
+        console.error(error);
+      }
+    }
     this.pump();
     this.onprogress();
   }
@@ -132,7 +202,7 @@ export class Sender {
       const sent = this.flight.shift();
       if (sent?.line !== undefined) {
         this.done++;
-        if (line !== "ok") this.onrefused(sent.line, line);
+        if (line !== "ok") this.refuse(sent.line, line);
       }
       sent?.answered?.(line);
     } else if (line.startsWith("<")) {
@@ -140,8 +210,18 @@ export class Sender {
     } else {
       const buffer = /^\[OPT:[^,]*,\d+,(\d+)/.exec(line);
       if (buffer) this.room = Number(buffer[1]);
+      if (line.startsWith("ALARM:") && !this.resetting) this.stop(line);
+      if (line.startsWith("Grbl ")) this.greeted();
       this.onmessage(line);
     }
+  }
+
+  /** A refused line ends the job: those behind it were meant for a machine that has carried it out. */
+  private refuse(line: number, answer: string): void {
+    this.onrefused(line, answer);
+    if (!this.busy || this.stopped) return;
+    this.realtime(REALTIME.hold);
+    this.stop(`line ${line} was refused (${answer})`);
   }
 
   private status(line: string): Status {

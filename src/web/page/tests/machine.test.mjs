@@ -7,11 +7,8 @@ import { example, MILL, page as file, run, serve } from "./program.mjs";
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
-/** Waits until the job has been answered and the machine is idle. */
-const jobDone = page => page.waitForFunction(() => {
-  const { sender, status } = oxmill.app.machine;
-  return sender.lines.length > 0 && !sender.busy && status.state === "Idle";
-}, null, { timeout: PATIENCE });
+/** Waits until the job has been answered and the machine has reported behind that that it is idle: another job may begin. */
+const jobDone = page => page.waitForFunction(() => oxmill.app.machine.sender.lines.length > 0 && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
 
 async function powered(browser) {
   const opened = await open(browser, file);
@@ -34,6 +31,25 @@ export async function a_machine_in_the_page_does_the_job(browser) {
   await jobDone(page);
   near(await place(page), found.position_mm);
   assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function a_job_that_is_started_twice_runs_once(browser) {
+  const { page, faults } = await powered(browser);
+  await openJob(page, "short.nc", "G21 G91\nG1 X3 F300\n");
+  await page.waitForFunction(() => !document.getElementById("start").disabled);
+  const press = () => page.evaluate(() => {
+    const start = document.getElementById("start");
+    start.click();
+    start.disabled = false;
+    start.click();
+  });
+  await press();
+  // All lines are answered at once, and the machine moves for 0.6 s.
+  await state(page, "^Run");
+  await press();
+  await jobDone(page);
+  near(await place(page), [3, 0, 0]);
   assert.deepEqual(faults, []);
 }
 
@@ -184,11 +200,17 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
     assert(wire.most <= 255, `${wire.most} bytes were under way`);
-    // A refused line in mid-job is named, and the lines after it are carried out.
-    await openJob(page, "bad.nc", "G21 G91\nG1 X2 F600\nG999\nG1 X2\n");
+    // A refused line in mid-job is named, and ends the job in a hold.
+    await openJob(page, "bad.nc", `G21 G91\nG1 X2 F600\nG999\n${"G1 X2\n".repeat(200)}`);
     await page.click("#start");
     await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:20"));
-    await jobDone(page);
+    await state(page, "^Hold");
+    assert.match(await page.locator("#machine-note").innerText(), /The job has ended: line 3 was refused .*Reset drops what it has received/);
+    const sent = await page.evaluate(() => oxmill.app.machine.sender.lines.length);
+    assert(sent < 203, `${sent} lines were sent`);
+    assert(await page.locator("#start").isDisabled());
+    await page.click("#reset");
+    await page.waitForFunction(() => /^(Idle|Alarm)/.test(oxmill.app.machine.status.state));
   });
 }
 

@@ -14,7 +14,9 @@ function connected() {
   const sender = new Sender(link);
   const refused = [];
   sender.onrefused = (line, answer) => refused.push(`${line} ${answer}`);
-  return { link, sender, refused, say: text => link.onsaid(`${text}\r\n`) };
+  const stopped = [];
+  sender.onstopped = (line, why) => stopped.push(`${line} ${why}`);
+  return { link, sender, refused, stopped, say: text => link.onsaid(`${text}\r\n`) };
 }
 
 export async function a_line_is_sent_as_it_is_or_not_at_all() {
@@ -28,4 +30,87 @@ export async function a_line_is_sent_as_it_is_or_not_at_all() {
   const { sender, link } = connected();
   sender.stream("\uFEFF%\n% (end) (of) ; it\nG1\tX1\u00A02 (\u539F ! ~) Y2 ; \u2212?\n%G1 X5\n");
   assert.deepEqual(link.lines, ["G1 X1 2 (     ) Y2 ;", "%G1 X5"]);
+}
+
+export async function a_second_job_is_refused_until_the_first_is_answered() {
+  const { sender, link, say } = connected();
+  sender.stream("G91\nG0 X1\n");
+  assert.throws(() => sender.stream("G91\nG0 X1\n"), /not answered yet/);
+  say("ok");
+  assert.throws(() => sender.stream("G0 X3\n"), /not answered yet/);
+  say("ok");
+  sender.stream("G0 X2\n");
+  assert.deepEqual(link.lines, ["G91", "G0 X1", "G0 X2"]);
+}
+
+/** 40 lines of which so many are under way as a buffer of 128 bytes takes. */
+function inMidJob() {
+  const all = connected();
+  all.sender.stream("G1 X1 F100\n".repeat(40));
+  assert.equal(all.link.lines.length, 11);
+  all.say("ok\r\nok");
+  assert.equal(all.link.lines.length, 13);
+  return all;
+}
+
+export async function a_refused_line_holds_the_machine_and_ends_the_job() {
+  const { sender, link, refused, stopped, say } = inMidJob();
+  say("error:20");
+  assert.deepEqual([link.lines.length, link.realtime, stopped], [13, [0x21], ["13 line 3 was refused (error:20)"]]);
+  for (let line = 4; line < 13; line++) say("ok");
+  assert(sender.busy);
+  say("error:33");
+  assert(!sender.busy && sender.free);
+  assert.deepEqual([refused, link.realtime.length, stopped.length], [["3 error:20", "13 error:33"], 1, 1]);
+  // The last line of a job has none behind it.
+  sender.stream("G1 X1\nG999\n");
+  say("ok\r\nerror:20");
+  assert.deepEqual([refused[2], link.realtime.length, stopped.length], ["2 error:20", 1, 1]);
+}
+
+export async function an_alarm_ends_the_job() {
+  const { sender, link, stopped, say } = inMidJob();
+  const waiting = sender.command("G0 Z5 (a line for which there is no room)");
+  say("ALARM:1");
+  assert.equal(await waiting, "not sent: ALARM:1");
+  for (let line = 3; line <= 13; line++) say("error:9");
+  assert.deepEqual([link.lines.length, link.realtime, stopped, sender.free], [13, [], ["13 ALARM:1"], true]);
+}
+
+export async function a_reset_that_the_page_did_not_order_ends_the_job() {
+  const { sender, link, stopped, say } = inMidJob();
+  let greetings = 0;
+  sender.ongreeting = () => greetings++;
+  say("\r\nGrbl 1.1h ['$' for help]");
+  assert.deepEqual([sender.lines, sender.free, stopped, greetings], [[], true, ["2 the machine was reset"], 1]);
+  // An answer that was under way belongs to no line of after.
+  const unlocked = sender.command("$X");
+  say("ok");
+  assert.equal(link.lines.length, 13);
+  await new Promise(resolve => setTimeout(resolve, 400));
+  assert.deepEqual(link.lines.slice(13), ["$X"]);
+  say("ok");
+  assert.equal(await unlocked, "ok");
+  // One that it did order ends the job as well, and the next line waits for the greeting alone.
+  sender.stream("G4 P1\n");
+  sender.reset();
+  const after = sender.command("$X");
+  say("ok\r\nALARM:3");
+  assert.deepEqual([link.realtime, link.lines.slice(14)], [[0x18], ["G4 P1"]]);
+  say("Grbl 1.1h ['$' for help]");
+  assert.deepEqual([link.lines.slice(15), greetings], [["$X"], 1]);
+  say("ok");
+  assert.equal(await after, "ok");
+}
+
+export async function answers_count_whatever_becomes_of_what_is_shown() {
+  const { sender, say } = connected();
+  const { error } = console;
+  const told = [];
+  console.error = failure => told.push(failure.message);
+  sender.onstatus = () => { throw new Error("not shown"); };
+  sender.stream("G4 P1\n");
+  say("<Idle|MPos:0.000,0.000,0.000|Ov:100,100,100,100>\r\nok");
+  console.error = error;
+  assert.deepEqual([sender.free, told], [true, ["not shown"]]);
 }
