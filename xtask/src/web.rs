@@ -80,3 +80,31 @@ fn in_page(program: &str) -> Command {
     command.current_dir(page());
     command
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    fn parsed(name: &str) -> Value {
+        serde_json::from_str(&fs::read_to_string(page().join(name)).unwrap()).unwrap()
+    }
+
+    /// The newest version that a range such as `>=18` or `6.* || >= 10.*` begins with.
+    fn newest_of(range: &str) -> u32 {
+        let last = range.rsplit("||").next().unwrap_or_default();
+        let last = last.trim_start_matches(|c: char| !c.is_ascii_digit());
+        last.split(|c: char| !c.is_ascii_digit()).next().and_then(|digits| digits.parse().ok()).unwrap_or(0)
+    }
+
+    /// `.ci/run` compares the Node.js of the machine with what `package.json` says.
+    #[test]
+    fn the_page_asks_for_the_node_that_its_tools_need() {
+        assert_eq!(["*", ">=18", "6.* || >= 10.*", ">= 10.17.0", "^20.1"].map(newest_of), [0, 18, 10, 10, 20]);
+        let lock = parsed("package-lock.json");
+        let tools = lock["packages"].as_object().unwrap().iter().filter(|(path, _)| !path.is_empty());
+        let needed = tools.filter_map(|(_, tool)| tool["engines"]["node"].as_str()).map(newest_of).max().unwrap();
+        assert_eq!(parsed("package.json")["engines"]["node"], format!(">={needed}"));
+        assert_eq!(lock["packages"][""]["engines"], parsed("package.json")["engines"]);
+    }
+}
