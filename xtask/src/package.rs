@@ -1,12 +1,15 @@
 //! `cargo xtask package`: the crates as `cargo package` makes them. None of them may need what is outside of its folder.
 
-use crate::{Failure, QEMU_BOARD, TARGET, cargo, root, run};
+use crate::{Failure, TARGET, cargo, root, run, web};
 use flate2::read::GzDecoder;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Packages of the workspace that are for the workspace only.
 const OWN: [&str; 4] = ["xtask", "oxmill-fuzz", "oxmill-test-support", "oxmill-on-target"];
+
+/// The board whose image is built from the packages.
+const BOARD: &str = "blackpill_f411";
 
 /// What no package has in it.
 const UNWANTED: [&str; 5] = ["target/", "node_modules/", "docs/", ".ci/", ".github/"];
@@ -23,7 +26,7 @@ pub fn list() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Packs all crates, unpacks them elsewhere, and builds the program, the module and an image from them.
+/// Packs all crates, unpacks them into a workspace of their own, and builds the program, the module and an image of an STM32 from them.
 pub fn build() -> Result<(), Failure> {
     let folder = root().join("target/packaged");
     // What has been built there may stay, and the lock file is the one of the tree.
@@ -45,8 +48,9 @@ pub fn build() -> Result<(), Failure> {
     let cargo = |arguments: &[&str]| {
         run(cargo().current_dir(&packages).env("CARGO_TARGET_DIR", folder.join("target")).args(arguments))
     };
-    cargo(&["check", "--package", "oxmill", "--package", "oxmill-web"])?;
-    cargo(&["build", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", QEMU_BOARD])
+    cargo(&["build", "--package", "oxmill"])?;
+    cargo(&["build", "--release", "--package", "oxmill-web", "--target", web::MODULE])?;
+    cargo(&["build", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", BOARD])
 }
 
 /// Packs all crates: each archive with the names of its files.
