@@ -132,8 +132,8 @@ pub fn profile(row: &str) -> Result<(), Failure> {
 fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
     let mut build = cargo_without_paths()?;
-    build.args(["build", "--profile", profile, "--quiet", "--package", "oxmill-on-target", "--bin", "count"]);
-    run(build.args(["--target", TARGET, "--features", QEMU_BOARD]))?;
+    build.args(["build", "--quiet", "--locked", "--profile", profile, "--package", "oxmill-on-target"]);
+    run(build.args(["--bin", "count", "--target", TARGET, "--features", QEMU_BOARD]))?;
     let elf = root().join("target").join(TARGET).join(profile).join("count");
     let trace = root().join("target/count.trace");
     qemu::trace(&elf, &trace)?;

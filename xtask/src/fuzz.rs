@@ -146,6 +146,7 @@ fn build() -> Result<PathBuf, Failure> {
         .args([
             "build",
             "--quiet",
+            "--locked",
             "--release",
             "--package",
             "oxmill-fuzz",

@@ -69,6 +69,7 @@ pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
     run(cargo_without_paths()?.args([
         "build",
+        "--locked",
         "--profile",
         profile,
         "--package",

@@ -168,7 +168,7 @@ fn parse_report(report: &str) -> Result<Steps, Failure> {
 /// What the simulator makes of a job on the same board profile.
 fn simulate(file: &Path) -> Result<Steps, Failure> {
     let output = cargo()
-        .args(["run", "--quiet", "--release", "--package", "oxmill", "--", "run"])
+        .args(["run", "--quiet", "--locked", "--release", "--package", "oxmill", "--", "run"])
         .arg(file)
         .args(["--board", QEMU_BOARD, "--json"])
         .output()

@@ -103,7 +103,9 @@ fn main() -> ExitCode {
         ["count"] => count::count("firmware"),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["count", "profile", row] => count::profile(row),
-        ["bench", ref files @ ..] => run(cargo().args(["bench", "--quiet", "--bench", "motion", "--"]).args(files)),
+        ["bench", ref files @ ..] => {
+            run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
+        }
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
             return ExitCode::from(2);

@@ -32,8 +32,8 @@ fn tell_left_out(board: &str) {
 
 fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
     let mut cargo = cargo_without_paths()?;
-    cargo.args(["test", "--profile", boards::profile(board), "--package", "oxmill-on-target", "--target", TARGET]);
-    cargo.args(["--features", board, "--no-fail-fast"]);
+    cargo.args(["test", "--locked", "--profile", boards::profile(board), "--package", "oxmill-on-target"]);
+    cargo.args(["--target", TARGET, "--features", board, "--no-fail-fast"]);
     cargo.args(suites.iter().flat_map(|suite| ["--test", suite]));
     Ok(cargo)
 }

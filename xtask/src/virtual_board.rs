@@ -45,7 +45,7 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     }
     let python = environment()?;
     suites::require_defmt_print()?;
-    run(cargo().args(["build", "--quiet", "--bin", "oxmill"]))?;
+    run(cargo().args(["build", "--quiet", "--locked", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
     let mut runs = Vec::new();
     for (board, own) in &boards {

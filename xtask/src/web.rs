@@ -26,7 +26,7 @@ pub fn build() -> Result<(), Failure> {
 /// none.
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
-    run(cargo().args(["build", "--quiet", "--release", "--package", "oxmill"]))?;
+    run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
     run(in_page("node").arg("tests/run.mjs").args(names))
 }
 
@@ -41,6 +41,7 @@ fn module() -> Result<(), Failure> {
     let built = run(cargo_without_paths()?.args([
         "build",
         "--quiet",
+        "--locked",
         "--package",
         "oxmill-web",
         "--profile",
