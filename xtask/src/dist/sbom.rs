@@ -117,6 +117,11 @@ fn parsed(text: &str) -> Result<Value, Failure> {
     serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
+/// The text of a value, empty if it is none.
+fn word(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}
+
 /// Name and version of a crate: `heapless@0.9.1`.
 type Name = String;
 
@@ -152,7 +157,6 @@ struct Crates {
 
 impl Crates {
     fn new(metadata: &Value, lock: &toml::Table, needs: BTreeMap<Name, BTreeSet<Name>>) -> Result<Crates, Failure> {
-        let word = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let all = metadata["packages"].as_array().into_iter().flatten();
         let named = |package: &Value| format!("{}@{}", word(&package["name"]), word(&package["version"]));
         let mut all: BTreeMap<Name, Value> = all.map(|package| (named(package), package.clone())).collect();
@@ -182,7 +186,7 @@ impl Crates {
             // Crates of the workspace are in no registry.
             if !package["source"].is_null() {
                 let sum = self.checksums.get(name).ok_or_else(|| format!("Cargo.lock has no checksum of {name}"))?;
-                component["purl"] = json!(format!("pkg:cargo/{name}"));
+                component["purl"] = json!(purl("cargo", word(&package["name"]), word(&package["version"])));
                 component["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
             }
             Ok(component)
@@ -195,17 +199,30 @@ impl Crates {
     }
 }
 
+/// The address of a package as package-url has it: a slash parts namespace and name, and `%` and two digits stand for
+/// what is neither letter nor digit nor one of `.`, `-`, `_` and `~`.
+fn purl(kind: &str, name: &str, version: &str) -> String {
+    let encoded = |text: &str| -> String {
+        let plain = |byte: u8| byte.is_ascii_alphanumeric() || b".-_~".contains(&byte);
+        text.bytes()
+            .map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+            .collect()
+    };
+    let name: Vec<String> = name.split('/').map(encoded).collect();
+    format!("pkg:{kind}/{}@{}", name.join("/"), encoded(version))
+}
+
 /// Packages of npm that are more than tools: those that a bundle may have in it.
 fn npm(lock: &Value) -> Vec<Value> {
     let packages = lock["packages"].as_object().into_iter().flatten();
     let bundled = packages.filter(|(path, package)| !path.is_empty() && package["dev"] != true);
     let component = |(path, package): (&String, &Value)| {
         let name = path.rsplit("node_modules/").next().unwrap_or_default();
-        let version = package["version"].as_str().unwrap_or_default();
+        let version = word(&package["version"]);
         json!({
             "type": "library", "bom-ref": format!("npm:{name}@{version}"), "name": name, "version": version,
             "licenses": [{ "expression": package["license"] }],
-            "purl": format!("pkg:npm/{}@{version}", name.replace('@', "%40")),
+            "purl": purl("npm", name, version),
         })
     };
     bundled.map(component).collect()
@@ -265,6 +282,12 @@ mod tests {
         for strange in ["heapless v0.9.1", "1heapless", "1heapless 0.9.1", ""] {
             assert!(linked(&format!("{strange}\n")).is_err(), "{strange}");
         }
+    }
+
+    #[test]
+    fn addresses_of_packages_are_encoded() {
+        assert_eq!(purl("cargo", "wasi", "0.9.12+spec-1.1.0"), "pkg:cargo/wasi@0.9.12%2Bspec-1.1.0");
+        assert_eq!(purl("npm", "@a/b_c.d~e", "1.0.0-rc.1"), "pkg:npm/%40a/b_c.d~e@1.0.0-rc.1");
     }
 
     #[test]
