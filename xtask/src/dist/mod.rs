@@ -1,6 +1,7 @@
 //! `cargo xtask dist`: all files of a release, in `target/dist`, with checksums and bills of materials.
 
 mod archive;
+mod book;
 mod elsewhere;
 mod sbom;
 
@@ -23,9 +24,6 @@ const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENS
 const PAGE: &str = "oxmill.html";
 /// The file of the program.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
-
-/// The mdBook that makes the book; another one makes other pages of it.
-const MDBOOK: &str = "0.5.4";
 
 /// What can be asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,28 +152,10 @@ fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
 }
 
-/// The book as HTML; on a machine without mdBook its pages as they are.
 fn make_book(folder: &Path) -> Result<(), Failure> {
-    let install = format!("`cargo install --locked mdbook --version {MDBOOK}`");
-    let (name, from) = match mdbook() {
-        Some(version) if version == MDBOOK => {
-            run(Command::new("mdbook").current_dir(root()).args(["build", "docs"]))?;
-            (format!("oxmill-{VERSION}-book"), root().join("target/book"))
-        }
-        Some(version) => return Err(format!("the book is made by mdBook {MDBOOK}, and this is {version}: {install}")),
-        None => {
-            println!("no mdBook ({install}): the book is packed as Markdown, not as HTML");
-            (format!("oxmill-{VERSION}-book-markdown"), root().join("docs"))
-        }
-    };
-    let entries = archive::tree(&from)?;
+    let (kind, entries) = book::make()?;
+    let name = format!("oxmill-{VERSION}-{kind}");
     write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, entries)?)
-}
-
-/// The version of mdBook, if it is installed.
-fn mdbook() -> Option<String> {
-    let told = Command::new("mdbook").arg("--version").output().ok()?.stdout;
-    Some(String::from_utf8_lossy(&told).trim().trim_start_matches("mdbook v").to_owned())
 }
 
 /// All files of a folder by name, without folders in it.

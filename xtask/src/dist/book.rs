@@ -1,0 +1,114 @@
+//! The book of a release: a copy of `docs/` that needs nothing outside of its folder, as HTML where mdBook is installed.
+
+use super::archive::{self, Entry};
+use super::{Failure, read, root, write};
+use crate::{run, tree};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// The mdBook that makes the book; another one makes other pages of it.
+const MDBOOK: &str = "0.5.4";
+
+/// The folder in the book for files from outside of `docs/` that it links to.
+const FILES: &str = "files";
+
+/// Kind and files of the book: its pages as HTML, on a machine without mdBook as they are.
+pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
+    let pages = root().join("target/book-pages");
+    prepare(&pages)?;
+    let install = format!("`cargo install --locked mdbook --version {MDBOOK}`");
+    match mdbook() {
+        Some(version) if version == MDBOOK => {
+            let html = root().join("target/book");
+            run(Command::new("mdbook").arg("build").arg(&pages).arg("--dest-dir").arg(&html))?;
+            Ok(("book", archive::tree(&html)?))
+        }
+        Some(version) => Err(format!("the book is made by mdBook {MDBOOK}, and this is {version}: {install}")),
+        None => {
+            println!("no mdBook ({install}): the book is packed as Markdown, not as HTML");
+            Ok(("book-markdown", archive::tree(&pages)?))
+        }
+    }
+}
+
+/// The version of mdBook, if it is installed.
+fn mdbook() -> Option<String> {
+    let told = Command::new("mdbook").arg("--version").output().ok()?.stdout;
+    Some(String::from_utf8_lossy(&told).trim().trim_start_matches("mdbook v").to_owned())
+}
+
+/// Writes the pages into a folder, with the files from outside of `docs/` that they link to.
+fn prepare(folder: &Path) -> Result<(), Failure> {
+    tree::copy(&root().join("docs"), folder)?;
+    let entries = fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let pages = entries.flatten().map(|entry| entry.path());
+    for page in pages.filter(|path| path.extension().is_some_and(|ending| ending == "md")) {
+        let (text, files) = inward(&String::from_utf8_lossy(&read(&page)?));
+        write(&page, text.as_bytes())?;
+        for file in files {
+            let to = folder.join(FILES).join(&file);
+            let made = to.parent().map_or(Ok(()), fs::create_dir_all);
+            made.map_err(|error| format!("{}: {error}", to.display()))?;
+            write(&to, &read(&root().join(&file))?)?;
+        }
+    }
+    Ok(())
+}
+
+/// A page whose links out of `docs/` lead to files within the book, and those files, by their paths in the workspace.
+/// A Markdown file is only named: its own links would lead to nothing there.
+fn inward(page: &str) -> (String, Vec<String>) {
+    let (mut text, mut files, mut rest) = (String::new(), Vec::new(), page);
+    while let Some((before, from)) = rest.split_once("](../") {
+        let (target, after) = from.split_once(')').unwrap_or((from, ""));
+        text += before;
+        let file = target.split('#').next().unwrap_or_default();
+        if file.ends_with(".md") {
+            if let Some(opening) = text.rfind('[') {
+                text.remove(opening);
+            }
+            text += &format!(" (`{file}` of the sources)");
+        } else {
+            text += &format!("]({FILES}/{target})");
+            files.push(file.to_owned());
+        }
+        rest = after;
+    }
+    (text + rest, files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_out_of_the_book_lead_into_it() {
+        let (text, files) = inward("A [x](../a/b.nc), [y](../R.md#part) and [z](c.md); [w](../d.rs#L1).");
+        assert_eq!(text, "A [x](files/a/b.nc), y (`R.md` of the sources) and [z](c.md); [w](files/d.rs#L1).");
+        assert_eq!(files, ["a/b.nc", "d.rs"]);
+    }
+
+    #[test]
+    fn every_link_of_the_released_pages_leads_to_a_file_beside_them() {
+        let folder = root().join("target/tmp/book-pages");
+        fs::create_dir_all(&folder).unwrap();
+        prepare(&folder).unwrap();
+        let folder = folder.canonicalize().unwrap();
+        let mut seen = 0;
+        for page in fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
+            if page.extension().is_none_or(|ending| ending != "md") {
+                continue;
+            }
+            let text = fs::read_to_string(&page).unwrap();
+            let targets = text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
+            for target in targets.filter(|target| !target.contains("://") && !target.is_empty()) {
+                let file = folder.join(target).canonicalize();
+                let inside = file.is_ok_and(|file| file.starts_with(&folder));
+                assert!(inside, "{} links to {target}", page.display());
+                seen += 1;
+            }
+        }
+        assert!(seen > 60, "{seen} links");
+    }
+}
