@@ -2,7 +2,7 @@
 
 mod archive;
 mod book;
-mod elsewhere;
+mod reproducible;
 mod sbom;
 
 use crate::paths::{Compiler, cargo_without_paths};
@@ -14,7 +14,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-pub use elsewhere::check;
+pub use reproducible::check;
 
 /// The version of everything.
 const VERSION: &str = env!("CARGO_PKG_VERSION");

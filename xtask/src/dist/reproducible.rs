@@ -15,10 +15,10 @@ const LEFT_OUT: [&str; 2] = ["target", ".git"];
 pub fn check(names: &[&str]) -> Result<(), Failure> {
     make(names)?;
     // Longer than the path of the tree itself, which it begins with.
-    let elsewhere = root().join("target/elsewhere");
-    let (copy, home) = (elsewhere.join("on/another/path"), elsewhere.join("another-cargo-home"));
-    if elsewhere.exists() {
-        fs::remove_dir_all(&elsewhere).map_err(|error| format!("{}: {error}", elsewhere.display()))?;
+    let second = root().join("target/reproducible");
+    let (copy, home) = (second.join("on/another/path"), second.join("another-cargo-home"));
+    if second.exists() {
+        fs::remove_dir_all(&second).map_err(|error| format!("{}: {error}", second.display()))?;
     }
     copy_tree(&copy)?;
     link_home(&cargo_home()?, &home)?;
@@ -30,7 +30,7 @@ pub fn check(names: &[&str]) -> Result<(), Failure> {
     if !differing.is_empty() {
         return Err(format!("two builds on two paths differ:\n{}", differing.join("\n")));
     }
-    fs::remove_dir_all(&elsewhere).map_err(|error| format!("{}: {error}", elsewhere.display()))?;
+    fs::remove_dir_all(&second).map_err(|error| format!("{}: {error}", second.display()))?;
     println!("two builds on two paths: {} files, the same bytes", here.len());
     Ok(())
 }
