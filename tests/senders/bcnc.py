@@ -55,7 +55,7 @@ class Window:
         self.to_do = queue.Queue()
 
     def look(self):
-        """Called by the window's timer: does what the proof asks for."""
+        """Called by the window's timer: does what the scenario asks for."""
         while not self.to_do.empty():
             action, done = self.to_do.get()
             try:
@@ -143,7 +143,7 @@ class Window:
         return [CNC.vars[name] for name in ("mx", "my", "mz")]
 
     def show(self, options):
-        """Runs bCNC in this thread, and the proof beside it."""
+        """Runs bCNC in this thread, and the scenario beside it."""
 
         class Application(bmain.Application):
             def mainloop(self, *_):

@@ -1,4 +1,4 @@
-"""A simulated machine for the tests of senders, the wire between both, and the proof that each sender has to pass.
+"""A simulated machine for the tests of senders, the wire between both, and the scenario that each sender has to pass.
 
 A test has a class with what a sender's buttons do (`open`, `start`, `hold`, ...) and calls `main`. The wire records all that the
 sender says and is answered; where the motors are is asked of the simulator, on its pin port. Needs Linux, and Python 3.10.
@@ -208,8 +208,8 @@ def forecast(program, job):
     return summary
 
 
-class Proof:
-    """A sender, and what it is proved on."""
+class Scenario:
+    """A sender that runs a job held and resumed, one reset in the middle, and one after a new connection."""
 
     def __init__(self, sender, machine, wire, expected):
         self.sender, self.machine, self.wire, self.expected = sender, machine, wire, expected
@@ -315,26 +315,26 @@ def arguments():
     return parser.parse_args()
 
 
-def prove(options, name, make):
-    """Runs the proof on the sender that `make` makes."""
+def run_scenario(options, name, make):
+    """Runs the scenario with the sender that `make` makes."""
     print(f"{name}, in the dialect {options.dialect}:", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         link = ["--pty", f"{folder}/mill", "--speed", SPEED, "--dialect", options.dialect]
         with Machine(options.program, *link) as machine:
             wire = Wire(machine.address)
             try:
-                Proof(make(), machine, wire, forecast(options.program, JOB)).run()
+                Scenario(make(), machine, wire, forecast(options.program, JOB)).run()
             except Exception:
                 wire.show()
                 raise
 
 
 def main(senders, options=None):
-    """Runs the proof on each of the senders, by name, and ends the program: with 1 if one of them failed."""
+    """Runs the scenario with each of the senders, by name, and ends the program: with 1 if one of them failed."""
     options = options or arguments()
     try:
         for name, make in senders.items():
-            prove(options, name, make)
+            run_scenario(options, name, make)
     except Exception as why:
         if not isinstance(why, Failed):
             traceback.print_exc()
