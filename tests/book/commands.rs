@@ -1,6 +1,6 @@
 //! Commands in the pages exist, with their words.
 
-use crate::{all_pages, fences, read, root};
+use crate::{all_pages, fence, fences, read, root};
 use clap::Parser;
 use clap::error::ErrorKind;
 use oxmill_images::BOARDS;
@@ -9,7 +9,7 @@ use oxmill_simulator::command_line::CommandLine;
 /// Commands of cargo itself that pages use.
 const OF_CARGO: [&str; 8] = ["bench", "binstall", "build", "clippy", "deny", "install", "package", "test"];
 /// Programs of others that pages use.
-const OF_OTHERS: [&str; 5] = ["dfu-util", "git", "ls", "mdbook", "rustup"];
+const OF_OTHERS: [&str; 6] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup"];
 
 /// A command of a page.
 struct Command<'a> {
@@ -39,7 +39,7 @@ fn commands(text: &str, mut seen: impl FnMut(Command<'_>)) {
     }
     let mut in_fence = false;
     for line in text.lines() {
-        in_fence ^= line.starts_with("```");
+        in_fence ^= fence(line).is_some();
         let named = line.split('`').skip(1).step_by(2).map(|words| command(words, false));
         let programs = ["oxmill", "cargo", "bash", "python", "python3"];
         named

@@ -80,22 +80,38 @@ fn with_table(text: &str, name: &str, table: &str) -> String {
     format!("{before}{begin}{table}{end}{after}")
 }
 
-/// The fenced blocks of a page: what is behind the fence, and the lines.
+/// What opens or closes a fenced block, with what is behind it. In a list it is indented.
+fn fence(line: &str) -> Option<&str> {
+    line.trim_start().strip_prefix("```")
+}
+
+/// The fenced blocks of a page: what is behind the fence, and the lines, without the indentation of the fence.
 fn fences(text: &str) -> Vec<(String, Vec<String>)> {
     let mut found: Vec<(String, Vec<String>)> = Vec::new();
-    let mut open = false;
+    let mut open = None;
     for line in text.lines() {
-        match line.strip_prefix("```") {
-            Some(_) if open => open = false,
-            Some(kind) => {
-                open = true;
+        match (fence(line), open) {
+            (Some(_), Some(_)) => open = None,
+            (Some(kind), None) => {
+                open = Some(&line[..line.len() - line.trim_start().len()]);
                 found.push((kind.to_owned(), Vec::new()));
             }
-            None if open => found.last_mut().expect("a fence").1.push(line.to_owned()),
-            None => {}
+            (None, Some(indent)) => {
+                let line = line.strip_prefix(indent).unwrap_or(line);
+                found.last_mut().expect("a fence").1.push(line.to_owned());
+            }
+            (None, None) => {}
         }
     }
     found
+}
+
+#[test]
+fn fences_in_lists_are_seen() {
+    let page = "* A list:\n\n  ```sh\n  oxmill run a.nc\n    b\n  ```\n\n```text\n  c\n```\n";
+    let lines = |lines: &[&str]| lines.iter().map(|line| (*line).to_owned()).collect::<Vec<_>>();
+    let wanted = [("sh".to_owned(), lines(&["oxmill run a.nc", "  b"])), ("text".to_owned(), lines(&["  c"]))];
+    assert_eq!(fences(page), wanted);
 }
 
 fn all_pages() -> Vec<PathBuf> {
