@@ -379,7 +379,9 @@ mod tests {
             let length = recording.job().map_or(recording.length(), |job| job.len() as u64);
             assert_eq!(length, if job { 2000 * 18 } else { 3_000_000 });
             let progress = ProgressBar::hidden();
-            play(&recording, recording.power_up().unwrap(), &progress).0;
+            let (_, same) = play(&recording, recording.power_up().unwrap(), &progress);
+            // Neither recording says where the motors end, and only after a job is that asked for.
+            assert_eq!(same.is_err(), job, "{same:?}");
             let position = progress.position();
             assert!(if job { (1..=length).contains(&position) } else { position == length }, "{position} of {length}");
             assert!(!progress.message().is_empty());
