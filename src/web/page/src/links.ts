@@ -42,6 +42,17 @@ export class PageLink implements Link {
   }
 }
 
+/** Calls at an interval, ms, in a hidden page too, whose own timers a browser lets sleep. Gives what ends it. */
+export function every(interval: number, call: () => void): () => void {
+  const timer = new Worker(URL.createObjectURL(new Blob(["onmessage = ({ data }) => setInterval(() => postMessage(0), data)"], { type: "text/javascript" })));
+  timer.onmessage = call;
+  timer.postMessage(interval);
+  return () => timer.terminate();
+}
+
+/** How long a port that is closed waits for its last bytes to be taken, ms. */
+const LONGEST_CLOSE = 1000;
+
 interface SerialPort {
   open(options: { baudRate: number; bufferSize?: number }): Promise<void>;
   close(): Promise<void>;
@@ -79,14 +90,14 @@ export class SerialLink implements Link {
     this.writer.write(bytes).catch(error => this.onlost(String(error)));
   }
 
+  /** Closes the port when all is written. */
   async close(): Promise<void> {
-    try {
-      await this.reader.cancel();
-      this.writer.releaseLock();
-      await this.port.close();
-    } catch {
-      // A board that is unplugged has closed its port already.
-    }
+    // Each may fail where the board has gone, and the port is closed all the same; a board that takes no bytes is not waited for.
+    await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
+    this.writer.releaseLock();
+    await this.reader.cancel().catch(() => {});
+    this.reader.releaseLock();
+    await this.port.close().catch(() => {});
   }
 
   private async read(): Promise<void> {
@@ -97,7 +108,6 @@ export class SerialLink implements Link {
         if (done) break;
         this.onsaid(decoder.decode(value, { stream: true }));
       }
-      this.reader.releaseLock();
       this.onlost("the port is closed");
     } catch (error) {
       this.onlost(String(error));

@@ -1,16 +1,18 @@
 // The machine: in the page, or a real board at a serial port, with the same code.
 import type { App } from "./app";
 import { $, el } from "./dom";
-import { PageLink, SerialLink, serial, servedMachine, SocketLink } from "./links";
-import { type Link, REALTIME, Sender, type Status } from "./sender";
+import { every, PageLink, SerialLink, serial, servedMachine, SocketLink } from "./links";
+import { type Answer, type Link, REALTIME, Sender, type Status } from "./sender";
 import { parseSettings } from "./settings";
 
 /** How often the machine is asked for its state, ms. */
 const POLL = 200;
-/** A held jog is sent as moves of this duration, two of them ahead: a page that dies stops within twice that. */
+/** A held jog is sent as moves of this duration, three of them ahead of the last report: a page that dies stops behind them. */
 const JOG_SECONDS = 0.2;
-const JOGS_AHEAD = 2;
+const JOGS_AHEAD = 3;
 const BAUD = 115_200;
+/** How far the probe goes down, mm. */
+const PROBE_DEPTH = 25;
 /** Lines that the console keeps. */
 const KEPT = 400;
 
@@ -30,6 +32,8 @@ const html = `
 </div>
 <p id="noserial" hidden>This browser has no Web Serial: Chromium, Chrome, Edge and Firefox of today have it.</p>
 <p id="machine-note" role="status"></p>
+<p id="silent" hidden>On a UART the machine cannot see that this browser has crashed, and would carry out what it has received.
+  <button id="watch" type="button">Hold after 2 s of silence</button></p>
 <div id="live" hidden>
   <div class="row"><span id="state" class="state">?</span><span id="sent"></span>
     <label for="times">time</label><select id="times"><option value="1">1 ×</option><option value="10">10 ×</option><option value="100">100 ×</option></select></div>
@@ -65,8 +69,12 @@ export class MachinePanel {
   sender?: Sender;
   status?: Status;
   private link?: Link;
-  private poll?: ReturnType<typeof setInterval>;
-  private jogging?: string;
+  private endPoll = () => {};
+  /** The button or key that is held to jog, and the end of the last such jog. */
+  private jogging?: object;
+  private jogged = Promise.resolve();
+  /** What the machine has said of its settings. */
+  private settings: Record<string, number> = {};
   /** Reports in a row that said that the machine does nothing, with no line under way. */
   private rests = 0;
 
@@ -86,22 +94,53 @@ export class MachinePanel {
 
   /** Sends a line and shows it. */
   async line(text: string): Promise<string> {
-    if (!this.sender) return "";
+    return (await this.ask(text)).answer;
+  }
+
+  private async ask(text: string): Promise<Answer> {
+    if (!this.sender) return { answer: "", said: [] };
     this.say(text, "sent");
-    const answer = await this.sender.command(text);
-    this.say(answer, answer === "ok" ? "" : "wrong");
-    return answer;
+    const answered = await this.sender.ask(text);
+    this.say(answered.answer, answered.answer === "ok" ? "" : "wrong");
+    // A setting may decide on the unit of reports, or on speeds.
+    if (/^\s*\$(\d|RST)/i.test(text)) await this.readSettings();
+    return answered;
+  }
+
+  /** What is typed: a realtime command has no line. */
+  private typed(text: string): void {
+    const command = { "!": REALTIME.hold, "~": REALTIME.resume, "?": REALTIME.status }[text.trim()];
+    if (command === undefined) return void this.line(text);
+    this.say(text, "sent");
+    this.sender?.realtime(command);
+  }
+
+  private async greet(): Promise<void> {
+    await this.line("$I");
+    await this.readSettings();
+  }
+
+  /** Reads the settings of the machine, which refuses that in motion. Gives whether it did so. */
+  private async readSettings(): Promise<boolean> {
+    const { sender, link } = this;
+    if (!sender) return false;
+    const { answer, said } = await sender.ask("$$", true);
+    if (answer !== "ok" || this.sender !== sender) return false;
+    this.settings = parseSettings(said.join("\n"));
+    sender.unit = this.settings[13] === 1 ? 25.4 : 1;
+    $("silent").hidden = !(link instanceof SerialLink && this.settings[922] === 0);
+    return true;
   }
 
   private attach(link: Link): void {
     this.link = link;
     const sender = (this.sender = new Sender(link));
-    link.onlost = why => this.detach(`The machine is gone: ${why}`);
+    link.onlost = why => this.link === link && this.detach(`The machine is gone: ${why}`);
     sender.onstatus = status => this.show(status);
     sender.onmessage = text => this.say(text);
     sender.onrefused = (line, answer) => this.say(`line ${line}: ${answer}`, "wrong");
     sender.onstopped = (line, why) => this.jobStopped(line, why);
-    sender.ongreeting = () => void this.line("$I");
+    sender.ongreeting = () => void this.greet();
     sender.onprogress = () => {
       $("sent").textContent = sender.lines.length ? `${sender.done} of ${sender.lines.length} lines` : "";
       if (!sender.free) this.rests = 0;
@@ -111,15 +150,23 @@ export class MachinePanel {
     $("power").hidden = $("connect").hidden = $("served").hidden = true;
     $<HTMLSelectElement>("times").disabled = !(link instanceof PageLink);
     $("machine-note").textContent = "";
-    this.poll = setInterval(() => sender.realtime(REALTIME.status), POLL);
-    void this.line("$I");
+    this.endPoll = every(POLL, () => sender.realtime(REALTIME.status));
+    void this.greet();
+  }
+
+  /** Disconnects; a machine that moves is held. */
+  private leave(): void {
+    const moves = this.moves();
+    if (moves) this.sender?.realtime(REALTIME.hold);
+    this.detach(moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
   }
 
   private detach(why: string): void {
-    clearInterval(this.poll);
+    this.endPoll();
     void this.link?.close();
-    this.link = this.sender = this.status = undefined;
-    $("live").hidden = $("leave").hidden = true;
+    this.link = this.sender = this.status = this.jogging = undefined;
+    [this.settings, this.rests] = [{}, 0];
+    $("live").hidden = $("leave").hidden = $("silent").hidden = true;
     this.app.player.showMachine();
     $("power").hidden = $("connect").hidden = false;
     $("served").hidden = servedMachine() === undefined;
@@ -138,7 +185,7 @@ export class MachinePanel {
       $(`at-${axis}`).textContent = (status.machine[axis] ?? 0).toFixed(3);
     }
     this.app.player.showMachine(status.machine);
-    for (const [index, part] of (status.fields.Ov?.split(",") ?? []).entries()) $(`override-${index}`).textContent = `${part} %`;
+    for (const [index, part] of (status.fields.Ov?.split(",") ?? []).slice(0, 3).entries()) $(`override-${index}`).textContent = `${part} %`;
   }
 
   /** A job may begin when the one before is done: a single report may be older than its last move. */
@@ -168,44 +215,55 @@ export class MachinePanel {
     const button = el("button", { type: "button", textContent: way, "aria-label": `jog ${way.replace("-", " to minus").replace("+", " to plus")}, hold` });
     const begin = (event: Event) => {
       event.preventDefault();
-      if (!this.jogging) void this.jog(way);
+      if (!this.jogging) this.beginJog(way);
     };
     button.addEventListener("pointerdown", event => {
+      if (event.button !== 0) return;
       button.setPointerCapture(event.pointerId);
       begin(event);
     });
     button.addEventListener("keydown", event => {
-      if (event.key === " " || event.key === "Enter") begin(event);
+      if (!event.repeat && (event.key === " " || event.key === "Enter")) begin(event);
     });
     for (const end of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) button.addEventListener(end, () => this.endJog());
     return button;
   }
 
+  private beginJog(way: string): void {
+    const press = (this.jogging = {});
+    this.jogged = this.jogged.then(() => this.jog(way, press));
+  }
+
   /** Short jogs one after the other, as long as the button is held. */
-  private async jog(way: string): Promise<void> {
+  private async jog(way: string, press: object): Promise<void> {
     const { sender } = this;
-    if (!sender) return;
-    this.jogging = way;
-    const feed = Math.max(1, Number($<HTMLInputElement>("jog-feed").value) || 1);
+    const held = () => this.jogging === press && this.sender === sender;
+    // A machine that does as it is told has its settings; one that has refused them may give them now.
+    if (sender && held() && this.settings[110] === undefined) await this.readSettings();
+    if (!sender || !held()) return;
+    const axis = "XYZ".indexOf(way[0]);
+    // What is typed may be more than the axis can do.
+    const feed = Math.min(Math.max(1, Number($<HTMLInputElement>("jog-feed").value) || 1), this.settings[110 + axis] ?? Infinity);
     const distance = ((feed / 60) * JOG_SECONDS).toFixed(3);
     const text = `$J=G91 G21 ${way[0]}${way[1] === "-" ? "-" : ""}${distance} F${feed}`;
-    const ahead: Promise<string>[] = [];
-    const began = performance.now();
-    let sentJogs = 0;
-    while (this.jogging === way && this.sender === sender) {
-      // Answers come when a jog is planned, not when it is done: time tells how many are ahead.
-      const due = (performance.now() - began) / 1000 / JOG_SECONDS + JOGS_AHEAD;
-      if (sentJogs < due) {
-        sentJogs++;
-        ahead.push(sender.command(text));
-        const answer = await (ahead.shift() as Promise<string>);
-        if (answer !== "ok") {
-          this.say(`${text}: ${answer}`, "wrong");
-          break;
-        }
-      } else await new Promise(resolve => setTimeout(resolve, 20));
+    const at = () => this.status?.machine[axis] ?? 0;
+    const from = at();
+    for (let sent = 0; held(); ) {
+      // Answers come when a jog is planned, not when it is done: the reports tell how far it has come.
+      if (sent * Number(distance) >= Math.abs(at() - from) + JOGS_AHEAD * Number(distance)) {
+        await new Promise(resolve => setTimeout(resolve, 20));
+        continue;
+      }
+      sent++;
+      const answer = await sender.command(text);
+      // A line that was on its way when the button was released came behind the end of the jog on some machines.
+      if (!held() && this.sender === sender) sender.realtime(REALTIME.jogCancel);
+      if (answer !== "ok") {
+        this.say(`${text}: ${answer}`, "wrong");
+        break;
+      }
     }
-    this.endJog();
+    if (held()) this.endJog();
   }
 
   private endJog(): void {
@@ -226,25 +284,23 @@ export class MachinePanel {
     }
   }
 
+  /** Sets the work zero by a plate of known thickness. The units and modes of before are in force again behind it, whatever becomes of it. */
   private async probe(): Promise<void> {
-    const thickness = Number($<HTMLInputElement>("plate").value);
-    if ((await this.line("G21 G91 G38.2 Z-25 F100")) !== "ok") return;
-    await this.line(`G90 G10 L20 P0 Z${thickness}`);
-    await this.line("G91 G0 Z2");
-    await this.line("G90");
+    const note = (text: string) => ($("machine-note").textContent = text);
+    if (this.status?.fields.Pn?.includes("P")) return void note("The probe is in contact already: nothing is probed.");
+    const modes = (await this.ask("$G")).said.join(" ").match(/\bG(20|21|90|91|93|94|95)\b/g);
+    if (!modes) return void note("The machine does not tell its modes: nothing is probed.");
+    note("");
+    const { answer, said } = await this.ask(`G21 G91 G94 G38.3 Z-${PROBE_DEPTH} F100`);
+    if (answer !== "ok") note(`Nothing is probed: ${answer}`);
+    else if (!/\[PRB:[^\]]*:1\]/.test(said.join(" "))) note(`No contact within ${PROBE_DEPTH} mm: the work zero is as it was.`);
+    else if ((await this.line(`G10 L20 P0 Z${Number($<HTMLInputElement>("plate").value)}`)) === "ok") await this.line("G0 Z2");
+    await this.line(modes.join(" "));
   }
 
-  private async readSettings(): Promise<void> {
-    if (!this.sender) return;
-    const lines: string[] = [];
-    const { onmessage } = this.sender;
-    this.sender.onmessage = text => {
-      lines.push(text);
-      onmessage(text);
-    };
-    await this.line("$$");
-    this.sender.onmessage = onmessage;
-    this.app.settings.replace(parseSettings(lines.join("\n")));
+  private async settingsToForecast(): Promise<void> {
+    if (await this.readSettings()) this.app.settings.replace(this.settings);
+    else $("machine-note").textContent = "The machine does not tell its settings now: the forecast keeps those that it has.";
   }
 
   private listen(): void {
@@ -270,11 +326,15 @@ export class MachinePanel {
         $("machine-note").textContent = (error as Error).message;
       }
     });
-    $("leave").addEventListener("click", () => this.detach("Disconnected."));
+    $("leave").addEventListener("click", () => this.leave());
+    $("watch").addEventListener("click", async () => {
+      await this.line("$922=2");
+      await this.line("$923=0.5");
+    });
     $("start").addEventListener("click", () => this.start());
     $("reset").addEventListener("click", () => this.sender?.reset());
     $("probe").addEventListener("click", () => void this.probe());
-    $("read").addEventListener("click", () => void this.readSettings());
+    $("read").addEventListener("click", () => void this.settingsToForecast());
     $("times").addEventListener("change", () => {
       if (this.link instanceof PageLink) this.link.speed(Number($<HTMLSelectElement>("times").value));
     });
@@ -287,7 +347,7 @@ export class MachinePanel {
     const command = $<HTMLInputElement>("command");
     command.addEventListener("keydown", event => {
       if (event.key !== "Enter" || !command.value) return;
-      void this.line(command.value);
+      this.typed(command.value);
       command.value = "";
     });
     // A page that goes leaves the machine in a hold.

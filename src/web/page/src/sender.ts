@@ -12,6 +12,7 @@ export interface Link {
   readonly greets?: boolean;
 }
 
+/** A report of state; positions in mm. */
 export interface Status {
   state: string;
   machine: number[];
@@ -36,7 +37,10 @@ const SMALLEST_BUFFER = 128;
 
 const UNCHECKED = "with checked lines each line has a number, a length and a checksum, and this page sends plain ones";
 
-interface Sent { length: number; line?: number; answered?: (answer: string) => void }
+/** What a line was answered with, and what the controller said between the answer before and that one. */
+export interface Answer { answer: string; said: string[] }
+interface Command { text: string; quiet: boolean; answered: (answer: Answer) => void }
+interface Sent { length: number; line?: number; command?: Command; said: string[] }
 
 export class Sender {
   onstatus: (status: Status) => void = () => {};
@@ -52,11 +56,13 @@ export class Sender {
   done = 0;
   /** Bytes of the controller's receive buffer. */
   room = SMALLEST_BUFFER;
+  /** Millimetres of the unit in which the controller reports positions (`$13`). */
+  unit = 1;
   private next = 0;
   private stopped = false;
   private resetting = false;
   private silence?: ReturnType<typeof setTimeout>;
-  private readonly commands: { text: string; answered?: (answer: string) => void }[] = [];
+  private readonly commands: Command[] = [];
   private flight: Sent[] = [];
   private heard = "";
   private offset = [0, 0, 0];
@@ -75,14 +81,19 @@ export class Sender {
     this.link.write(new Uint8Array([command]));
   }
 
-  /** Sends a line between those of the job, and gives its answer. */
-  command(text: string): Promise<string> {
+  /** Sends a line between those of the job, and gives its answer with what was said before it. Of a quiet one, settings are not told as messages. */
+  ask(text: string, quiet = false): Promise<Answer> {
     const why = unsendable(text);
-    if (why) return Promise.resolve(`not sent: ${why}`);
+    if (why) return Promise.resolve({ answer: `not sent: ${why}`, said: [] });
     return new Promise(resolve => {
-      this.commands.push({ text, answered: resolve });
+      this.commands.push({ text, quiet, answered: resolve });
       this.pump();
     });
+  }
+
+  /** Sends a line between those of the job, and gives its answer. */
+  async command(text: string): Promise<string> {
+    return (await this.ask(text)).answer;
   }
 
   /** Whether nothing waits to be sent or answered. */
@@ -114,7 +125,7 @@ export class Sender {
 
   /** Sends no more of the job and of the lines that wait; what was sent is still to be answered. */
   private stop(why: string): void {
-    for (const command of this.commands.splice(0)) command.answered?.(`not sent: ${why}`);
+    for (const command of this.commands.splice(0)) command.answered({ answer: `not sent: ${why}`, said: [] });
     if (!this.busy || this.stopped) return;
     this.stopped = true;
     this.lines.length = this.next;
@@ -123,7 +134,8 @@ export class Sender {
 
   /** The controller has forgotten all lines. */
   private forget(): void {
-    for (const sent of [...this.flight.splice(0), ...this.commands.splice(0)]) sent.answered?.("reset");
+    const commands = [...this.flight.splice(0).map(sent => sent.command), ...this.commands.splice(0)];
+    for (const command of commands) command?.answered({ answer: "reset", said: [] });
     this.lines = [];
     [this.next, this.done, this.stopped] = [0, 0, false];
   }
@@ -175,7 +187,7 @@ export class Sender {
       const bytes = plain(text);
       if (this.flight.length && this.used + bytes.length > this.room) return;
       if (command) this.commands.shift();
-      this.flight.push({ length: bytes.length, line: command ? undefined : ++this.next, answered: command?.answered });
+      this.flight.push({ length: bytes.length, line: command ? undefined : ++this.next, command, said: [] });
       this.link.write(bytes);
     }
   }
@@ -204,7 +216,7 @@ export class Sender {
         this.done++;
         if (line !== "ok") this.refuse(sent.line, line);
       }
-      sent?.answered?.(line);
+      sent?.command?.answered({ answer: line, said: sent.said });
     } else if (line.startsWith("<")) {
       this.onstatus(this.status(line));
     } else {
@@ -212,7 +224,9 @@ export class Sender {
       if (buffer) this.room = Number(buffer[1]);
       if (line.startsWith("ALARM:") && !this.resetting) this.stop(line);
       if (line.startsWith("Grbl ")) this.greeted();
-      this.onmessage(line);
+      const [asked] = this.flight;
+      if (asked?.command) asked.said.push(line);
+      if (!(asked?.command?.quiet && /^\$\d+=/.test(line))) this.onmessage(line);
     }
   }
 
@@ -230,7 +244,8 @@ export class Sender {
     const numbers = (text?: string) => text?.split(",").map(Number);
     this.offset = numbers(fields.WCO) ?? this.offset;
     const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + this.offset[i]) ?? [0, 0, 0];
-    return { state, machine, work: machine.map((v, i) => v - this.offset[i]), fields };
+    const work = machine.map((v, i) => v - this.offset[i]);
+    return { state, machine: machine.map(v => v * this.unit), work: work.map(v => v * this.unit), fields };
   }
 }
 

@@ -43,6 +43,7 @@ export async function a_job_that_is_started_twice_runs_once(browser) {
     start.click();
     start.disabled = false;
     start.click();
+    start.disabled = true;
   });
   await press();
   // All lines are answered at once, and the machine moves for 0.6 s.
@@ -116,11 +117,113 @@ export async function jogs_last_as_long_as_the_button_is_held(browser) {
   assert.deepEqual(faults, []);
 }
 
+export async function a_jog_ends_however_the_button_is_left(browser) {
+  const { page, faults } = await powered(browser);
+  const button = page.getByRole("button", { name: /jog Y to minus/ });
+  // A typed feed that the axis cannot reach: moves are made for what it can, and no more of them are ahead.
+  await page.evaluate(() => oxmill.app.machine.line("$111=600"));
+  await page.fill("#jog-feed", "60000");
+  const key = name => [() => page.keyboard.down(name), () => page.keyboard.up(name)];
+  const pointer = (type, more = {}) => () => button.dispatchEvent(type, { pointerId: 1, button: 0, bubbles: true, ...more });
+  const leavings = [key("Enter"), key(" "), [key("Enter")[0], () => page.evaluate(() => dispatchEvent(new Event("blur")))], [key(" ")[0], () => page.focus("#command")]];
+  for (const [begin, end] of leavings) {
+    await button.focus();
+    const from = (await place(page))[1];
+    await begin();
+    await page.waitForFunction(from => oxmill.app.machine.status.machine[1] < from - 1, from);
+    await end();
+    const left = (await place(page))[1];
+    await state(page, "^Idle");
+    const to = await place(page);
+    // Behind the report of a moment before: less than what was ahead and a report's time.
+    assert(left - to[1] < 10, `${left} to ${to[1]}`);
+    await page.waitForTimeout(300);
+    near(await place(page), to);
+    await page.keyboard.up("Enter");
+    await page.keyboard.up(" ");
+  }
+  // Another button of the mouse jogs nothing.
+  await page.evaluate(() => (Element.prototype.setPointerCapture = () => {}));
+  const at = await place(page);
+  await pointer("pointerdown", { button: 2 })();
+  await page.waitForTimeout(300);
+  near(await place(page), at);
+  await pointer("pointerdown")();
+  await state(page, "^Jog");
+  await pointer("pointercancel")();
+  await state(page, "^Idle");
+  assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function positions_are_in_millimetres_whatever_the_machine_reports_in(browser) {
+  const { page, faults } = await powered(browser);
+  await page.selectOption("#times", "10");
+  const line = text => page.evaluate(text => oxmill.app.machine.line(text), text);
+  await line("G21 G91 G0 X-5 Y3");
+  await page.waitForFunction(() => document.getElementById("at-0").textContent === "-5.000");
+  await page.click("#dro [aria-label*='work zero of Y']");
+  await page.waitForFunction(() => document.getElementById("work-1").textContent === "0.000");
+  await line("$13=1");
+  await line("G4 P0.5");
+  // Inches are told with four decimals: 0.0001 inch is 0.0025 mm.
+  near(await place(page), [-5, 3, 0]);
+  near(await page.evaluate(() => oxmill.app.machine.status.work), [-5, 0, 0]);
+  assert.deepEqual(faults, []);
+}
+
+export async function a_probe_that_finds_nothing_changes_no_zero_and_no_mode(browser) {
+  const { page, faults } = await powered(browser);
+  await page.selectOption("#times", "10");
+  const line = text => page.evaluate(text => oxmill.app.machine.line(text), text);
+  await line("G21 G90 G0 Z15");
+  await line("G20");
+  const note = wanted => page.waitForFunction(wanted => new RegExp(wanted).test(document.getElementById("machine-note").textContent), wanted, { timeout: PATIENCE });
+  await page.click("#probe");
+  await note("No contact within 25 mm");
+  await state(page, "^Idle");
+  const modes = (await page.evaluate(() => oxmill.app.machine.sender.ask("$G"))).said.join();
+  assert.match(modes, /G20 G90/);
+  near(await page.evaluate(() => oxmill.app.machine.status.work), [0, 0, -10]);
+  // In contact from the start: it would be an alarm.
+  await line("G21 G38.2 Z-20 F300");
+  await state(page, "^Idle");
+  await page.waitForFunction(() => oxmill.app.machine.status.fields.Pn?.includes("P"));
+  await page.click("#probe");
+  await note("in contact already");
+  assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
+export async function the_console_takes_realtime_commands(browser) {
+  const { page, faults } = await powered(browser);
+  const type = async text => {
+    await page.fill("#command", text);
+    await page.press("#command", "Enter");
+  };
+  await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 120: 321 }));
+  await type("G91 G1 X20 F300");
+  await state(page, "^Run");
+  // In motion a machine does not tell its settings: those of the forecast stay.
+  await page.click("#read");
+  await page.waitForFunction(() => /does not tell its settings/.test(document.getElementById("machine-note").textContent));
+  assert.equal(await page.evaluate(() => oxmill.app.settings.value(120)), 321);
+  await type("!");
+  await state(page, "^Hold");
+  await type("~");
+  await state(page, "^Run");
+  await state(page, "^Idle");
+  await page.click("#read");
+  await page.waitForFunction(() => oxmill.app.settings.value(120) !== 321);
+  assert.equal(await page.locator("#console .wrong").count(), 0);
+  assert.deepEqual(faults, []);
+}
+
 export async function homing_and_probing_find_switch_and_plate(browser) {
   const { page, faults } = await powered(browser);
   await page.selectOption("#times", "10");
   await page.click("#probe");
-  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G90 G10 L20 P0 Z10"), null, { timeout: PATIENCE });
+  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G10 L20 P0 Z10"), null, { timeout: PATIENCE });
   await state(page, "^Idle");
   await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: PATIENCE });
   await page.click("[data-line='$H']");
@@ -145,20 +248,23 @@ async function fakeSerial(page, port) {
     for (const line of lines) if (/^(ok|error:)/.test(line)) wire.lengths.shift();
   });
   await page.exposeFunction("__write", bytes => {
-    if (bytes.length === 1) wire.realtime.push(bytes[0]);
+    if (bytes.length === 1 && bytes[0] !== 10) wire.realtime.push(bytes[0]);
     else wire.lengths.push(bytes.length);
     wire.most = Math.max(wire.most, wire.lengths.reduce((a, b) => a + b, 0));
     socket.write(Buffer.from(bytes));
   });
   await page.exposeFunction("__listen", () => {
-    socket.on("data", data => page.evaluate(bytes => __said(bytes), [...data]).catch(() => {}));
+    // A port that is opened again hears what comes from then on.
+    socket.off("data", wire.hear ?? (() => {}));
+    socket.on("data", (wire.hear = data => page.evaluate(bytes => __said(bytes), [...data]).catch(() => {})));
+    wire.lengths.length = 0;
   });
   await page.addInitScript(() => {
     const made = { opened: undefined, closed: false };
     globalThis.__port = made;
     const port = {
       async open(options) {
-        made.opened = options;
+        [made.opened, made.closed] = [options, false];
         this.readable = new ReadableStream({ start(to) {
           globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
           globalThis.__unplug = () => to.error(new DOMException("The device has been lost.", "NetworkError"));
@@ -228,10 +334,63 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await page.click("#reset");
     await state(page, "^(Idle|Alarm)");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
-    // Unplugged: the page says so, and another board may be connected.
+    // Unplugged in mid-job: the page says so, closes the port, and a board may be connected again.
+    await page.click("[data-line='$X']");
+    await page.waitForFunction(() => !document.getElementById("start").disabled);
+    await page.click("#start");
+    await state(page, "^Run");
     await page.evaluate(() => __unplug());
-    await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent));
-    assert(await page.locator("#connect").isVisible());
+    await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent) && __port.closed);
+    await page.click("#connect");
+    await state(page, "^(Run|Hold)");
+    await page.click("#reset");
+    await state(page, "^(Idle|Alarm)");
+    assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
+  });
+}
+
+export async function buttons_send_their_realtime_commands(browser) {
+  await connected(browser, "1", async (page, order, wire) => {
+    const bytes = { feedMinus: 0x92, feed100: 0x90, feedPlus: 0x91, rapid25: 0x97, rapid50: 0x96, rapid100: 0x95,
+      spindleMinus: 0x9b, spindle100: 0x99, spindlePlus: 0x9a, hold: 0x21, resume: 0x7e };
+    const names = await page.locator("[data-realtime]").evaluateAll(buttons => buttons.map(button => button.dataset.realtime));
+    assert.deepEqual(names.toSorted(), Object.keys(bytes).toSorted());
+    const commands = () => wire.realtime.filter(byte => byte !== 0x3f);
+    for (const name of names) {
+      const before = commands().length;
+      await page.click(`[data-realtime=${name}]`);
+      while (commands().length === before) await page.waitForTimeout(5);
+      assert.deepEqual(commands().slice(before), [bytes[name]], name);
+    }
+    const button = await page.getByRole("button", { name: /jog X to plus/ }).boundingBox();
+    await page.mouse.move(button.x + 5, button.y + 5);
+    await page.mouse.down();
+    await state(page, "^Jog");
+    await page.mouse.up();
+    await state(page, "^Idle");
+    assert(wire.realtime.includes(0x85), "a jog cancel");
+  });
+}
+
+export async function a_board_that_is_left_in_motion_is_held(browser) {
+  await connected(browser, "1", async (page, order, wire) => {
+    // Who has a UART can have the machine watch its host.
+    await page.click("#watch");
+    await page.waitForFunction(() => document.getElementById("silent").hidden);
+    const settings = (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
+    assert.match(settings, /^\$922=2(\.0*)?$/m);
+    assert.match(settings, /^\$923=0\.50*$/m);
+    await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
+    await page.waitForFunction(() => !document.getElementById("start").disabled);
+    await page.click("#start");
+    await state(page, "^Run");
+    await page.click("#leave");
+    await page.waitForFunction(() => __port.closed);
+    assert.equal(wire.realtime.at(-1), 0x21);
+    assert.match(await page.locator("#machine-note").innerText(), /is held/);
+    await page.click("#connect");
+    await state(page, "^Hold");
+    assert(await page.locator("#silent").isHidden());
   });
 }
 

@@ -114,3 +114,20 @@ export async function answers_count_whatever_becomes_of_what_is_shown() {
   console.error = error;
   assert.deepEqual([sender.free, told], [true, ["not shown"]]);
 }
+
+export async function what_is_said_before_an_answer_is_told_with_it() {
+  const { sender, say } = connected();
+  const messages = [];
+  sender.onmessage = text => messages.push(text);
+  const [modes, settings, again] = [sender.ask("$G"), sender.ask("$$", true), sender.ask("$$")];
+  say("[GC:G0 G54]\r\nok\r\n$13=1\r\n[MSG:Caution]\r\nok\r\n$13=0\r\nok");
+  assert.deepEqual(await modes, { answer: "ok", said: ["[GC:G0 G54]"] });
+  assert.deepEqual(await settings, { answer: "ok", said: ["$13=1", "[MSG:Caution]"] });
+  assert.deepEqual(await again, { answer: "ok", said: ["$13=0"] });
+  assert.deepEqual(messages, ["[GC:G0 G54]", "[MSG:Caution]", "$13=0"]);
+  const reports = [];
+  sender.onstatus = status => reports.push([...status.machine, ...status.work]);
+  sender.unit = 25.4;
+  say("<Idle|MPos:1.0000,2.0000,0.0000|FS:0,0|WCO:0.5000,0.0000,0.0000>");
+  assert.deepEqual(reports, [[25.4, 50.8, 0, 12.7, 50.8, 0]]);
+}
