@@ -45,6 +45,7 @@ use oxmill_simulator::Simulator;
 use oxmill_simulator::check::Check;
 use oxmill_simulator::streaming::Streaming;
 use std::cell::RefCell;
+use std::sync::Once;
 
 /// Number of this interface. It changes when a caller would have to.
 pub const ABI: u32 = 2;
@@ -73,7 +74,10 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
+/// Calls with the state of the instance. A panic in it leaves its text, whichever call comes first.
 fn with<T>(call: impl FnOnce(&mut Instance) -> T) -> T {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| std::panic::set_hook(Box::new(|panic| PANIC.with_borrow_mut(|text| *text = panic.to_string()))));
     INSTANCE.with_borrow_mut(call)
 }
 
@@ -107,7 +111,6 @@ pub extern "C" fn oxmill_abi() -> u32 {
 /// Makes room for an input of so many bytes, and gives its address.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_input(length: usize) -> *mut u8 {
-    std::panic::set_hook(Box::new(|panic| PANIC.with_borrow_mut(|text| *text = panic.to_string())));
     with(|instance| {
         instance.input.clear();
         instance.input.resize(length, 0);
@@ -278,6 +281,5 @@ pub extern "C" fn oxmill_panic() -> *const u8 {
 /// Panics.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_fail() {
-    let _ = oxmill_input(0);
-    panic!("oxmill_fail was called");
+    with(|_| panic!("oxmill_fail was called"))
 }

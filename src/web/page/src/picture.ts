@@ -12,11 +12,17 @@ const QUICK = 20_000;
 /** A picture with thick lines that took longer than this is not asked for again, ms. */
 const SLOW = 250;
 const REST = 200;
+/** Where the arrow keys point, right and up. */
+const ARROWS: Record<string, readonly [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+/** How far an arrow key with Shift moves the picture, CSS pixels. */
+const PAN = 40;
 /** Quads of a block that are drawn at rest, and while the view moves. */
 const QUADS = 250_000;
 const QUADS_MOVING = 40_000;
 
 interface Lines { thick: WebGLVertexArrayObject; thin: WebGLVertexArrayObject; buffer: WebGLBuffer; count: number }
+
+interface Box { low: Vector; high: Vector }
 
 export class Picture {
   readonly camera = new Camera();
@@ -43,6 +49,8 @@ export class Picture {
   private zero: Vector = [0, 0, 0];
   private low: Vector = [0, 0, 0];
   private high: Vector = [1, 1, 1];
+  /** The limits, while they are shown. */
+  private travel?: Box;
   private asked = false;
   private thickIsSlow = false;
   private lastMove = -Infinity;
@@ -80,6 +88,8 @@ export class Picture {
       }
     }
     if (count === 0) [this.low, this.high] = [[0, 0, 0], [10, 10, 10]];
+    this.travel = undefined;
+    this.load(this.box, new Float32Array(0));
     this.thickIsSlow = false;
     this.shade(shades);
     this.load(this.grid, this.gridLines());
@@ -111,34 +121,32 @@ export class Picture {
       // Floats are not blended between.
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-      for (let axis = 0; axis < 3; axis++) {
-        this.low[axis] = Math.min(this.low[axis], material.block.low[axis]);
-        this.high[axis] = Math.max(this.high[axis], material.block.high[axis]);
-      }
     }
     if (first) this.fit();
     this.draw();
   }
 
   /** Shows the limits of the machine, or takes them away. */
-  limits(box?: { low: Vector; high: Vector }): void {
+  limits(box?: Box): void {
+    if (!box && !this.travel) return;
+    this.travel = box;
     const edges: number[] = [];
     if (box) {
       const corner = (bits: number): Vector => [0, 1, 2].map(axis => (bits >> axis & 1 ? box.high : box.low)[axis]) as Vector;
       for (let bits = 0; bits < 8; bits++) {
         for (let axis = 0; axis < 3; axis++) if (!(bits >> axis & 1)) edges.push(...segment(corner(bits), corner(bits | 1 << axis)));
       }
-      for (let axis = 0; axis < 3; axis++) {
-        this.low[axis] = Math.min(this.low[axis], box.low[axis]);
-        this.high[axis] = Math.max(this.high[axis], box.high[axis]);
-      }
     }
     this.load(this.box, new Float32Array(edges));
     this.fit();
   }
 
+  /** Sees all that is drawn: the path, a block, the limits. */
   fit(): void {
-    this.camera.fit(this.low, this.high, this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight));
+    const boxes = [this.material?.block, this.travel].filter(box => box !== undefined);
+    const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
+    const high = this.high.map((value, axis) => Math.max(value, ...boxes.map(box => box.high[axis]))) as Vector;
+    this.camera.fit(low, high, this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight));
     this.draw();
   }
 
@@ -375,15 +383,17 @@ export class Picture {
       this.moved();
     }, { passive: false });
     canvas.addEventListener("keydown", event => {
+      const arrow = ARROWS[event.key];
+      const turnOrPan = ([x, y]: readonly [number, number]) => {
+        if (event.shiftKey) camera.pan(x * PAN, -y * PAN, canvas.clientHeight);
+        else camera.look(camera.turn + x * 0.1, camera.height + y * 0.1);
+      };
       const keys: Record<string, () => void> = {
-        ArrowLeft: () => camera.look(camera.turn - 0.1, camera.height),
-        ArrowRight: () => camera.look(camera.turn + 0.1, camera.height),
-        ArrowUp: () => camera.look(camera.turn, camera.height + 0.1),
-        ArrowDown: () => camera.look(camera.turn, camera.height - 0.1),
         "+": () => (camera.distance *= 0.9),
         "-": () => (camera.distance /= 0.9),
         "0": () => this.fit(),
       };
+      if (arrow) keys[event.key] = () => turnOrPan(arrow);
       if (!keys[event.key]) return;
       keys[event.key]();
       event.preventDefault();

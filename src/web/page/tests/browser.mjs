@@ -1,4 +1,5 @@
 // A page in headless Chromium, as the tests want it: from the disk, with everything heard that goes wrong.
+import assert from "node:assert/strict";
 import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
@@ -41,4 +42,18 @@ export async function openJob(page, name, text) {
   await page.evaluate(() => (oxmill.app.checked = undefined));
   await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(text) });
   return checked(page, name);
+}
+
+/** The time that the scrubber shows, and the one at which a line begins by the rows of the path, s. */
+export const timeOf = (page, line) => page.evaluate(line => {
+  const { lines, rows } = oxmill.app.checked.path;
+  const row = lines.findIndex((of, row) => row > 0 && of % 2 ** 30 === line);
+  return { shown: Number(document.getElementById("scrub").value), begins: rows[row * 6 + 4] };
+}, line);
+
+/** Tells that the page is at the begin of a line, which is not that of the job: by its scrubber, its list and its tool. */
+export async function isAt(page, line) {
+  const { shown, begins } = await timeOf(page, line);
+  assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `line ${line} begins at ${begins} s; ${shown} s is shown`);
+  assert.match(await page.locator("#lines [aria-selected=true]").innerText(), new RegExp(`^\\s*${line}\\s`));
 }

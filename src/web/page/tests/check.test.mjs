@@ -1,6 +1,6 @@
 // Check, forecast and picture, against the program of this host.
 import assert from "node:assert/strict";
-import { checked, open, openJob } from "./browser.mjs";
+import { checked, isAt, open, openJob } from "./browser.mjs";
 import { BOARDS, example, examples, MILL, page as file, run, same, traced } from "./program.mjs";
 
 /** Chooses settings and waits for the check with them. */
@@ -165,8 +165,9 @@ export async function the_picture_is_where_the_machine_was(browser) {
   }
   // The line under the tool is the one of the circle.
   await page.evaluate(() => oxmill.app.player.goToLine(29));
-  const line = await page.evaluate(() => oxmill.app.player.line);
-  assert.equal(line, 29);
+  await isAt(page, 29);
+  await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time + 0.001));
+  assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
   // Pixels: the path has colours of the scale, and a scrubbed job has fewer of them.
   const colored = () => colorsOn(page, "view");
   await page.evaluate(() => oxmill.app.player.seek(Infinity));
@@ -190,6 +191,46 @@ export async function the_picture_is_where_the_machine_was(browser) {
   await page.evaluate(() => oxmill.app.player.seek(0));
   await page.locator("#view").click({ position: { x: row[0], y: row[1] } });
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
+  assert.deepEqual(faults, []);
+}
+
+/** Pixels on the edges of the travel; and without the limits, the view is that of the path again. */
+export async function the_limits_are_drawn_where_the_travel_ends(browser) {
+  const { page, faults } = await open(browser, file);
+  await settings(page, { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 });
+  await openJob(page, "small.nc", "G21 G91\nG1 X-20 Y-20 Z-20 F600\n");
+  const view = () => page.evaluate(() => ({ ...oxmill.app.player.picture.camera }));
+  const [without, colors] = [await view(), await colorsOn(page, "view")];
+  await page.check("#limits");
+  // The middle of an edge below the grid, which is fainter.
+  const edges = [];
+  for (const place of [[-60, -50, -20], [0, -25, -40], [-30, 0, -40]]) edges.push(await inkAt(page, place));
+  assert(edges.every(ink => ink > 60), `${edges}`);
+  assert(await colorsOn(page, "view") > colors + 500);
+  // The box is wider than the path: the view shows all of it.
+  const corner = await page.evaluate(() => oxmill.app.player.picture.place([-60, -50, -40]));
+  const size = await page.locator("#view").boundingBox();
+  assert(corner[0] > 0 && corner[0] < size.width && corner[1] > 0 && corner[1] < size.height, `${corner}`);
+  await page.uncheck("#limits");
+  assert.equal(await colorsOn(page, "view"), colors);
+  assert.deepEqual(await view(), without);
+  assert.deepEqual(faults, []);
+}
+
+/** A set of settings that the board cannot keep: the job is refused for it, and the setting is named as the program names it. */
+export async function a_setting_out_of_reach_is_named(browser) {
+  const { page, faults } = await open(browser, file);
+  await settings(page, { ...MILL, 110: 1e6 });
+  const text = "G21 G90\nG1 X10 F600\n";
+  const found = await openJob(page, "reach.nc", text);
+  const expected = run("reach.nc", text, { settings: { ...MILL, 110: 1e6 } });
+  same(found, expected);
+  const why = "Motion is locked until this setting is mended: $110";
+  assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
+  assert((await page.locator("#messages").innerText()).includes(why));
+  assert.match(await page.locator("#errors button").first().innerText(), /line 2: error:9/);
+  await settings(page, MILL);
+  assert.equal(await page.textContent("#messages"), "");
   assert.deepEqual(faults, []);
 }
 
@@ -293,8 +334,10 @@ export async function a_slow_link_is_told(browser) {
   const of = baud => rows.find(row => row.baud === baud);
   assert(of(9600).starved && of(9600).places > 0 && of(9600).seconds > 1.5 * of(0).seconds, JSON.stringify(rows));
   assert(!of(115200).starved && of(115200).places === 0 && !of(0).starved, JSON.stringify(rows));
-  await page.locator("#link-table button").first().click();
-  assert(await page.evaluate(() => oxmill.app.player.line) > 0);
+  const place = page.locator("#link-table tbody tr").first().locator("button").last();
+  const line = Number((await place.innerText()).replace("line ", ""));
+  await place.click();
+  await isAt(page, line);
   assert.deepEqual(faults, []);
 }
 
@@ -337,5 +380,31 @@ export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   assert.equal(await page.locator("#plunges").isVisible(), true);
   assert.deepEqual(await shown("tool"), { 2: [-1], 3: [0], 4: [0], 5: [0], 7: [1] });
   assert.deepEqual([await page.textContent("#scale-low"), await page.textContent("#scale-high")], ["T0", "T3"]);
+  // By line: its number, as a part of that of the last one.
+  assert.deepEqual(await shown("line"), { 2: [-1], 3: [0.429], 4: [0.571], 5: [0.714], 7: [1] });
+  assert.deepEqual([await page.textContent("#scale-low"), await page.textContent("#scale-high")], ["line 1", "line 7"]);
+  assert.deepEqual(faults, []);
+}
+
+/** By acceleration: a straight move has its ends at the machine's own, and between them none. */
+export async function acceleration_has_the_colours_of_its_value(browser) {
+  const { page, faults } = await open(browser, file);
+  await settings(page, MILL);
+  await openJob(page, "straight.nc", "G21 G91\nG1 X50 F3000\n");
+  const before = await colorsOn(page, "view");
+  const rows = () => page.evaluate(() => ({ shades: [...oxmill.app.player.picture.shades], rows: [...oxmill.app.checked.path.rows] }));
+  const bySpeed = (await rows()).shades;
+  await page.selectOption("#coloring", "acceleration");
+  const { shades, rows: path } = await rows();
+  const legend = await page.textContent("#scale-high");
+  assert.match(legend, /^\d+ mm\/s²$/);
+  console.log(path.slice(0,600).reduce((a,v,i)=>a+(i%6?" ":"\n")+v.toFixed(4),""), bySpeed.length);
+  const most = parseFloat(legend);
+  assert(most > 0.8 * MILL[120] && most < 1.2 * MILL[120], legend);
+  assert.notDeepEqual(shades, bySpeed);
+  const cruise = shades.filter((_, row) => row > 1 && path[row * 6 + 3] > 49.9 && path[(row - 1) * 6 + 3] > 49.9);
+  assert(cruise.length > 0 && cruise.every(shade => shade < 0.05), `${cruise}`);
+  assert(shades.filter(shade => shade > 0.7).length > 1, `${shades}`);
+  assert(before > 50 && await colorsOn(page, "view") > 50);
   assert.deepEqual(faults, []);
 }

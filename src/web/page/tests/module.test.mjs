@@ -40,9 +40,15 @@ export async function refusals_and_panics_have_a_text() {
     assert.equal(x.oxmill_check_begin(), 1);
     assert.match(output(), new RegExp(why));
   }
-  assert.throws(() => x.oxmill_fail(), WebAssembly.RuntimeError);
-  const text = new TextDecoder().decode(new Uint8Array(x.memory.buffer, x.oxmill_panic(), x.oxmill_panic_len()));
-  assert.match(text, /oxmill_fail was called/);
+  // After other calls, and as the first call of all: without an input before it.
+  for (const one of [x, (await instance()).x]) {
+    assert.throws(() => one.oxmill_fail(), WebAssembly.RuntimeError);
+    const text = () => new TextDecoder().decode(new Uint8Array(one.memory.buffer, one.oxmill_panic(), one.oxmill_panic_len()));
+    assert.match(text(), /oxmill_fail was called/);
+    // The instance has ended: any further call says so, and does not answer.
+    assert.throws(() => one.oxmill_describe(), WebAssembly.RuntimeError);
+    assert.match(text(), /already.*borrowed/);
+  }
 }
 
 export async function the_page_is_one_file_with_a_policy() {
