@@ -45,7 +45,7 @@ pub struct Sample {
 pub struct Point {
     /// Place in mm.
     pub at: [f32; AXES],
-    /// Path speed on the way here, mm/s.
+    /// Mean path speed on the way here, mm/s.
     pub speed: f32,
     /// Whether the way here is a rapid.
     pub rapid: bool,
@@ -100,6 +100,8 @@ pub struct Drawing {
     top_speed: f32,
     /// The last point may still be moved on along its straight move.
     extend: bool,
+    /// Speed of the first piece of the way to the last point, mm/s: later ones may differ from it little.
+    first_speed: f32,
 }
 
 impl Drawing {
@@ -125,6 +127,7 @@ impl Drawing {
             columns: Vec::new(),
             top_speed: 0.0,
             extend: false,
+            first_speed: 0.0,
         }
     }
 
@@ -140,13 +143,18 @@ impl Drawing {
         };
         self.top_speed = self.top_speed.max(point.speed);
         let near = self.top_speed * SAME_SPEED;
-        let same = |last: &Point| last.rapid == point.rapid && (last.speed - point.speed).abs() <= near;
+        let first_speed = self.first_speed;
+        let same = |last: &Point| last.rapid == point.rapid && (first_speed - point.speed).abs() <= near;
         match self.points.last_mut() {
             Some(last) if self.extend && !sample.new_block && same(last) => {
+                last.speed = mean_speed(last, &point);
                 last.at = point.at;
                 last.seconds[1] = point.seconds[1];
             }
-            _ => self.points.push(point),
+            _ => {
+                self.first_speed = point.speed;
+                self.points.push(point);
+            }
         }
         self.extend = true;
         if self.points.len() >= self.limit {
@@ -258,16 +266,32 @@ fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
         }
         start = end;
     }
-    let mut began = None;
+    let mut left_out: Option<Point> = None;
     let mut simple = Vec::new();
     for (point, kept) in points.iter().zip(kept) {
-        let from = *began.get_or_insert(point.seconds[0]);
+        let way = left_out.map_or(*point, |before| Point {
+            speed: mean_speed(&before, point),
+            seconds: [before.seconds[0], point.seconds[1]],
+            ..*point
+        });
         if kept {
-            simple.push(Point { seconds: [from, point.seconds[1]], ..*point });
-            began = None;
+            simple.push(way);
+            left_out = None;
+        } else {
+            left_out = Some(way);
         }
     }
     simple
+}
+
+/// Mean speed of two ways, one behind the other, in mm/s.
+fn mean_speed(one: &Point, other: &Point) -> f32 {
+    let [first, second] = [one, other].map(|point| (point.seconds[1] - point.seconds[0]).max(0.0));
+    let whole = first + second;
+    if whole == 0.0 {
+        return other.speed;
+    }
+    ((f64::from(one.speed) * first + f64::from(other.speed) * second) / whole) as f32
 }
 
 /// Distance of a point from the line between two others.
@@ -311,6 +335,27 @@ mod tests {
         assert_eq!(drawing.points().len(), 2);
         assert_eq!(drawing.points()[1].at, [999.0, 0.0, 0.0]);
         assert!((drawing.seconds() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_line_of_several_pieces_has_their_mean_speed() {
+        let speeds = [100.0, 99.0, 98.5, 98.25];
+        let mut drawing = Drawing::new([0.0; 3], 0.0);
+        for (i, speed) in speeds.into_iter().enumerate() {
+            drawing.add(sample(i, [i as f64 + 1.0, 0.0, 0.0], speed, i == 0));
+        }
+        assert_eq!(drawing.points().len(), 2);
+        assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
+        // And if points are left out later.
+        let points: Vec<Point> = std::iter::once(drawing.points()[0])
+            .chain(speeds.iter().enumerate().map(|(i, speed)| {
+                let seconds = [i as f64, i as f64 + 1.0];
+                Point { at: [i as f32 + 1.0, 0.0, 0.0], speed: *speed as f32, seconds, ..drawing.points()[1] }
+            }))
+            .collect();
+        let simple = simplified(&points, 0.1, 10.0);
+        assert_eq!(simple.len(), 2);
+        assert!((simple[1].speed - 98.9375).abs() < 1e-3 && simple[1].seconds == [0.0, 4.0], "{:?}", simple[1]);
     }
 
     #[test]

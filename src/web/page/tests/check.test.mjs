@@ -398,13 +398,13 @@ export async function acceleration_has_the_colours_of_its_value(browser) {
   const { shades, rows: path } = await rows();
   const legend = await page.textContent("#scale-high");
   assert.match(legend, /^\d+ mm\/s²$/);
-  console.log(path.slice(0,600).reduce((a,v,i)=>a+(i%6?" ":"\n")+v.toFixed(4),""), bySpeed.length);
   const most = parseFloat(legend);
   assert(most > 0.8 * MILL[120] && most < 1.2 * MILL[120], legend);
   assert.notDeepEqual(shades, bySpeed);
-  const cruise = shades.filter((_, row) => row > 1 && path[row * 6 + 3] > 49.9 && path[(row - 1) * 6 + 3] > 49.9);
+  const cruise = shades.filter((_, row) => row > 1 && path[row * 6 + 3] > 49.9);
   assert(cruise.length > 0 && cruise.every(shade => shade < 0.05), `${cruise}`);
   assert(shades.filter(shade => shade > 0.7).length > 1, `${shades}`);
-  assert(before > 50 && await colorsOn(page, "view") > 50);
+  const after = await colorsOn(page, "view");
+  assert(before > 50 && after > 50 && before !== after, `${before} and ${after} pixels`);
   assert.deepEqual(faults, []);
 }
