@@ -3,6 +3,7 @@
 use crate::{root, source};
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 
 fn document(name: &str) -> String {
     fs::read_to_string(root().join("docs").join(name)).unwrap_or_else(|error| panic!("docs/{name}: {error}"))
@@ -104,10 +105,17 @@ fn every_room_has_a_sentence() {
 /// Folders whose files docs/files.md lists.
 const LISTED: [&str; 2] = ["boards", "src"];
 
-/// The first paragraph of a file's `//!` comment: what it is about.
-fn head_of(text: &str) -> String {
-    let lines = text.lines().take_while(|line| line.starts_with("//!"));
-    let words: Vec<&str> = lines.map(|line| line[3..].trim()).take_while(|line| !line.is_empty()).collect();
+/// Files that docs/files.md lists, by the end of their names, and how the comment at their head begins.
+const KINDS: [(&str, &str); 5] = [("css", "/*"), ("html", "<!--"), ("mjs", "//"), ("rs", "//!"), ("ts", "//")];
+
+/// The first paragraph of the comment at a file's head: what it is about.
+fn head_of(file: &Path, text: &str) -> String {
+    let (_, mark) = KINDS.iter().find(|(kind, _)| file.extension().is_some_and(|e| e == *kind)).unwrap();
+    let lines = text.lines().skip_while(|line| line.starts_with("<!doctype")).map_while(|line| line.strip_prefix(mark));
+    let words: Vec<&str> = lines
+        .map(|line| line.trim_end_matches("*/").trim_end_matches("-->").trim())
+        .take_while(|line| !line.is_empty())
+        .collect();
     words.join(" ").replace('|', "\\|")
 }
 
@@ -122,12 +130,12 @@ fn every_file_is_listed_with_its_own_words() {
     );
     let mut folders: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
     for top in LISTED {
-        for (file, source) in source::all(&root().join(top)) {
+        for (file, source) in source::of_kinds(&root().join(top), &KINDS.map(|(kind, _)| kind)) {
             let path = format!("{top}/{}", file.display());
             if path.contains("/tests/") || path.contains("/pac/") || path.ends_with("tests.rs") {
                 continue;
             }
-            let head = head_of(&source);
+            let head = head_of(&file, &source);
             assert!(!head.is_empty(), "{path} does not say what it is about");
             let (folder, name) = path.rsplit_once('/').unwrap();
             folders.entry(folder.to_owned()).or_default().push((name.to_owned(), head));

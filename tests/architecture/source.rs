@@ -6,16 +6,21 @@ use std::path::{Path, PathBuf};
 
 /// All Rust files below a folder, with their path from there, in order.
 pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
+    of_kinds(folder, &["rs"])
+}
+
+/// All files below a folder whose names end like this, with their path from there, in order; without what tools put there.
+pub fn of_kinds(folder: &Path, kinds: &[&str]) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
     while let Some(next) = folders.pop() {
         for entry in fs::read_dir(&next).unwrap_or_else(|e| panic!("{}: {e}", next.display())) {
             let path = entry.unwrap().path();
             if path.is_dir() {
-                if path.file_name().is_some_and(|n| n != "target") {
+                if path.file_name().is_some_and(|n| n != "target" && n != "node_modules") {
                     folders.push(path);
                 }
-            } else if path.extension().is_some_and(|e| e == "rs") {
+            } else if path.extension().is_some_and(|e| kinds.iter().any(|kind| e == *kind)) {
                 let text = fs::read_to_string(&path).unwrap();
                 found.push((path.strip_prefix(folder).unwrap().to_path_buf(), text));
             }
