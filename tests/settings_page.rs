@@ -5,11 +5,12 @@ use oxmill_controller::protocol::text::Text;
 use oxmill_controller::settings::{
     Description, Entry, PER_AXIS, PER_AXIS_DESCRIPTIONS, SCALAR_DESCRIPTIONS, SCALARS, Settings,
 };
+use oxmill_simulator::explain;
 use std::fmt::Write;
 
 const HEAD: &str = "# Settings
 
-After this page you know each setting, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
+After this page you know each setting, what it does, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
 (no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
@@ -25,10 +26,10 @@ Senders can ask for all of this: `$ES` lists the settings with group, name, unit
 errors and alarms, in the formats of grblHAL; `$ESG` and `$ESH` are the settings as a table with commas or tabs; `$I+` adds the axes and what can be asked
 for to `$I`. The Black Pill F401 has no room for the texts (`error:125`), and the dialect of Grbl knows none of these commands.
 
-This page is made from the table in `src/controller/settings.rs`.
+This page is made from the table in `src/controller/settings.rs` and the sentences in `src/simulator/explain.rs`.
 
-| $ | setting | unit | values | default | Grbl 1.1 |
-|---|---|---|---|---|---|
+| $ | setting | what it does | unit | values | default | Grbl 1.1 |
+|---|---|---|---|---|---|---|
 ";
 
 fn row(page: &mut String, number: &str, (entry, description): (&Entry, &Description), default: &str) {
@@ -36,8 +37,13 @@ fn row(page: &mut String, number: &str, (entry, description): (&Entry, &Descript
     descriptions::values(&mut values, entry, description);
     let values = std::str::from_utf8(&values).expect("text");
     let known = if entry.grbl { "yes" } else { "" };
-    let _ =
-        writeln!(page, "| {number} | {} | {} | {values} | {default} | {known} |", description.name, description.unit);
+    let _ = writeln!(
+        page,
+        "| {number} | {} | {} | {} | {values} | {default} | {known} |",
+        description.name,
+        explain::setting(entry.number),
+        description.unit
+    );
 }
 
 #[test]

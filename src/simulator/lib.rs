@@ -20,6 +20,7 @@ pub mod check;
 pub mod clock;
 #[cfg(feature = "program")]
 pub mod command_line;
+pub mod explain;
 #[cfg(feature = "program")]
 pub mod files;
 pub mod fittings;

@@ -11,7 +11,7 @@ use oxmill_simulator::homed::home;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
 use oxmill_simulator::streaming::Streaming;
-use oxmill_simulator::{Fittings, JobText, Options, Simulator, Store, advice};
+use oxmill_simulator::{Fittings, JobText, Options, Simulator, Store, advice, explain};
 use serde::Deserialize;
 use serde_json::{Number, Value, json};
 use std::collections::BTreeMap;
@@ -200,6 +200,7 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
         "min": min, "max": max, "values": String::from_utf8_lossy(&values),
         // As people write it: an f32 has some nine digits, and a table seven.
         "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
+        "explanation": explain::setting(row.number),
         "axis": row.axis.map(|axis| format!("{axis:?}")) })
 }
 

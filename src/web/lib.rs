@@ -30,6 +30,9 @@
 //! | `oxmill_panic_len()`, `oxmill_panic()` | | length and address of the text of a panic | |
 //! | `oxmill_fail()` | | does not return: a panic, to try how it is shown | |
 //!
+//! Each of the `settings` has `number`, `name`, `unit`, `kind`, `min`, `max`, `values` (its range or choices as text),
+//! `default`, `grbl` (whether Grbl has it), `axis`, and `explanation`: what it does and when one changes it.
+//!
 //! An order is JSON, all parts of which may be left out: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
 //! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
 //! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine

@@ -43,6 +43,8 @@ export interface Streamed { baud: number; forecast_s: number; complete: boolean;
 export interface Setting {
   number: number; name: string; unit: string; kind: string; min: number | null; max: number | null;
   values: string; default: number; grbl: boolean; axis: string | null;
+  /** What it does, and when one changes it. */
+  explanation: string;
 }
 export interface Meaning { code: number; text: string; advice: string }
 export interface Description {

@@ -81,8 +81,9 @@ export class SettingsPanel {
     });
     this.inputs.set(setting.number, input);
     const row = el("tr", {}, el("th", { scope: "row", textContent: String(setting.number) }),
-      el("td", {}, setting.name, el("small", { textContent: rangeOf(setting) })), el("td", {}, input));
-    row.dataset.text = `${label} ${setting.unit}`.toLowerCase();
+      el("td", {}, setting.name, el("small", { textContent: rangeOf(setting) }), el("small", { className: "explanation", textContent: setting.explanation })),
+      el("td", {}, input));
+    row.dataset.text = `${label} ${setting.unit} ${setting.explanation}`.toLowerCase();
     return row;
   }
 

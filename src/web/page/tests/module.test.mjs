@@ -33,6 +33,17 @@ export async function any_program_can_use_the_module() {
   assert.deepEqual({ ...JSON.parse(output()), host_s: 0 }, { ...expected, host_s: 0 });
 }
 
+export async function each_setting_is_described() {
+  const { x, output } = await instance();
+  assert.equal(x.oxmill_describe(), 0);
+  const { settings } = JSON.parse(output());
+  assert(settings.length > 80, `${settings.length}`);
+  for (const setting of settings) {
+    assert.deepEqual(Object.keys(setting).sort(), ["axis", "default", "explanation", "grbl", "kind", "max", "min", "name", "number", "unit", "values"]);
+    assert.match(setting.explanation, /^[A-Z].{20,}\.$/, `$${setting.number}`);
+  }
+}
+
 export async function refusals_and_panics_have_a_text() {
   const { x, put, output } = await instance();
   for (const [order, why] of [["{", "not understood"], ['{"board":"toaster"}', "the boards are"], ['{"settings":{"7":1}}', "error:3"]]) {

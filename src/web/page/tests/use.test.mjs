@@ -2,8 +2,9 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { join } from "node:path";
 import { checked, isAt, launch, open, openJob, timeOf } from "./browser.mjs";
-import { example, page as file } from "./program.mjs";
+import { example, page as file, root } from "./program.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
@@ -329,5 +330,15 @@ export async function settings_of_a_machine_are_pasted(browser) {
   // A row tells number, name, unit and range.
   await page.fill("#find", "120");
   assert.match(await page.locator("#settings-table tr.changed:visible").first().innerText(), /120\s+X-axis acceleration[^]*mm\/s[^]*new 10/);
+  // And what it does: as text that can be seen, and by which it is found.
+  await page.fill("#find", "gantry");
+  const found = page.locator("#settings-table tbody tr:visible");
+  assert.deepEqual(await found.locator("th").allInnerTexts(), ["905"]);
+  assert.match(await found.innerText(), /second motor with pins of its own moves, such as both sides of a gantry\./);
+  await page.fill("#find", "");
+  const book = readFileSync(join(root, "docs/settings.md"), "utf8");
+  const said = await page.locator("#settings-table .explanation").allInnerTexts();
+  assert.equal(said.length, await page.locator("#settings-table tbody tr").count());
+  for (const sentence of said) assert(sentence && book.includes(`| ${sentence} |`), sentence);
   assert.deepEqual(faults, []);
 }
