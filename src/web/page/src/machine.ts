@@ -275,8 +275,8 @@ export class MachinePanel {
   private start(): void {
     try {
       if (this.rests < 2) throw new Error("the machine is not idle");
-      this.rests = 0;
       this.sender?.stream(this.app.job.text);
+      this.rests = 0;
       this.allow();
       $("machine-note").textContent = "";
     } catch (error) {

@@ -88,7 +88,8 @@ export class Picture {
       }
     }
     if (count === 0) [this.low, this.high] = [[0, 0, 0], [10, 10, 10]];
-    this.travel = undefined;
+    // A block and limits were of the path before.
+    this.material = this.travel = undefined;
     this.load(this.box, new Float32Array(0));
     this.thickIsSlow = false;
     this.shade(shades);

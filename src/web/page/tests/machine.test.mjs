@@ -95,6 +95,8 @@ export async function lines_that_the_page_cannot_send_are_refused_before_the_job
     assert.match(note, /^Nothing of the job is sent: line 2: /);
     assert.match(note, why);
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
+    // It may be started again at once, and is refused for the same.
+    assert.equal(await page.evaluate(() => (document.getElementById("start").click(), document.getElementById("machine-note").textContent)), note);
   }
   assert.equal(await page.evaluate(() => oxmill.app.machine.line("$LC=OFF")), "ok");
   assert.deepEqual(faults, []);
