@@ -23,9 +23,14 @@ struct Reader {
 
 /// Runs a file. Each process needs a home of its own, in which it keeps a tool table.
 pub fn interpret(home: &Path, file: &Path) -> Result<Outcome, Failure> {
+    interpret_with(home, file, "T1 P1\nT2 P2\nT7 P7\n")
+}
+
+/// The same with these rows of a tool table.
+pub fn interpret_with(home: &Path, file: &Path, tools: &str) -> Result<Outcome, Failure> {
     let home = std::path::absolute(home).map_err(|e| e.to_string())?;
     // It refuses a tool that has no pocket.
-    std::fs::write(home.join("tools.tbl"), "T1 P1\nT2 P2\nT7 P7\n").map_err(|e| e.to_string())?;
+    std::fs::write(home.join("tools.tbl"), tools).map_err(|e| e.to_string())?;
     let output = Command::new("rs274")
         .args(["-g", "-t", "tools.tbl"])
         .arg(std::path::absolute(file).map_err(|e| e.to_string())?)
@@ -35,7 +40,9 @@ pub fn interpret(home: &Path, file: &Path) -> Result<Outcome, Failure> {
         .map_err(|e| format!("rs274: {e}"))?;
     let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
-        if let Some((_, call)) = line.split_once("N..... ") {
+        // The number of the call, the line's number or dots, the call.
+        let Some((_, numbered)) = line.trim_start().split_once(" N") else { continue };
+        if let Some((_, call)) = numbered.split_once(' ') {
             reader.call(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
         }
     }
@@ -75,7 +82,7 @@ impl Reader {
                 let to = place(&self.lengths(arguments)?)?;
                 self.go(to, Event::Rapid(to));
             }
-            "STRAIGHT_FEED" => {
+            "STRAIGHT_FEED" | "STRAIGHT_PROBE" => {
                 let to = place(&self.lengths(arguments)?)?;
                 self.go(to, Event::Feed(to));
             }

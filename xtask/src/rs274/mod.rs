@@ -2,6 +2,7 @@
 //! `linuxcnc-uspace`), and what both make of them side by side: every end point, arc, dwell, their order, and refusals.
 
 mod canon;
+mod files;
 mod ours;
 mod programs;
 
@@ -65,6 +66,9 @@ pub struct Outcome {
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     if Command::new("rs274").arg("-h").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
         return Err("rs274 is not installed: it is part of the Debian package linuxcnc-uspace".into());
+    }
+    if let Some(("--files", paths)) = arguments.split_first().map(|(first, rest)| (*first, rest)) {
+        return files::run(paths);
     }
     let number = |at: usize, default: usize| match arguments.get(at) {
         None => Ok(default),

@@ -3,7 +3,7 @@
 use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.
@@ -42,10 +42,21 @@ impl Mill {
         self.has_g92() && CoordinateSystem::ALL.into_iter().any(|system| offsets.angle(system) != Angle::ZERO)
     }
 
+    /// What holds the program's subroutines and loops.
+    pub fn interpreter(&mut self) -> &mut Interpreter<3> {
+        &mut self.interpreter
+    }
+
     /// Carries a line out, which has no blanks within words.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
+        self.carry_out(line).map(|(events, _)| events)
+    }
+
+    /// The same; and how the program goes on.
+    pub fn carry_out(&mut self, line: &str) -> Result<(Vec<Event>, Flow), Error> {
         let text = line.replace(' ', "");
-        let checked = self.interpreter.check(text.as_bytes(), Dialect::Oxmill)?;
+        let mut checked = Checked::NOTHING;
+        self.interpreter.check_into(text.as_bytes(), Dialect::Oxmill, &mut checked)?;
         self.interpreter.commit(&checked);
         let mut events: Vec<Event> =
             checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6)).into_iter().collect();
@@ -80,7 +91,7 @@ impl Mill {
                 }
             }
         }
-        Ok(events)
+        Ok((events, checked.flow))
     }
 
     fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {

@@ -1,0 +1,215 @@
+//! `cargo xtask rs274 --files FOLDER...`: programs that others have written, whole, through both interpreters.
+//!
+//! A program counts as alike if both make the same events of it to its end, or to the line that both refuse. What only one of
+//! them refuses is listed with the reason; what both carry out with other events is a difference.
+
+use super::ours::Mill;
+use super::{Event, canon};
+use crate::Failure;
+use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_remark};
+use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Lines of a program that are carried out, those of loops as often as they run.
+const MOST_LINES: usize = 200_000;
+/// Files with this ending are programs.
+const ENDING: &str = "ngc";
+/// Tools that both sides know, without offsets.
+const TOOLS: std::ops::RangeInclusive<u32> = 1..=30;
+
+/// What Oxmill makes of a program.
+struct Ours {
+    events: Vec<Event>,
+    /// The line of the file that was refused, and why.
+    refused: Option<(usize, String)>,
+}
+
+/// Runs the comparison of all programs below these files and folders.
+pub fn run(paths: &[&str]) -> Result<(), Failure> {
+    let mut files = Vec::new();
+    for path in paths {
+        collect(Path::new(path), &mut files)?;
+    }
+    files.sort();
+    files.dedup();
+    if files.is_empty() {
+        return Err(format!("no .{ENDING} file in {}", paths.join(", ")));
+    }
+    let home = crate::root().join("target/rs274/files");
+    let mut seen: BTreeMap<Vec<u8>, PathBuf> = BTreeMap::new();
+    let mut counts: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+    for file in files {
+        let text = fs::read(&file).map_err(|e| format!("{}: {e}", file.display()))?;
+        if seen.contains_key(&text) {
+            continue;
+        }
+        let (verdict, what) = judge(&home, &file, &text)?;
+        counts.entry(verdict).or_default().push(format!("{}: {what}", file.display()));
+        seen.insert(text, file);
+    }
+    for (verdict, files) in &counts {
+        println!("{verdict}: {}", files.len());
+        if *verdict != ALIKE {
+            files.iter().for_each(|file| println!("  {file}"));
+        }
+    }
+    let of = |verdict| counts.get(verdict).map_or(0, Vec::len);
+    let [alike, both, declined, only, differ] = [ALIKE, BOTH_REFUSE, DECLINED, ONLY_RS274, DIFFER].map(of);
+    println!(
+        "{} programs: {alike} alike, {both} refused by both, {declined} declined by Oxmill alone, {only} refused by rs274 alone, {differ} differ",
+        seen.len()
+    );
+    Ok(())
+}
+
+const ALIKE: &str = "alike";
+const BOTH_REFUSE: &str = "refused by both, alike up to there";
+const DECLINED: &str = "declined by Oxmill alone, alike up to there";
+const ONLY_RS274: &str = "refused by rs274 alone, alike up to there";
+const DIFFER: &str = "differ";
+
+fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
+    let failed = |e: std::io::Error| format!("{}: {e}", path.display());
+    if !path.is_dir() {
+        path.metadata().map_err(failed)?;
+        files.push(path.to_owned());
+        return Ok(());
+    }
+    for entry in fs::read_dir(path).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.is_dir() {
+            collect(&path, files)?;
+        } else if path.extension().is_some_and(|ending| ending == ENDING) {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String), Failure> {
+    let _ = fs::remove_dir_all(home);
+    fs::create_dir_all(home).map_err(|e| e.to_string())?;
+    let tools: String = TOOLS.map(|tool| format!("T{tool} P{tool}\n")).collect();
+    let theirs = canon::interpret_with(home, file, &tools)?;
+    let ours = interpret(text);
+    let alike = ours.events.iter().zip(&theirs.events).take_while(|(a, b)| a.is_as(b)).count();
+    let (mine, others) = (ours.events.len(), theirs.events.len());
+    let first = || format!("event {alike}: Oxmill {:?}, rs274 {:?}", ours.events.get(alike), theirs.events.get(alike));
+    Ok(match (ours.refused, theirs.refused) {
+        (None, None) if alike == mine && alike == others => (ALIKE, String::new()),
+        (Some((line, why)), None) if alike == mine => (DECLINED, format!("line {line}, {why}")),
+        (None, Some(why)) if alike == others => (ONLY_RS274, why),
+        (Some((line, why)), Some(other)) if alike == mine.min(others) => {
+            (BOTH_REFUSE, format!("line {line}, {why}; rs274: {other}"))
+        }
+        (refused, other) => (DIFFER, format!("{}; refused: {refused:?}, {other:?}", first())),
+    })
+}
+
+/// Carries a program out, to its end or to the first line that is refused.
+fn interpret(text: &[u8]) -> Ours {
+    let mut program = Program { mill: Mill::new(), lines: 0, events: Vec::new() };
+    for tool in TOOLS {
+        let entered = program.mill.run(&format!("G10 L1 P{tool} X0 Y0 Z0"));
+        assert!(entered.is_ok(), "the table has room for tool {tool}");
+    }
+    // LinuxCNC starts so.
+    assert!(program.mill.run("G99").is_ok());
+    let rules = || LineRules {
+        length: line::LENGTH,
+        merge_crlf: true,
+        nested_remarks: false,
+        expressions: true,
+        block_delete: false,
+    };
+    let mut line = Line::new();
+    let (mut number, mut tape_marks) = (1, 0);
+    let mut refused = None;
+    for byte in text.iter().chain(b"\n") {
+        match line.push(*byte, rules) {
+            Pushed::More => {}
+            Pushed::TooLong => {
+                refused = Some((number, "a line that is too long".to_owned()));
+                break;
+            }
+            Pushed::Complete => {
+                let words = line.text().to_vec();
+                line.clear();
+                tape_marks += usize::from(words.first() == Some(&b'%'));
+                // A second tape mark ends a program.
+                let end = if tape_marks > 1 { Ok(true) } else { program.line(&words, number) };
+                match end {
+                    Ok(false) => {}
+                    Ok(true) => break,
+                    Err(why) => {
+                        refused = Some((number, why));
+                        break;
+                    }
+                }
+            }
+        }
+        number += usize::from(*byte == b'\n');
+    }
+    Ours { events: program.events, refused }
+}
+
+struct Program {
+    mill: Mill,
+    lines: usize,
+    events: Vec<Event>,
+}
+
+impl Program {
+    /// A line of the file; true at the end of the program.
+    fn line(&mut self, text: &[u8], number: usize) -> Result<bool, String> {
+        if text.is_empty() || text.starts_with(b"%") {
+            return Ok(false);
+        }
+        let direction = self.interpreter().direct(text, &[], number as u32).map_err(tell)?;
+        match direction {
+            Direction::Check => self.carry_out(text),
+            Direction::Run | Direction::Call => self.run_held(),
+            Direction::Done | Direction::LeftOut => Ok(false),
+        }
+    }
+
+    fn interpreter(&mut self) -> &mut Interpreter<3> {
+        self.mill.interpreter()
+    }
+
+    fn run_held(&mut self) -> Result<bool, String> {
+        let mut held = HeldLine::new();
+        loop {
+            match self.interpreter().next_held(&mut held).map_err(tell)? {
+                Held::Line => {
+                    let line = held.clone();
+                    let (words, _) = split_remark(&line);
+                    if !words.is_empty() && self.carry_out(words)? {
+                        return Ok(true);
+                    }
+                }
+                Held::Again => self.count()?,
+                Held::End => return Ok(false),
+            }
+        }
+    }
+
+    fn count(&mut self) -> Result<(), String> {
+        self.lines += 1;
+        if self.lines > MOST_LINES { Err(format!("more than {MOST_LINES} lines")) } else { Ok(()) }
+    }
+
+    fn carry_out(&mut self, text: &[u8]) -> Result<bool, String> {
+        self.count()?;
+        let text = String::from_utf8_lossy(text).into_owned();
+        let (events, flow) = self.mill.carry_out(&text).map_err(|error| format!("{} in {text}", tell(error)))?;
+        self.events.extend(events);
+        Ok(flow == Flow::End)
+    }
+}
+
+fn tell(error: oxmill_controller::error::Error) -> String {
+    format!("error:{}", error.code())
+}
