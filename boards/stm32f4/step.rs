@@ -271,6 +271,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.write_ports(self.directions.map(|words| words[0]));
     }
 
+    /// The length of the step pulse in ticks of the timer that makes it.
     fn set_pulse(&mut self, pulse_us: u32) {
         self.chain.set_pulse(pulse_us * self.clocks.pulse_mhz);
     }

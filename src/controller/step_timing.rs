@@ -22,7 +22,7 @@ const SPLIT_US: u32 = 250;
 /// See the head of this file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepTiming {
-    /// Length of a pulse.
+    /// Length of a step pulse (`$0`) in ticks of the step clock.
     pub pulse: u32,
     /// From one event to the next at least: a pulse and the pause after it.
     pub gap: u32,
@@ -33,7 +33,7 @@ pub struct StepTiming {
 }
 
 impl StepTiming {
-    /// For a step clock of so many MHz, and the settings `$0` and `$29`, microseconds.
+    /// Turns the step pulse `$0` and the direction set-up `$29`, microseconds, into timer ticks of a step clock of so many MHz.
     pub const fn new(clock_mhz: u32, pulse_us: u32, setup_us: u32) -> StepTiming {
         let pulse = pulse_us * clock_mhz;
         let longest = (LONGEST_PAUSE_NS * clock_mhz).div_ceil(1000);

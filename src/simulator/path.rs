@@ -81,7 +81,7 @@ impl Column {
         Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
     }
 
-    /// If not, nothing changed in its span.
+    /// Whether the speed curve of the drawing has a value in this column; if not, no speed changed in its time span.
     fn is_known(&self) -> bool {
         self.feed.is_some() || self.rapid.is_some()
     }

@@ -142,7 +142,7 @@ impl JobText {
         self.unanswered.clear();
     }
 
-    /// Whether all lines are given out and answered.
+    /// Whether all lines of the job have been given to the machine and answered.
     pub fn is_used_up(&self) -> bool {
         self.bytes.is_empty() && (self.at_end || self.stopped) && self.unanswered.is_empty()
     }

@@ -73,7 +73,7 @@ impl StepSupply {
         self.running = true;
     }
 
-    /// Motion has come to its end.
+    /// Motion has come to its end: an empty step queue is no underrun from here on.
     pub(super) fn end(&mut self) {
         self.running = false;
     }

@@ -97,7 +97,7 @@ pub(super) fn centre_by_radius(chord: Vector, radius: Coordinate, clockwise: boo
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// Whether the radii at the start and at the end of an arc agree.
+/// Whether the arc radius at the start agrees with that at the end: `error:33` if they are too far apart.
 pub(super) fn radii_agree(chord: Vector, centre: Vector) -> Result<bool, Error> {
     let radius = centre.checked()?.length();
     let difference = (chord.checked()?.minus(centre).length() - radius).abs();

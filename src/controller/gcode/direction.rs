@@ -20,7 +20,7 @@ pub enum Direction {
 pub enum Held {
     /// This line is to be checked and carried out.
     Line,
-    /// Nothing for others; ask again.
+    /// An O word of the held text, which has been dealt with; ask for the next line.
     Again,
     /// It has come to its end.
     End,

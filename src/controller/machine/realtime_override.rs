@@ -13,7 +13,7 @@ pub struct Overrides {
     pub spindle: u8,
 }
 
-/// Least and greatest feed and spindle override in percent.
+/// Limits of the feed override and of the spindle override, percent (Grbl: 10 to 200).
 const RANGE: core::ops::RangeInclusive<i16> = 10..=200;
 
 impl Default for Overrides {

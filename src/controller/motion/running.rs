@@ -178,7 +178,7 @@ impl<const N: usize> Running<N> {
         self.flags & RAPID != 0
     }
 
-    /// Spindle or laser power at a speed, mm/s.
+    /// Spindle or laser power at a speed, mm/s: with M4 in laser mode the power is scaled with the speed.
     #[inline]
     pub(super) fn power_at(&self, speed: f32) -> u16 {
         if self.flags & SCALE_POWER == 0 {

@@ -82,7 +82,8 @@ impl HostArbiter {
         queues.line(byte)
     }
 
-    /// Lets `ask` ask for the floor. Who loses it is cut short: its half-sent line is void.
+    /// Lets `ask` ask for the floor. Where another host takes over, the one that loses it is cut short: its half line, the partial
+    /// line that it has sent so far, is void.
     fn turn_to<const OTHER: usize>(&mut self, other: &mut Link<OTHER>, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);

@@ -37,7 +37,7 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// `known`: nothing to be done for a checked line.
+/// The answer `known` to a checked line that was received before and is not executed again.
 pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
