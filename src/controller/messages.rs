@@ -57,6 +57,8 @@ pub enum Realtime {
     SpindleStop,
     FloodToggle,
     MistToggle,
+    /// 0x89, as in grblHAL: the program pauses behind each line that moves, or no longer.
+    SingleBlock,
 }
 
 impl Realtime {

@@ -136,6 +136,7 @@ const EVENTS: &[Event] = &[
     bytes("override", &[0x9E]),
     bytes("override", &[0xA0]),
     bytes("override", &[0xA1]),
+    bytes("override", &[0x89]),
     bytes("no_command", NO_COMMANDS),
     pin("hold_1", "hold 1"),
     pin("hold_0", "hold 0"),

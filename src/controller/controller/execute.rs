@@ -149,7 +149,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     // A failed probe has locked the machine: no M0 may open it again.
                     self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
                 }
-                Stage::Flow => self.flow(checking),
+                Stage::Flow => self.flow(job, checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::CyclePaused => Some(Stage::Target),
                 Stage::DwellSuspended(_) => None,
@@ -250,22 +250,35 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         delay
     }
 
-    /// M1; Grbl's dialect ignores it.
-    fn pauses_optionally(&self) -> bool {
-        self.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl
+    /// Whether the program pauses behind the line: for M0, for M1 if that is wanted (Grbl's dialect ignores it), and in single
+    /// block behind each line that moves. Startup lines and jogs are no part of the program.
+    fn pauses_behind(&self, job: &Job) -> bool {
+        let single_block = || {
+            self.line.is_single_block()
+                && !job.jog
+                && matches!(job.answer, Answer::Host | Answer::Held)
+                && self.line.checked.motion != gcode::Motion::None
+        };
+        match self.line.checked.flow {
+            Flow::Pause => true,
+            Flow::OptionalPause if self.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl => {
+                true
+            }
+            Flow::None | Flow::OptionalPause => single_block(),
+            Flow::End => false,
+        }
     }
 
     /// Program pause and end: both wait for the end of motion.
-    fn flow(&mut self, checking: bool) -> Option<Stage> {
+    fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
+        let pauses = self.pauses_behind(job);
         match self.line.checked.flow {
-            Flow::None => Some(Stage::Done),
-            Flow::OptionalPause if !self.pauses_optionally() => Some(Stage::Done),
-            Flow::Pause | Flow::OptionalPause if checking => Some(Stage::Done),
-            Flow::Pause | Flow::OptionalPause | Flow::End if !self.motion.is_idle() => {
+            Flow::None | Flow::Pause | Flow::OptionalPause if !pauses || checking => Some(Stage::Done),
+            _ if !self.motion.is_idle() => {
                 self.start_queued();
                 None
             }
-            Flow::Pause | Flow::OptionalPause => {
+            Flow::None | Flow::Pause | Flow::OptionalPause => {
                 self.mode = Mode::Hold;
                 self.darken_laser();
                 Some(Stage::Paused)

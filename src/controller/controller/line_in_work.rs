@@ -11,11 +11,28 @@ pub(super) struct LineInWork<const N: usize> {
     /// The line. Canned cycles and jogs change it while they are carried out.
     pub(super) checked: Checked<N>,
     arc: Option<Arc<N>>,
+    single_block: bool,
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(super) const NONE: Self = Self { checked: Checked::NOTHING, arc: None };
+    pub(super) const NONE: Self = Self { checked: Checked::NOTHING, arc: None, single_block: false };
+
+    /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
+    pub(super) fn is_single_block(&self) -> bool {
+        self.single_block
+    }
+
+    /// Switches single block on or off; whether it is on now.
+    pub(super) fn toggle_single_block(&mut self) -> bool {
+        self.single_block = !self.single_block;
+        self.single_block
+    }
+
+    /// A reset ends single block.
+    pub(super) fn end_single_block(&mut self) {
+        self.single_block = false;
+    }
 
     /// Its arc begins. The length of the chords, mm.
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> f32 {

@@ -34,6 +34,7 @@ pub const fn command(byte: u8) -> Option<Realtime> {
         b'!' => Realtime::FeedHold,
         0x84 => Realtime::SafetyDoor,
         0x85 => Realtime::JogCancel,
+        0x89 => Realtime::SingleBlock,
         0x90 => Realtime::FeedReset,
         0x91 => Realtime::FeedUp10,
         0x92 => Realtime::FeedDown10,
