@@ -62,7 +62,7 @@ usage:
                              `program`, `page` or `book`, all if none is named; `--check` builds it on two paths and compares
   cargo xtask package        the crates as `cargo package` makes them, and what is in each; `package --build` builds from them
   cargo xtask rs274 [N [SEED]]  N random programs (10,000) through Oxmill's interpreter and LinuxCNC's, compared
-  cargo xtask rs274 --files FOLDER...  the .ngc programs below these folders, whole, in the same way
+  cargo xtask rs274 files FOLDER...  the .ngc programs below these folders, whole, in the same way
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 

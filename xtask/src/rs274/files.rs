@@ -1,4 +1,4 @@
-//! `cargo xtask rs274 --files FOLDER...`: programs that others have written, whole, through both interpreters.
+//! `cargo xtask rs274 files FOLDER...`: programs that others have written, whole, through both interpreters.
 //!
 //! A program counts as alike if both make the same events of it to its end, or to the line that both refuse. What only one of
 //! them refuses is listed with the reason; what both carry out with other events is a difference.

@@ -67,7 +67,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     if Command::new("rs274").arg("-h").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
         return Err("rs274 is not installed: it is part of the Debian package linuxcnc-uspace".into());
     }
-    if let Some(("--files", paths)) = arguments.split_first().map(|(first, rest)| (*first, rest)) {
+    if let Some(("files", paths)) = arguments.split_first().map(|(first, rest)| (*first, rest)) {
         return files::run(paths);
     }
     let number = |at: usize, default: usize| match arguments.get(at) {
