@@ -68,9 +68,27 @@ enum Line {
 }
 
 const MOTIONS: [&str; 10] = ["G0", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.3", "G81R1", "G28"];
-const COMMANDS: [&str; 16] = [
-    "$H", "$X", "$C", "$$", "$#", "$G", "$I", "$N", "$SLP", "$RST=#", "$N0=G20", "M0", "M6T1", "G4P.01", "M3S500",
+const COMMANDS: [&str; 20] = [
+    "$H",
+    "$X",
+    "$C",
+    "$$",
+    "$#",
+    "$G",
+    "$I",
+    "$N",
+    "$SLP",
+    "$RST=#",
+    "$N0=G20",
+    "M0",
+    "M6T1",
+    "G4P.01",
+    "M3S500",
     "M30",
+    "$M0=O1SUB",
+    "$M1=G0X.1",
+    "$M2=O1ENDSUB",
+    "O1CALL",
 ];
 
 impl Line {
@@ -87,7 +105,7 @@ impl Line {
             }
             // Resolution, rates and accelerations stay what a session has time for.
             Line::Setting { number, .. } if (100..=132).contains(number) => "\n".into(),
-            Line::Setting { number, value } => format!("${}={value}\n", number % 930),
+            Line::Setting { number, value } => format!("${}={value}\n", number % 950),
             Line::Command(which) => format!("{}\n", COMMANDS[usize::from(*which) % COMMANDS.len()]),
         }
     }

@@ -1,4 +1,4 @@
-//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines.
+//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines, macros.
 
 use super::Controller;
 use super::task::{Answer, Listing, Task};
@@ -54,6 +54,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::Storing(Answer::Host);
             }
             System::SetStartupLine(index, text) => self.set_startup_line(index, text)?,
+            System::Macros => self.task = Task::Listing(Listing::Macros, 0),
+            System::SetMacro(index, text) => self.set_macro(index, text)?,
             System::CheckMode => self.toggle_check_mode()?,
             System::Unlock => self.unlock()?,
             System::Home(axis) => self.home(axis)?,
@@ -107,6 +109,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.records.validate(stored);
         self.gcode(text, Answer::Validation(index))
+    }
+
+    fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
+        if !matches!(self.mode, Mode::Normal) {
+            return Err(Error::NotIdle);
+        }
+        let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+        self.interpreter.set_macro_line(index, text)?;
+        self.records.save_macro(index, &stored);
+        self.task = Task::Storing(Answer::Host);
+        Ok(())
     }
 
     fn home(&mut self, axis: Option<Axis>) -> Result<(), Error> {
@@ -223,6 +236,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
             self.interpreter.clear_stored();
+        }
+        if what == Restore::All {
+            self.interpreter.clear_macros();
         }
         self.records.forget(what);
         self.say(|out| report::message(out, "Restoring defaults"));

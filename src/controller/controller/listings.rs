@@ -1,6 +1,7 @@
-//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$PINS`, `$I`, `$G`, `$ES` and the like.
+//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$M`, `$PINS`, `$I`, `$G`, `$ES` and the like.
 
 use super::Controller;
+use super::records::STORED_TEXT;
 use super::task::{Listing, Task};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, input};
@@ -23,6 +24,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 None => return false,
             },
             Listing::Descriptions(what) => DESCRIPTIONS && self.describe(what, line),
+            Listing::Macros => {
+                match self.interpreter.macro_line(line).map(heapless::Vec::<u8, STORED_TEXT>::from_slice) {
+                    Some(text) => {
+                        let text = text.unwrap_or_default();
+                        if !text.is_empty() {
+                            self.say(|out| report::macro_line(out, line, &text));
+                        }
+                        true
+                    }
+                    None => false,
+                }
+            }
             Listing::StartupLines => match self.records.startup_line(line).cloned() {
                 Some(text) => {
                     self.say(|out| report::startup_line(out, line, &text));

@@ -8,7 +8,7 @@ use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Duration, Instant};
 
 /// Longest startup line and build info that is stored.
-const STORED_TEXT: usize = 80;
+pub(super) const STORED_TEXT: usize = 80;
 /// A stored text.
 pub(super) type StoredText = heapless::Vec<u8, STORED_TEXT>;
 
@@ -19,6 +19,8 @@ const KEY_OFFSETS: u16 = 1000;
 const KEY_TOOLS: u16 = 1040;
 const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
+/// Lines of macros.
+const KEY_MACROS: u16 = 1300;
 /// The dialect is above what `$RST` forgets: it is how this host is spoken to.
 const KEY_DIALECT: u16 = 2000;
 const DIALECT: u16 = Key::Dialect.number();
@@ -111,6 +113,10 @@ impl Records {
                 }
             }
             KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
+            // Numbers that there are none of are refused.
+            KEY_MACROS..KEY_DIALECT => {
+                let _ = interpreter.set_macro_line(usize::from(record.key - KEY_MACROS), &record.value);
+            }
             KEY_DIALECT => set(DIALECT),
             STORE_DAMAGED => self.damage = Damage::Untold,
             _ => {}
@@ -242,6 +248,16 @@ impl Records {
     pub(super) fn save_validated(&mut self, index: usize) {
         let line = self.validated.clone();
         self.save_startup_line(index, line);
+    }
+
+    /// `$M=`
+    pub(super) fn save_macro(&mut self, index: usize, line: &StoredText) {
+        let key = KEY_MACROS + index as u16;
+        if line.is_empty() {
+            self.remove(key..key + 1);
+        } else {
+            self.save(key, line);
+        }
     }
 
     /// `$I`

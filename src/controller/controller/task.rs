@@ -168,6 +168,8 @@ pub(super) enum Listing {
     Parameters,
     /// `$N`
     StartupLines,
+    /// `$M`
+    Macros,
     /// `$PINS`
     Pins,
     /// `$ES` and the like

@@ -65,6 +65,22 @@ impl<const N: usize> Interpreter<N> {
         false
     }
 
+    /// There are no macros.
+    pub fn macro_line(&self, _: usize) -> Option<&[u8]> {
+        None
+    }
+
+    /// There is no room for macros.
+    ///
+    /// # Errors
+    /// [`Error::ExpressionsLeftOut`]
+    pub fn set_macro_line(&mut self, _: usize, _: &[u8]) -> Result<(), Error> {
+        Err(Error::ExpressionsLeftOut)
+    }
+
+    /// There are no macros.
+    pub fn clear_macros(&mut self) {}
+
     /// The rest of the program is not run: G68 ends, which no other program expects. There are no conditions.
     pub fn abandon_program(&mut self) {
         self.rotation = None;

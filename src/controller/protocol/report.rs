@@ -226,7 +226,7 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $RST= $RC $PINS ");
+        put(out, b"$HX $Mx=line $RST= $RC $PINS ");
         if DESCRIPTIONS {
             put(out, b"$ES $ESG $ESH $EG $EE $EA ");
         }
@@ -255,6 +255,15 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
 /// `$N0=line`
 pub fn startup_line(out: &mut Text, index: usize, line: &[u8]) {
     put(out, b"$N");
+    whole(out, index as u64);
+    put(out, b"=");
+    put(out, line);
+    put(out, END);
+}
+
+/// `$M0=line`
+pub fn macro_line(out: &mut Text, index: usize, line: &[u8]) {
+    put(out, b"$M");
     whole(out, index as u64);
     put(out, b"=");
     put(out, line);

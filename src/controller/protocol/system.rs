@@ -28,6 +28,10 @@ pub enum System<'a> {
     StartupLines,
     /// `$N0=line`, `$N1=line`
     SetStartupLine(usize, &'a [u8]),
+    /// `$M`
+    Macros,
+    /// `$M0=line` to `$M63=line`
+    SetMacro(usize, &'a [u8]),
     /// `$C`
     CheckMode,
     /// `$X`
@@ -70,7 +74,12 @@ impl System<'_> {
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
     pub fn known_to_grbl(&self) -> Result<(), Error> {
         match self {
-            System::Pins | System::ClearNoise | System::Describe(_) | System::CheckLines(_) => Err(Error::BadNumber),
+            System::Pins
+            | System::ClearNoise
+            | System::Describe(_)
+            | System::CheckLines(_)
+            | System::Macros
+            | System::SetMacro(..) => Err(Error::BadNumber),
             System::MoreBuildInfo => Err(Error::InvalidStatement),
             _ => Ok(()),
         }
@@ -172,6 +181,12 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
                 _ => Err(Error::InvalidStatement),
             }
         }
+        Some(b'M') if rest.is_empty() => Ok(System::Macros),
+        // As every letter that is none of Grbl's: no number.
+        Some(b'M') => {
+            let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
+            Ok(System::SetMacro(usize::from(index), line))
+        }
         Some(_) => {
             let (setting, text) = numbered(line.get(1..).unwrap_or(&[]))?;
             let Number { value, used, .. } = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
@@ -212,6 +227,8 @@ mod tests {
         assert_eq!(read(b"$100=250.5"), Ok(System::Set(100, Decimal(2_505_000_000))));
         assert_eq!(read(b"$1.5=3"), Ok(System::Set(1, Decimal::from_int(3))));
         assert_eq!(read(b"$N1=G20"), Ok(System::SetStartupLine(1, b"G20")));
+        assert_eq!(read(b"$M12=G0X1"), Ok(System::SetMacro(12, b"G0X1")));
+        assert_eq!(read(b"$M"), Ok(System::Macros));
         assert_eq!(read(b"$HX"), Ok(System::Home(Some(Axis::X))));
         assert_eq!(read(b"$RST=*"), Ok(System::Restore(Restore::All)));
         assert_eq!(read(b"$I+"), Ok(System::MoreBuildInfo));
@@ -231,7 +248,7 @@ mod tests {
         for line in ["$1", "$1=5X", "$1=25ABC", "$HQ"] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
-        for line in ["$Z", "$ABC", "$E", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N="] {
+        for line in ["$Z", "$ABC", "$E", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N=", "$M1", "$MX"] {
             assert_eq!(read(line.as_bytes()), Err(Error::BadNumber), "{line}");
         }
     }

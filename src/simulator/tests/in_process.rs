@@ -143,6 +143,36 @@ fn the_tool_table_outlives_a_power_cycle() {
 }
 
 #[test]
+fn macros_outlive_a_power_cycle() {
+    let mut first = mill();
+    // In any order; one is changed and one is taken out.
+    first.send("$M3=o<m> endsub\n$M1=G0 X1\n$M0=o<m> sub\n$M2=G0 X5\n$M1=G0 X[#1*2]\n$M2=\n");
+    first.run_until_idle();
+    assert_eq!(first.take_output(), "ok\r\n".repeat(6));
+    let list = |mill: &mut Simulator| -> Vec<String> {
+        mill.send("$M\n");
+        mill.run_until_idle();
+        mill.take_output().lines().filter(|line| line.starts_with("$M")).map(str::to_owned).collect()
+    };
+    let macros = list(&mut first);
+    assert_eq!(macros, ["$M0=O<M>SUB", "$M1=G0X[#1*2]", "$M3=O<M>ENDSUB"]);
+    let store = first.store().power_cycled().unwrap();
+    let mut second = Simulator::new(Options { store, ..Options::default() });
+    second.run_until_idle();
+    second.take_output();
+    assert_eq!(list(&mut second), macros);
+    second.send("o<m> call [4]\n");
+    second.run_until_idle();
+    assert_eq!(second.take_output(), "ok\r\n");
+    assert_eq!(second.machine().position()[0], 2000, "8 mm at 250 steps/mm");
+    second.send("$RST=*\n");
+    second.run_until_idle();
+    let store = second.store().power_cycled().unwrap();
+    let mut third = Simulator::new(Options { store, ..Options::default() });
+    assert!(list(&mut third).is_empty());
+}
+
+#[test]
 fn a_job_is_never_starved() {
     let mut mill = mill();
     let text: String = std::iter::once("G21 G91\n".to_owned())

@@ -15,6 +15,8 @@ use crate::gcode::remark::split_remark;
 
 /// Bytes of held text, with one more for each line: a probing macro of 150 lines and the loop that calls it.
 const TEXT: usize = 6144;
+/// Bytes of it that macros may take; the rest is for programs.
+pub(super) const MOST_MACROS: usize = 3072;
 /// Bytes of it that only the first line of something may take, so that its end is known even if it does not fit.
 pub(super) const SPARE: usize = 64;
 /// Conditions, loops and calls that may be under way within each other.
@@ -190,6 +192,8 @@ pub(super) enum State {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: heapless::Vec<u8, TEXT>,
+    /// So many bytes at its begin are macros, which no end of a program forgets.
+    pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
     pub(super) state: State,
@@ -215,6 +219,7 @@ impl FlowControl {
     pub const fn new() -> Self {
         Self {
             text: heapless::Vec::new(),
+            macros: 0,
             frames: heapless::Vec::new(),
             labels: heapless::Vec::new(),
             state: State::Streaming,
@@ -230,9 +235,9 @@ impl FlowControl {
         }
     }
 
-    /// Forgets all. One by one: a new one would be copied here, text and all.
+    /// Forgets all but the macros. One by one: a new one would be copied here, text and all.
     pub fn reset(&mut self) {
-        self.text.clear();
+        self.text.truncate(usize::from(self.macros));
         self.frames.clear();
         self.labels.clear();
         self.state = State::Streaming;
@@ -287,9 +292,29 @@ impl FlowControl {
         self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
     }
 
-    /// Where a subroutine begins, and where its second line does.
+    /// Where a subroutine begins, and where its second line does: one of the program, or else of the macros, if it has an end
+    /// there.
     pub(super) fn find(&self, label: &[u8]) -> Option<(u16, u16)> {
-        self.find_from(0, |order| order.keyword == Keyword::Sub && order.label == label)
+        self.find_own(label).or_else(|| {
+            let (at, behind) = self.find_sub(0, label)?;
+            self.end_of_sub(behind, label).filter(|end| *end <= self.macros)?;
+            Some((at, behind))
+        })
+    }
+
+    /// The same, of the program alone.
+    pub(super) fn find_own(&self, label: &[u8]) -> Option<(u16, u16)> {
+        self.find_sub(self.macros, label)
+    }
+
+    fn find_sub(&self, from: u16, label: &[u8]) -> Option<(u16, u16)> {
+        self.find_from(from, |order| order.keyword == Keyword::Sub && order.label == label)
+    }
+
+    /// Where the line behind the end of a subroutine begins.
+    fn end_of_sub(&self, from: u16, label: &[u8]) -> Option<u16> {
+        let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
+        self.find_from(from, is_end).map(|(_, behind)| behind)
     }
 
     /// The next line with an O word of some kind: where it begins and the next one does.
@@ -307,9 +332,8 @@ impl FlowControl {
 
     /// Drops a subroutine that has been defined again.
     pub(super) fn drop_sub(&mut self, label: &[u8]) {
-        let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
-        if let Some((from, behind)) = self.find(label)
-            && let Some((_, end)) = self.find_from(behind, is_end)
+        if let Some((from, behind)) = self.find_own(label)
+            && let Some(end) = self.end_of_sub(behind, label)
         {
             self.text.copy_within(usize::from(end).., usize::from(from));
             self.text.truncate(self.text.len() - usize::from(end - from));

@@ -4,6 +4,7 @@
 mod expression;
 mod flow;
 mod machine_values;
+mod macros;
 mod o_words;
 mod parameters;
 mod real;
@@ -41,7 +42,7 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Forgets all.
+    /// Forgets all but the macros.
     pub fn reset(&mut self) {
         self.parameters.reset();
         self.flow.reset();

@@ -138,7 +138,7 @@ impl<const N: usize> Interpreter<N> {
             }
             (None, Some(order)) if ends && of_sub => {
                 // The older one is found first.
-                if flow.find(order.label).is_some_and(|(at, _)| at < from) {
+                if flow.find_own(order.label).is_some_and(|(at, _)| at < from) {
                     flow.drop_sub(order.label);
                 }
                 Ok(Direction::LeftOut)
