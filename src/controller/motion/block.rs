@@ -228,6 +228,14 @@ impl<const N: usize> Block<N> {
         lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
     }
 
+    /// Whether a higher exit may let it be entered less fast, because a bend then leaves so much less to brake with: not while the
+    /// greatest slope of [`CurveLoad::left`], at its least share, takes no more than the exit adds.
+    #[inline]
+    pub(super) fn is_steep(&self) -> bool {
+        let acceleration = greater(self.acceleration, self.curve.acceleration());
+        !self.curve.is_none() && 2.0 / LEAST_SHARE * acceleration * self.length > self.curve.speed2()
+    }
+
     /// What bounds changes of speed in the block.
     #[inline]
     ///

@@ -6,6 +6,7 @@ mod arcs;
 mod bounds;
 mod jobs;
 mod joins;
+mod put_off;
 mod ramps;
 mod rig;
 mod steps;
