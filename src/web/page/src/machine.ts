@@ -51,9 +51,11 @@ const html = `
     <button type="button" data-line="$H">Home</button>
     <button type="button" data-line="$X">Unlock</button>
     <button id="probe" type="button">Probe Z</button>
-    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:58px" aria-label="thickness of the plate in mm"></span>
-    <button id="read" type="button">Settings to forecast</button>
-    <button id="compare" type="button">Settings to machine</button>
+    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:48px" aria-label="thickness of the plate in mm"></span>
+  </div>
+  <div class="row"><span>Settings</span>
+    <button id="read" type="button" aria-label="settings to the forecast">to forecast</button>
+    <button id="compare" type="button" aria-label="settings to the machine">to machine</button>
   </div>
   <div id="differences" hidden>
     <table aria-label="Settings that differ"><thead><tr><th scope="col">$</th><th scope="col">Setting</th><th scope="col">machine</th><th scope="col">forecast</th></tr></thead><tbody></tbody></table>

@@ -139,11 +139,12 @@ export class Player {
   }
 
   private limits(): void {
-    if (!this.picture || !this.path) return;
+    if (!this.path) return;
     const travel = [130, 131, 132].map(number => this.app.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
-    // As after homing with the switches at the positive ends.
-    this.picture.limits(shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] } : undefined);
+    // Homing names the travel so, whichever ends have the switches.
+    const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
+    for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
 
   /** Shows where the machine is that is driven, mm; without a place there is none. */
@@ -268,6 +269,7 @@ export class Player {
     });
     $("two").addEventListener("change", () => {
       this.showSecond();
+      this.limits();
       this.seek(this.time);
       // The first view has another width from now on.
       picture?.fit();
