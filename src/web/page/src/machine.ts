@@ -50,8 +50,10 @@ const html = `
   <div class="row">
     <button type="button" data-line="$H">Home</button>
     <button type="button" data-line="$X">Unlock</button>
+  </div>
+  <div class="row">
     <button id="probe" type="button">Probe Z</button>
-    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:48px" aria-label="thickness of the plate in mm"></span>
+    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:70px" aria-label="thickness of the plate in mm"> mm</span>
   </div>
   <div class="row"><span>Settings</span>
     <button id="read" type="button" aria-label="settings to the forecast">to forecast</button>
