@@ -451,7 +451,6 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     await page.click("#compare");
     await note("has all of these settings already");
     assert(await page.locator("#differences").isHidden());
-    // Soft limits are refused until homing is on.
     await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 11: 0.0125, 20: 1, 22: 1, 120: 321.5 }));
     await page.click("#compare");
     const rows = page.locator("#differences tbody tr");
@@ -480,6 +479,15 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     await page.evaluate(() => oxmill.app.machine.line("$900=0"));
     await page.click("#read");
     await page.waitForFunction(() => oxmill.app.settings.value(900) === 0 && oxmill.app.settings.value(120) === 321.5);
+    // In that dialect soft limits are refused (error:10) until homing is on, which has the greater number.
+    for (const value of [0, 1]) {
+      await page.evaluate(value => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 20: value, 22: value }), value);
+      await page.click("#compare");
+      await page.click("#write");
+      await note("^2 of 2 settings are written");
+    }
+    assert.deepEqual(await page.locator("#console .wrong").allInnerTexts(), ["error:6", "error:6", "error:10"]);
+    assert.match(await there(), /^\$20=1$[^]*^\$22=1$/m);
   });
 }
 
