@@ -56,8 +56,8 @@ const html = `
     <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:70px" aria-label="thickness of the plate in mm"> mm</span>
   </div>
   <div class="row"><span>Settings</span>
-    <button id="read" type="button" aria-label="settings to the forecast">to forecast</button>
-    <button id="compare" type="button" aria-label="settings to the machine">to machine</button>
+    <button id="read" type="button" aria-label="settings to forecast">to forecast</button>
+    <button id="compare" type="button" aria-label="settings to machine">to machine</button>
   </div>
   <div id="differences" hidden>
     <table aria-label="Settings that differ"><thead><tr><th scope="col">$</th><th scope="col">Setting</th><th scope="col">machine</th><th scope="col">forecast</th></tr></thead><tbody></tbody></table>
