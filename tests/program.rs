@@ -219,6 +219,22 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
+/// A probing line is answered behind its alarm, and a line beyond the travel not at all.
+#[test]
+fn an_alarm_has_the_line_that_raised_it() {
+    let limits: Vec<&str> = "--set 20=1 --set 22=1 --set 130=60 --work-zero=-40,-20,-10".split(' ').collect();
+    for (program, more, code, line) in [
+        ("G21 F600\nG1 X1\nG38.2 Z-1\n", &[][..], 5, 3),
+        ("G21 F600\nG38.2 Z-1\nG0 X5\nG0 X6\n", &[], 5, 2),
+        ("G21 F600\nG1 X1\nG1 X999\nG1 X2\n", &limits, 2, 3),
+    ] {
+        let job = file("alarm.nc", program);
+        let summary = json(&run(&[&["run", text(&job), "--json"], more].concat()));
+        let alarm = &summary["alarm"];
+        assert_eq!((&alarm["code"], &alarm["line"]), (&Value::from(code), &Value::from(line)), "{program}");
+    }
+}
+
 /// Nothing of it moved, and every line of it was accepted.
 #[test]
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {

@@ -152,7 +152,7 @@ impl Check {
         if outcome.alarm.is_none()
             && let Some(alarm) = simulator.controller().alarm()
         {
-            let line = simulator.job().and_then(JobText::oldest_unanswered);
+            let line = simulator.job().and_then(JobText::alarmed_at);
             outcome.alarm = Some(AlarmReport {
                 code: alarm.code(),
                 text: alarm.text().into(),

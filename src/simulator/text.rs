@@ -42,6 +42,8 @@ pub struct JobText {
     lines: u64,
     tape_marks: u64,
     answers: u64,
+    /// The oldest line without an answer when an alarm was told, once one was.
+    alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
     said: Vec<Said>,
@@ -76,6 +78,7 @@ impl JobText {
             lines: 0,
             tape_marks: 0,
             answers: 0,
+            alarmed_at: None,
             consumed: 0,
             reply: Vec::new(),
             said: Vec::new(),
@@ -133,6 +136,11 @@ impl JobText {
     /// Number of the oldest line without an answer.
     pub fn oldest_unanswered(&self) -> Option<u64> {
         self.unanswered.front().map(|(number, _)| *number)
+    }
+
+    /// The line that an alarm belongs to which has been told, or may be told yet: some lines are answered behind it.
+    pub fn alarmed_at(&self) -> Option<u64> {
+        self.alarmed_at.or_else(|| self.oldest_unanswered())
     }
 
     /// No further line is given out.
@@ -257,6 +265,9 @@ impl JobText {
                 self.openers.push(Opener { given: self.answers, number: line, text });
             }
         } else if !reply.is_empty() {
+            if reply.starts_with("ALARM:") && self.alarmed_at.is_none() {
+                self.alarmed_at = self.oldest_unanswered();
+            }
             self.said.push(Said::Message(reply.to_owned()));
         }
     }

@@ -117,7 +117,7 @@ fn fault(command: &Command) -> Option<String> {
     match command.words[..] {
         ["oxmill", ..] => fault_of_oxmill(&command.words, command.whole),
         ["cargo", ref words @ ..] => fault_of_cargo(words, command.whole),
-        ["bash" | "python" | "python3", file, ..] => {
+        ["bash" | "node" | "python" | "python3", file, ..] => {
             (!root().join(file).exists()).then(|| format!("there is no file `{file}`"))
         }
         [program, ..] => (!OF_OTHERS.contains(&program)).then(|| format!("there is no program `{program}`")),

@@ -50,7 +50,8 @@ fn pictures_are_what_the_simulator_draws() {
     assert!(shown.len() > 4, "{shown:?}");
 }
 
-/// Photographs of the page in a browser differ from browser to browser: only that each is a picture and shown somewhere is held.
+/// Photographs of the page in a browser differ from browser to browser: here only that each is a picture and shown somewhere is
+/// held. The tests of the page hold that it says and looks what it did then.
 #[test]
 fn photographs_of_the_page_are_pictures_that_are_shown() {
     let shown: BTreeSet<String> =

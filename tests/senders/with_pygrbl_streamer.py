@@ -51,8 +51,11 @@ class Library:
         machine.wait("for the library to be told the override", self.is_overridden)
 
     def is_overridden(self):
-        self.streamer.realtime(b"?")
+        self.look()
         return "|Ov:110," in self.streamer.last_status.get("raw", "")
+
+    def look(self):
+        self.streamer.realtime(b"?")
 
     def check_override(self, notes):
         machine.checks_feed_override(notes)

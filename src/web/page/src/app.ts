@@ -93,7 +93,7 @@ export class App {
   }
 
   private show(summary: Summary, path: Path): void {
-    showReport(summary, line => this.player.goToLine(line));
+    showReport(summary, this.job.lines, line => this.player.goToLine(line));
     this.player.show(path, summary);
     this.material.show(path, summary);
   }

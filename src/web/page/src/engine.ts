@@ -105,11 +105,13 @@ export class Engine {
   /** The path of the job that was checked with `path` in its order. */
   path(): Path {
     const count = this.guard(() => this.wasm.oxmill_path());
+    // An address is told as a signed number.
+    const [rows, lines, tools] = [this.wasm.oxmill_path_rows(), this.wasm.oxmill_path_lines(), this.wasm.oxmill_path_tools()].map(at => at >>> 0);
     const { buffer } = this.wasm.memory;
     return {
-      rows: new Float32Array(buffer, this.wasm.oxmill_path_rows(), count * ROW).slice(),
-      lines: new Uint32Array(buffer, this.wasm.oxmill_path_lines(), count).slice(),
-      tools: new Uint32Array(buffer, this.wasm.oxmill_path_tools(), count).slice(),
+      rows: new Float32Array(buffer, rows, count * ROW).slice(),
+      lines: new Uint32Array(buffer, lines, count).slice(),
+      tools: new Uint32Array(buffer, tools, count).slice(),
     };
   }
 

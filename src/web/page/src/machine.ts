@@ -4,6 +4,7 @@ import { $, el } from "./dom";
 import { every, PageLink, SerialLink, serial, servedMachine, SocketLink } from "./links";
 import { type Answer, type Link, REALTIME, Sender, type Status } from "./sender";
 import { parseSettings } from "./settings";
+import { offer, tellsGrblsOnly, written } from "./transfer";
 
 /** How often the machine is asked for its state, ms. */
 const POLL = 200;
@@ -13,6 +14,8 @@ const JOGS_AHEAD = 3;
 const BAUD = 115_200;
 /** How far the probe goes down, mm. */
 const PROBE_DEPTH = 25;
+/** The setting that is the dialect: 0 is Grbl's. */
+const DIALECT = 900;
 /** Lines that the console keeps. */
 const KEPT = 400;
 
@@ -47,9 +50,18 @@ const html = `
   <div class="row">
     <button type="button" data-line="$H">Home</button>
     <button type="button" data-line="$X">Unlock</button>
+  </div>
+  <div class="row">
     <button id="probe" type="button">Probe Z</button>
-    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:58px" aria-label="thickness of the plate in mm"></span>
-    <button id="read" type="button">Settings to forecast</button>
+    <span><label for="plate">plate</label> <input id="plate" type="number" value="10" step="any" style="width:70px" aria-label="thickness of the plate in mm"> mm</span>
+  </div>
+  <div class="row"><span>Settings</span>
+    <button id="read" type="button" aria-label="settings to forecast">to forecast</button>
+    <button id="compare" type="button" aria-label="settings to machine">to machine</button>
+  </div>
+  <div id="differences" hidden>
+    <table aria-label="Settings that differ"><thead><tr><th scope="col">$</th><th scope="col">Setting</th><th scope="col">machine</th><th scope="col">forecast</th></tr></thead><tbody></tbody></table>
+    <div class="row"><button id="write" type="button" class="go"></button><button id="keep" type="button">Leave it as it is</button></div>
   </div>
   <h2>Jog: hold to move</h2>
   <div class="jog" id="jog"></div>
@@ -149,7 +161,7 @@ export class MachinePanel {
     $("live").hidden = $("leave").hidden = false;
     $("power").hidden = $("connect").hidden = $("served").hidden = true;
     $<HTMLSelectElement>("times").disabled = !(link instanceof PageLink);
-    $("machine-note").textContent = "";
+    this.note("");
     this.endPoll = every(POLL, () => sender.realtime(REALTIME.status));
     void this.greet();
   }
@@ -166,11 +178,11 @@ export class MachinePanel {
     void this.link?.close();
     this.link = this.sender = this.status = this.jogging = undefined;
     [this.settings, this.rests] = [{}, 0];
-    $("live").hidden = $("leave").hidden = $("silent").hidden = true;
+    $("live").hidden = $("leave").hidden = $("silent").hidden = $("differences").hidden = true;
     this.app.player.showMachine();
     $("power").hidden = $("connect").hidden = false;
     $("served").hidden = servedMachine() === undefined;
-    $("machine-note").textContent = why;
+    this.note(why);
   }
 
   private show(status: Status): void {
@@ -196,7 +208,7 @@ export class MachinePanel {
   private jobStopped(line: number, why: string): void {
     const text = `The job has ended: ${why}. Its lines up to ${line} have been sent.`;
     this.say(text, "wrong");
-    $("machine-note").textContent = /refused/.test(why) ? `${text} The machine is held: Reset drops what it has received, Resume carries it out.` : text;
+    this.note(/refused/.test(why) ? `${text} The machine is held: Reset drops what it has received, Resume carries it out.` : text);
   }
 
   /** Whether the machine has something to do: all lines may be answered while it still moves. */
@@ -278,29 +290,57 @@ export class MachinePanel {
       this.sender?.stream(this.app.job.text);
       this.rests = 0;
       this.allow();
-      $("machine-note").textContent = "";
+      this.note("");
     } catch (error) {
-      $("machine-note").textContent = `Nothing of the job is sent: ${(error as Error).message}`;
+      this.note(`Nothing of the job is sent: ${(error as Error).message}`);
     }
   }
 
   /** Sets the work zero by a plate of known thickness. The units and modes of before are in force again behind it, whatever becomes of it. */
   private async probe(): Promise<void> {
-    const note = (text: string) => ($("machine-note").textContent = text);
-    if (this.status?.fields.Pn?.includes("P")) return void note("The probe is in contact already: nothing is probed.");
+    if (this.status?.fields.Pn?.includes("P")) return void this.note("The probe is in contact already: nothing is probed.");
     const modes = (await this.ask("$G")).said.join(" ").match(/\bG(20|21|90|91|93|94|95)\b/g);
-    if (!modes) return void note("The machine does not tell its modes: nothing is probed.");
-    note("");
+    if (!modes) return void this.note("The machine does not tell its modes: nothing is probed.");
+    this.note("");
     const { answer, said } = await this.ask(`G21 G91 G94 G38.3 Z-${PROBE_DEPTH} F100`);
-    if (answer !== "ok") note(`Nothing is probed: ${answer}`);
-    else if (!/\[PRB:[^\]]*:1\]/.test(said.join(" "))) note(`No contact within ${PROBE_DEPTH} mm: the work zero is as it was.`);
+    if (answer !== "ok") this.note(`Nothing is probed: ${answer}`);
+    else if (!/\[PRB:[^\]]*:1\]/.test(said.join(" "))) this.note(`No contact within ${PROBE_DEPTH} mm: the work zero is as it was.`);
     else if ((await this.line(`G10 L20 P0 Z${Number($<HTMLInputElement>("plate").value)}`)) === "ok") await this.line("G0 Z2");
     await this.line(modes.join(" "));
   }
 
   private async settingsToForecast(): Promise<void> {
-    if (await this.readSettings()) this.app.settings.replace(this.settings);
-    else $("machine-note").textContent = "The machine does not tell its settings now: the forecast keeps those that it has.";
+    if (!(await this.readSettings())) return this.note("The machine does not tell its settings now: the forecast keeps those that it has.");
+    this.note("");
+    const { description } = this.app;
+    this.app.settings.replace(tellsGrblsOnly(description.settings, this.settings) ? { ...this.settings, [DIALECT]: 0 } : this.settings);
+  }
+
+  /** Shows what of the forecast's settings the machine has otherwise, to be written to it. */
+  private async settingsToMachine(): Promise<void> {
+    $("differences").hidden = true;
+    if (!(await this.readSettings())) return this.note("The machine does not tell its settings now: nothing is written.");
+    const { description, settings } = this.app;
+    const differ = offer(description.settings, this.settings, number => settings.value(number), lines => void this.write(lines));
+    this.note(differ ? "" : "The machine has all of these settings already.");
+  }
+
+  private async write(lines: string[]): Promise<void> {
+    const { sender } = this;
+    if (!sender) return;
+    const done = await written(lines, async line => {
+      this.say(line, "sent");
+      const answer = await sender.command(line);
+      this.say(answer, answer === "ok" ? "" : "wrong");
+      return answer;
+    });
+    if (this.sender !== sender) return;
+    await this.readSettings();
+    this.note(done);
+  }
+
+  private note(text: string): void {
+    $("machine-note").textContent = text;
   }
 
   private listen(): void {
@@ -314,7 +354,7 @@ export class MachinePanel {
       try {
         this.attach(await SerialLink.open(BAUD));
       } catch (error) {
-        $("machine-note").textContent = (error as Error).message;
+        this.note((error as Error).message);
       }
     });
     const served = servedMachine();
@@ -323,7 +363,7 @@ export class MachinePanel {
       try {
         this.attach(await SocketLink.open(served as string));
       } catch (error) {
-        $("machine-note").textContent = (error as Error).message;
+        this.note((error as Error).message);
       }
     });
     $("leave").addEventListener("click", () => this.leave());
@@ -335,6 +375,8 @@ export class MachinePanel {
     $("reset").addEventListener("click", () => this.sender?.reset());
     $("probe").addEventListener("click", () => void this.probe());
     $("read").addEventListener("click", () => void this.settingsToForecast());
+    $("compare").addEventListener("click", () => void this.settingsToMachine());
+    $("keep").addEventListener("click", () => ($("differences").hidden = true));
     $("times").addEventListener("change", () => {
       if (this.link instanceof PageLink) this.link.speed(Number($<HTMLSelectElement>("times").value));
     });

@@ -5,7 +5,7 @@ import { type Path, ROW, type Summary, workZero } from "./engine";
 import type { Material } from "./material";
 import { Picture } from "./picture";
 import { SHADE } from "./shaders";
-import { type Coloring, endOf, isRapid, lineOf, placeAt, rowAt, rowOfLine, shades } from "./track";
+import { beginOfLine, type Coloring, endOf, isRapid, lineOf, placeAt, rowAt, shades } from "./track";
 
 /** Height of a line in the list, px, and the greatest height that browsers draw. */
 const LINE = 18;
@@ -91,7 +91,7 @@ export class Player {
   /** Shows the time at which a line begins. */
   goToLine(line: number): void {
     if (!this.path) return;
-    this.seek(this.path.rows[rowOfLine(this.path, line) * ROW + 4]);
+    this.seek(beginOfLine(this.path, line));
     this.line = line;
     this.scrollTo(line);
     this.drawLines();
@@ -139,11 +139,12 @@ export class Player {
   }
 
   private limits(): void {
-    if (!this.picture || !this.path) return;
+    if (!this.path) return;
     const travel = [130, 131, 132].map(number => this.app.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
-    // As after homing with the switches at the positive ends.
-    this.picture.limits(shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] } : undefined);
+    // Homing names the travel so, whichever ends have the switches.
+    const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
+    for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
 
   /** Shows where the machine is that is driven, mm; without a place there is none. */
@@ -199,17 +200,22 @@ export class Player {
     const first = Math.max(0, Math.floor(this.list.scrollTop / LINE / this.scale()) - 1);
     const digits = String(lines.length).length;
     const refused = new Set(this.summary?.errors.map(error => error.line));
+    const all = $("lines-all");
+    const drawn = new Map([...all.children].map(line => [line.id, line as HTMLElement]));
     const shown = lines.slice(first, first + Math.ceil(this.list.clientHeight / LINE) + 3).map((text, index) => {
       const number = first + index + 1;
-      const line = el("div", {
-        className: refused.has(number) ? "line refused" : "line", role: "option", id: `line-${number}`,
-        "aria-selected": String(number === this.line), textContent: `${String(number).padStart(digits)}  ${text}`,
-      });
+      const id = `line-${number}`;
+      const line = drawn.get(id) ?? el("div", { role: "option", id });
+      line.className = refused.has(number) ? "line refused" : "line";
+      line.setAttribute("aria-selected", String(number === this.line));
+      line.textContent = `${String(number).padStart(digits)}  ${text}`;
       line.style.top = `${first * LINE * this.scale() + index * LINE}px`;
       line.dataset.line = String(number);
       return line;
     });
-    $("lines-all").replaceChildren(...shown);
+    // What stays in sight stays in the document: an element that is taken out of it between press and release is not clicked.
+    for (const line of drawn.values()) if (!shown.includes(line)) line.remove();
+    for (const [index, line] of shown.entries()) if (all.children[index] !== line) all.insertBefore(line, all.children[index] ?? null);
     if (shown.some(line => line.id === `line-${this.line}`)) this.list.setAttribute("aria-activedescendant", `line-${this.line}`);
     else this.list.removeAttribute("aria-activedescendant");
   }
@@ -263,6 +269,7 @@ export class Player {
     });
     $("two").addEventListener("change", () => {
       this.showSecond();
+      this.limits();
       this.seek(this.time);
       // The first view has another width from now on.
       picture?.fit();

@@ -4,7 +4,7 @@ import { type Summary, workZero } from "./engine";
 
 const count = (number: number, name: string) => `${number.toLocaleString("en")} ${name}${number === 1 ? "" : "s"}`;
 
-export function showReport(summary: Summary, goTo: (line: number) => void): void {
+export function showReport(summary: Summary, lines: string[], goTo: (line: number) => void): void {
   const errors = summary.errors.length + summary.more_errors;
   const good = errors === 0 && !summary.alarm && summary.complete;
   const verdict = good
@@ -19,7 +19,7 @@ export function showReport(summary: Summary, goTo: (line: number) => void): void
   bar(summary);
   byTool(summary);
   facts(summary);
-  $("errors").replaceChildren(...list(summary, goTo));
+  $("errors").replaceChildren(...list(summary, lines, goTo));
   const said = new Set([...summary.messages, ...summary.notes]);
   $("messages").replaceChildren(...[...said].map(textContent => el("li", { textContent })));
 }
@@ -78,7 +78,7 @@ function facts(summary: Summary): void {
   $("facts").replaceChildren(...rows.flatMap(([name, value]) => [el("dt", { textContent: name }), el("dd", { textContent: value })]));
 }
 
-function list(summary: Summary, goTo: (line: number) => void): HTMLElement[] {
+function list(summary: Summary, lines: string[], goTo: (line: number) => void): HTMLElement[] {
   const items = summary.errors.map(error => {
     const button = el("button", { type: "button" },
       el("span", {}, `line ${error.line}: `, el("strong", { textContent: `error:${error.code}` }), ` ${error.text}`),
@@ -90,6 +90,7 @@ function list(summary: Summary, goTo: (line: number) => void): HTMLElement[] {
   if (alarm) {
     const place = alarm.line === null ? "" : `line ${alarm.line}: `;
     const button = el("button", { type: "button" }, el("span", {}, place, el("strong", { textContent: `ALARM:${alarm.code}` }), ` ${alarm.text}`),
+      ...(alarm.line === null ? [] : [el("code", { textContent: lines[alarm.line - 1] ?? "" })]),
       el("small", { textContent: alarm.advice }));
     button.addEventListener("click", () => goTo(alarm.line ?? 1));
     items.push(el("li", {}, button));

@@ -19,7 +19,7 @@ export class SettingsPanel {
   private readonly place = [...$("work-zero").querySelectorAll("input")];
 
   constructor(readonly description: Description, private readonly onchange: () => void) {
-    this.changed = stored();
+    this.changed = this.known(stored());
     const body = $("settings-table").querySelector("tbody") as HTMLElement;
     // What decides on time comes first.
     const weight = (setting: Setting) => (setting.axis && setting.kind !== "axes" ? 0 : 1);
@@ -58,15 +58,19 @@ export class SettingsPanel {
   }
 
   replace(values: Record<string, number>): void {
-    const known = new Set(this.description.settings.map(setting => String(setting.number)));
-    const entries = Object.entries(values).filter(([number, value]) => known.has(number) && Number.isFinite(value));
-    this.changed = Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));
+    this.changed = this.known(values);
     this.refresh();
     this.onchange();
   }
 
   set(number: number, value: number): void {
     this.replace({ ...this.changed, [number]: value });
+  }
+
+  /** Those that this firmware has, and that differ from a new controller: another page may have kept others. */
+  private known(values: Record<string, number>): Record<string, number> {
+    const entries = Object.entries(values).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
+    return Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));
   }
 
   private default(number: number): number | undefined {
@@ -109,7 +113,7 @@ export class SettingsPanel {
 
 function stored(): Record<string, number> {
   try {
-    return JSON.parse(localStorage.getItem(STORED) ?? "{}");
+    return Object(JSON.parse(localStorage.getItem(STORED) ?? "{}"));
   } catch {
     return {};
   }

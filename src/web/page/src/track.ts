@@ -22,6 +22,12 @@ export function rowAt(path: Path, seconds: number): number {
   return low;
 }
 
+/** The time at which a line begins: that of the next move if it makes none, and the end of the job where no move comes any more. */
+export function beginOfLine(path: Path, line: number): number {
+  const row = rowOfLine(path, line);
+  return row === undefined ? endOf(path) : path.rows[row * ROW + 4];
+}
+
 /** Where the tool is at a time. */
 export function placeAt(path: Path, seconds: number): number[] {
   const row = rowAt(path, seconds);
@@ -34,9 +40,9 @@ export function placeAt(path: Path, seconds: number): number[] {
   });
 }
 
-/** The first row of a line, or else of the next line that has any. */
-export function rowOfLine(path: Path, line: number): number {
-  let [best, found] = [Infinity, 0];
+/** The first row of a line, or else of the next line that has any. Behind the last of them there is none. */
+function rowOfLine(path: Path, line: number): number | undefined {
+  let [best, found]: [number, number | undefined] = [Infinity, undefined];
   for (let row = 1; row < path.lines.length; row++) {
     const of = lineOf(path, row);
     if (of >= line && of < best) {

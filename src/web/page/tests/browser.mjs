@@ -51,9 +51,9 @@ export const timeOf = (page, line) => page.evaluate(line => {
   return { shown: Number(document.getElementById("scrub").value), begins: rows[row * 6 + 4] };
 }, line);
 
-/** Tells that the page is at the begin of a line, which is not that of the job: by its scrubber, its list and its tool. */
-export async function isAt(page, line) {
+/** Tells that the page is at the begin of a line, which is not that of the job: by its scrubber and its list, in which another line may be chosen. */
+export async function isAt(page, line, chosen = line) {
   const { shown, begins } = await timeOf(page, line);
   assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `line ${line} begins at ${begins} s; ${shown} s is shown`);
-  assert.match(await page.locator("#lines [aria-selected=true]").innerText(), new RegExp(`^\\s*${line}\\s`));
+  assert.match(await page.locator("#lines [aria-selected=true]").innerText(), new RegExp(`^\\s*${chosen}\\s`));
 }

@@ -86,6 +86,8 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
       for (const part of [`line ${error.line}:`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].includes(part), `${name}: ${shown[index]}`);
     }
   }
+  await openJob(page, "alarm.nc", jobs["alarm.nc"]);
+  assert.match(await page.locator("#errors button").last().innerText(), /^line 2: ALARM:5 [^]*\nG38\.2 Z-1\n/);
   // All that the report keeps, and how many there are beyond.
   await openJob(page, "many.nc", "bad\n".repeat(1005));
   assert.equal(await page.locator("#errors button").count(), 1000);
@@ -229,6 +231,8 @@ export async function a_setting_out_of_reach_is_named(browser) {
   assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
   assert((await page.locator("#messages").innerText()).includes(why));
   assert.match(await page.locator("#errors button").first().innerText(), /line 2: error:9/);
+  // It stands before the lines that it locks, however many they are.
+  assert(await page.evaluate(() => document.getElementById("messages").compareDocumentPosition(document.getElementById("errors")) & Node.DOCUMENT_POSITION_FOLLOWING));
   await settings(page, MILL);
   assert.equal(await page.textContent("#messages"), "");
   assert.deepEqual(faults, []);
@@ -280,6 +284,10 @@ export async function two_views_show_one_time(browser) {
   for (const view of [0, 1]) assert(whole[view] > 200 && part[view] > 0 && part[view] < whole[view] / 2, `${whole}, ${part}`);
   await openJob(page, "line.nc", "G21 G91\nG1 X50 Y5 F600\n");
   assert(await colorsOn(page, "second") > 50);
+  // The limits are in both.
+  const without = await colorsOn(page, "second");
+  await page.check("#limits");
+  assert(await colorsOn(page, "second") > without + 300);
   await page.uncheck("#two");
   assert(await page.locator("#second").isHidden());
   assert.deepEqual(faults, []);

@@ -291,7 +291,7 @@ async function connected(browser, speed, test) {
     await page.click("#tab-machine");
     await page.click("#connect");
     await state(page, "^Idle");
-    await test(page, order, socket.wire);
+    await test(page, order, socket.wire, socket);
     assert.deepEqual(faults, []);
   } finally {
     socket.destroy();
@@ -409,6 +409,88 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
   });
 }
 
+/** Ends the process of a page, as a browser's fault or the memory's end would: nothing of the page runs any more. */
+async function crash(page) {
+  const gone = new Promise(resolve => page.once("crash", resolve));
+  const browser = await page.context().newCDPSession(page);
+  void browser.send("Page.crash").catch(() => {});
+  await gone;
+}
+
+/** On a UART nobody sees it, but for the machine's own watch. */
+export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(browser) {
+  await connected(browser, "1", async (page, order, wire, socket) => {
+    await page.click("#watch");
+    await page.waitForFunction(() => document.getElementById("silent").hidden);
+    await openJob(page, "long.nc", "G21 G91\nG1 X100 F60\n");
+    await page.waitForFunction(() => !document.getElementById("start").disabled);
+    await page.click("#start");
+    await state(page, "^Run");
+    const commands = wire.realtime.length;
+    await crash(page);
+    let said = "";
+    socket.on("data", data => (said += data));
+    // A question is a sign of life: it comes when the machine has had the time to miss one.
+    for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
+      await new Promise(resolve => setTimeout(resolve, 2500));
+      socket.write("?");
+      await new Promise(resolve => setTimeout(resolve, 300));
+    }
+    assert.match(said, /\[MSG:The host is silent\]/);
+    assert.match(said, /<Hold:0\|MPos:\d\.|<Hold:0\|MPos:\d\d\./);
+    assert(!wire.realtime.slice(commands).includes(0x21), "the page has sent no hold");
+  });
+}
+
+export async function settings_go_to_the_machine_when_they_have_been_looked_at(browser) {
+  await connected(browser, "max", async (page, order) => {
+    const note = wanted => page.waitForFunction(wanted => new RegExp(wanted).test(document.getElementById("machine-note").textContent), wanted, { timeout: PATIENCE });
+    const there = async () => (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
+    await page.click("#read");
+    await page.waitForFunction(() => oxmill.app.settings.value(110) === 5000);
+    await page.click("#compare");
+    await note("has all of these settings already");
+    assert(await page.locator("#differences").isHidden());
+    await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 11: 0.0125, 20: 1, 22: 1, 120: 321.5 }));
+    await page.click("#compare");
+    const rows = page.locator("#differences tbody tr");
+    await rows.first().waitFor();
+    const shown = await rows.evaluateAll(all => all.map(row => [...row.cells].map(cell => cell.textContent)));
+    assert.deepEqual(shown.map(([number, , machine, forecast]) => [number, machine, forecast]),
+      [["$120", "300 mm/s2", "321.5 mm/s2"], ["$11", "0.01 mm", "0.0125 mm"], ["$20", "0", "1"], ["$22", "0", "1"]].toSorted((a, b) => a[0].slice(1) - b[0].slice(1)));
+    for (const [, name] of shown) assert.match(name, /^[A-Z][a-z-]/);
+    assert.match(await there(), /^\$120=300\.000$/m, "nothing is written before");
+    await page.click("#write");
+    await note("^4 of 4 settings are written");
+    for (const row of [/^\$11=0\.013$/m, /^\$20=1$/m, /^\$22=1$/m, /^\$120=321\.500$/m]) assert.match(await there(), row);
+    assert(await page.locator("#differences").isHidden());
+    await page.click("#compare");
+    await note("has all of these settings already");
+    // What the machine refuses is named, and what is left as it is is not written.
+    await page.evaluate(() => oxmill.app.settings.set(0, 256));
+    await page.click("#compare");
+    await page.click("#write");
+    await note("^0 of 1 settings are written. Refused: \\$0=256");
+    await page.click("#compare");
+    await page.click("#keep");
+    assert(await page.locator("#differences").isHidden());
+    assert.match(await there(), /^\$0=10(\.0+)?$/m);
+    // A machine in the dialect of Grbl does not tell that: its settings do.
+    await page.evaluate(() => oxmill.app.machine.line("$900=0"));
+    await page.click("#read");
+    await page.waitForFunction(() => oxmill.app.settings.value(900) === 0 && oxmill.app.settings.value(120) === 321.5);
+    // In that dialect soft limits are refused (error:10) until homing is on, which has the greater number.
+    for (const value of [0, 1]) {
+      await page.evaluate(value => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 20: value, 22: value }), value);
+      await page.click("#compare");
+      await page.click("#write");
+      await note("^2 of 2 settings are written");
+    }
+    assert.deepEqual(await page.locator("#console .wrong").allInnerTexts(), ["error:6", "error:6", "error:10"]);
+    assert.match(await there(), /^\$20=1$[^]*^\$22=1$/m);
+  });
+}
+
 /** The status of an attempt to open a WebSocket, as a browser would make it. */
 const upgrade = (port, headers) => new Promise((resolve, reject) => {
   const socket = net.connect(port, "127.0.0.1");
@@ -453,6 +535,34 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
     assert.equal(await upgrade(device.port, { Host: `evil.example:${device.port}`, Origin: `http://evil.example:${device.port}` }), 403);
     assert.equal(await upgrade(device.port, {}), 101);
     assert.equal((await fetch(`${url}nothing`)).status, 404);
+  } finally {
+    device.stop();
+  }
+}
+
+/** The program behind a page sees that the page is gone, as the firmware does on USB. */
+export async function a_tab_that_crashes_leaves_the_machine_in_a_hold(browser) {
+  const device = await serve({ settings: MILL }, "1", ["--web", "0", "--page", file]);
+  const url = `http://127.0.0.1:${device.port}/`;
+  try {
+    const first = await open(browser, url);
+    await first.page.click("#tab-machine");
+    await first.page.click("#served");
+    await state(first.page, "^Idle");
+    await openJob(first.page, "long.nc", "G21 G91\nG1 X100 F60\n");
+    await first.page.waitForFunction(() => !document.getElementById("start").disabled);
+    await first.page.click("#start");
+    await state(first.page, "^Run");
+    await crash(first.page);
+    const { page, faults } = await open(browser, url);
+    await page.click("#tab-machine");
+    await page.click("#served");
+    await state(page, "^Hold:0");
+    const held = await place(page);
+    assert(held[0] > 0 && held[0] < 90, `${held}`);
+    await page.waitForTimeout(500);
+    near(await place(page), held);
+    assert.deepEqual([...first.faults, ...faults], []);
   } finally {
     device.stop();
   }

@@ -1,7 +1,9 @@
 // The module alone, as another program would use it.
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { example, page, run, wasm } from "./program.mjs";
+import { spawnSync } from "node:child_process";
+import { existsSync, readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { example, folder, page, root, run, same, wasm } from "./program.mjs";
 
 const encode = text => new TextEncoder().encode(text);
 
@@ -31,6 +33,31 @@ export async function any_program_can_use_the_module() {
   assert.equal(x.oxmill_check_summary(), 0);
   const expected = run("house.nc", text, { board: "nucleo_f446re", settings: { 110: 4000 } });
   assert.deepEqual({ ...JSON.parse(output()), host_s: 0 }, { ...expected, host_s: 0 });
+}
+
+/** With the packages that tests/senders/install has put there. */
+const PYTHON = join(root, "target/tools/senders/python/bin/python");
+
+/** The examples for other programs: without a browser, and the same figures. */
+export async function examples_of_programs_call_the_module() {
+  const callers = [["node", "module.mjs"], [PYTHON, "module.py"]];
+  const runs = ([by, caller], ...rest) => spawnSync(by, [join(root, "examples", caller), wasm, ...rest], { encoding: "utf8", maxBuffer: 1 << 26 });
+  for (const caller of callers) {
+    if (caller[0] === PYTHON && !existsSync(PYTHON)) {
+      console.log("skipped: examples/module.py (bash tests/senders/install)");
+      continue;
+    }
+    const good = runs(caller, join(root, "examples/house.nc"), "110=4000");
+    assert.equal(good.status, 0, good.stderr);
+    same(JSON.parse(good.stdout), run("house.nc", example("house.nc"), { board: "blackpill_f411", settings: { 110: 4000 } }), caller[1]);
+    const bad = join(folder, "module.nc");
+    writeFileSync(bad, "G21\nG999\n");
+    const refused = runs(caller, bad);
+    assert.deepEqual([refused.status, JSON.parse(refused.stdout).errors[0].line], [1, 2]);
+    const wrong = runs(caller, bad, "7=1");
+    assert.deepEqual([wrong.status, wrong.stdout], [2, ""]);
+    assert.match(wrong.stderr, /was refused with error:3/);
+  }
 }
 
 export async function each_setting_is_described() {

@@ -10,7 +10,7 @@ export const root = join(dirname(fileURLToPath(import.meta.url)), "../../../..")
 export const page = join(root, "target/web/oxmill.html");
 export const wasm = join(root, "target/web/oxmill.wasm");
 const oxmill = join(root, "target/release/oxmill");
-const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
+export const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
 
 /** A small mill. */
 export const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };

@@ -6,11 +6,12 @@ import * as machine from "./machine.test.mjs";
 import * as material from "./material.test.mjs";
 import * as module from "./module.test.mjs";
 import * as sender from "./sender.test.mjs";
+import * as pictures from "./pictures.test.mjs";
 import * as site from "./site.test.mjs";
 import * as use from "./use.test.mjs";
 
 const wanted = process.argv.slice(2);
-const tests = Object.entries({ ...module, ...check, ...machine, ...material, ...sender, ...site, ...use }).filter(([name]) => wanted.length === 0 || wanted.includes(name));
+const tests = Object.entries({ ...module, ...check, ...machine, ...material, ...pictures, ...sender, ...site, ...use }).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 assert(tests.length > 0, "no test of this name");
 const browser = await launch();
 let failed = 0;

@@ -216,6 +216,37 @@ export async function a_line_that_is_clicked_is_shown(browser) {
     await page.click(`#line-${line}`);
     await isAt(page, line);
   }
+  // With the list drawn anew while the button is down.
+  const box = await page.locator("#line-4").boundingBox();
+  await page.mouse.move(box.x + 20, box.y + 9);
+  await page.mouse.down();
+  await page.evaluate(() => document.getElementById("lines").dispatchEvent(new Event("scroll")));
+  await page.mouse.up();
+  await isAt(page, 4);
+  assert.deepEqual(faults, []);
+}
+
+/** Lines that move nothing are at the next move, and at the end of the job where none comes. */
+export async function the_last_lines_are_at_the_end(browser) {
+  const { page, faults } = await open(browser, file);
+  const { forecast_s } = await openJob(page, "end.nc", "G21 G91\nG1 X9 F600\nM5\nG1 X-9\nM9\nG999\nM30\n");
+  const shown = () => page.evaluate(() => Number(document.getElementById("scrub").value));
+  for (const line of [5, 6, 7]) {
+    await page.evaluate(() => oxmill.app.player.seek(0));
+    await page.click(`#line-${line}`);
+    assert(Math.abs(await shown() - forecast_s) < 0.01, `line ${line}: ${await shown()} of ${forecast_s} s`);
+    assert.match(await page.locator("#lines [aria-selected=true]").innerText(), new RegExp(`^\\s*${line}\\s`));
+  }
+  await page.click("#line-3");
+  await isAt(page, 4, 3);
+  // By keys: from the first line to the last and back.
+  await page.focus("#lines");
+  await page.keyboard.press("Home");
+  assert.equal(await shown(), 0);
+  await page.keyboard.press("End");
+  assert(Math.abs(await shown() - forecast_s) < 0.01);
+  await page.locator("#errors button").click();
+  assert(Math.abs(await shown() - forecast_s) < 0.01, "a refused line behind the last move");
   assert.deepEqual(faults, []);
 }
 
@@ -326,6 +357,15 @@ export async function settings_of_a_machine_are_pasted(browser) {
   await page.click("#take");
   await checked(page);
   assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), { 100: 80, 120: 123.5 });
+  // They are there again when the page is loaded again, but for what this firmware does not have: another page may have kept it.
+  const reloaded = async (kept, wanted) => {
+    await page.evaluate(kept => localStorage.setItem("oxmill settings", kept), kept);
+    await page.reload();
+    await checked(page);
+    assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), wanted, kept);
+  };
+  for (const kept of ["null", "7", "{", '{"99999":1,"100":"x"}', '{"100":250}']) await reloaded(kept, {});
+  await reloaded('{"100":80,"120":123.5}', { 100: 80, 120: 123.5 });
   assert.equal(await page.inputValue('[aria-label^="$120 "]'), "123.5");
   // A row tells number, name, unit and range.
   await page.fill("#find", "120");

@@ -1,0 +1,70 @@
+#!/usr/bin/env python3
+"""Checks a job by the firmware, compiled to WebAssembly, from a program of one's own: oxmill.wasm has no imports.
+
+    pip install wasmtime
+    python3 examples/module.py target/web/oxmill.wasm JOB.nc [110=5000 ...]
+
+Prints the summary as `oxmill run JOB.nc --json` does. The functions of the module are described in src/web/lib.rs.
+"""
+
+import json
+import sys
+
+from wasmtime import Instance, Module, Store, Trap
+
+
+class Refused(Exception):
+    """Why a job was not begun, or how the module has ended."""
+
+
+class Oxmill:
+    """An instance of the module; one for each job at a time."""
+
+    def __init__(self, path):
+        self.store = Store()
+        self.exports = Instance(self.store, Module.from_file(self.store.engine, path), []).exports(self.store)
+
+    def call(self, name, *arguments):
+        """Calls a function by its name without the `oxmill_`."""
+        try:
+            return self.exports[f"oxmill_{name}"](self.store, *arguments)
+        except Trap as trap:
+            # A panic ends the instance, and has a text.
+            raise Refused(self.text("panic") or str(trap)) from trap
+
+    def text(self, name):
+        memory, functions = self.exports["memory"], [self.exports[f"oxmill_{part}"] for part in (name, f"{name}_len")]
+        # Addresses are told as signed numbers.
+        at, length = (function(self.store) & 0xFFFFFFFF for function in functions)
+        return bytes(memory.read(self.store, at, at + length)).decode()
+
+    def put(self, data):
+        at = self.call("input", len(data)) & 0xFFFFFFFF
+        self.exports["memory"].write(self.store, data, at)
+
+    def check(self, job, **order):
+        """The summary of a job, a dictionary; `order` as src/web/lib.rs has it."""
+        self.put(json.dumps(order).encode() + b"\0" + job)
+        if self.call("check_begin"):
+            raise Refused(self.text("output"))
+        while (part := self.call("check_advance", 100_000)) <= 1000:
+            print(f"{part / 10:.0f} %", end="\r", file=sys.stderr)
+        self.put(order.get("name", "").encode())
+        self.call("check_summary")
+        return json.loads(self.text("output"))
+
+
+def main(module, name, *pairs):
+    with open(name, "rb") as file:
+        job = file.read()
+    settings = {number: float(value) for number, value in (pair.split("=") for pair in pairs)}
+    try:
+        summary = Oxmill(module).check(job, name=name, board="blackpill_f411", settings=settings)
+    except Refused as why:
+        print(why, file=sys.stderr)
+        return 2
+    print(json.dumps(summary, indent=2))
+    return 1 if summary["errors"] or summary["alarm"] or not summary["complete"] else 0
+
+
+sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,69 @@
+// What the screenshots of the README show: how the page comes to it, and what of it is the same on every machine.
+import { createHash } from "node:crypto";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { open, openJob } from "./browser.mjs";
+import { example, MILL, page as file, root } from "./program.mjs";
+
+export const FOLDER = join(root, "docs/pictures");
+/** What each picture was taken of. */
+export const TAKEN = join(FOLDER, "taken.json");
+/** Sources that make the look. What they say is told apart. */
+const LOOK = ["index.html", "style.css", "camera.ts", "picture.ts", "shaders.ts"];
+/** What differs from run to run. */
+const RESTLESS = ".dro, #console, #state, #sent { visibility: hidden }";
+
+/** Each with the page ready (`set`), and what happens until the picture (`go`). */
+export const SCENES = {
+  "page.png": {
+    options: { viewport: { width: 1440, height: 810 } },
+    async set(page) {
+      await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
+      await openJob(page, "relief.nc", example("relief.nc"));
+      await page.click("#tab-whatif");
+      await page.click("#vary");
+      await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"));
+      await page.evaluate(() => {
+        const scrub = document.getElementById("scrub");
+        scrub.value = Number(scrub.max) * 0.62;
+        scrub.dispatchEvent(new Event("input", { bubbles: true }));
+      });
+    },
+    async go() {},
+  },
+  "machine.png": {
+    options: { viewport: { width: 1366, height: 768 }, colorScheme: "dark" },
+    async set(page) {
+      await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
+      await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
+      await page.click("#tab-machine");
+      await page.click("#power");
+      await page.waitForFunction(() => oxmill.app.machine.status?.state === "Idle" && !document.getElementById("start").disabled);
+    },
+    async go(page) {
+      await page.click("#start");
+      await page.waitForFunction(() => (oxmill.app.machine.status?.machine[2] ?? 0) < -0.1, null, { timeout: 120_000 });
+      await page.waitForTimeout(4000);
+    },
+  },
+};
+
+/** Opens the page of a scene, ready; gives it with what it says there. */
+export async function ready(browser, { options, set }) {
+  const { page } = await open(browser, file, options);
+  await set(page);
+  const says = await page.evaluate(restless => {
+    const style = document.createElement("style");
+    style.textContent = restless;
+    document.head.append(style);
+    const text = document.body.innerText;
+    style.remove();
+    return text;
+  }, RESTLESS);
+  // How long it took is this machine's affair.
+  const lines = says.replace(/(checked in\s+|whole jobs in )[\d.]+ s/g, "$1").split("\n").map(line => line.trim());
+  return { page, says: lines.filter(Boolean) };
+}
+
+export const sha256 = bytes => createHash("sha256").update(bytes).digest("hex");
+export const look = () => sha256(LOOK.map(name => readFileSync(join(root, "src/web/page/src", name), "utf8")).join("\0"));
