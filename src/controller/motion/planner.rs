@@ -619,12 +619,14 @@ fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: u
     let mut capped = None;
     let mut newest = changed.iter_mut().enumerate().rev();
     for (place, block) in newest.by_ref() {
-        exit2 = block.entry_before(exit2);
-        block.entry2 = exit2;
+        exit2 = block.braking_entry2(exit2);
         if exit2 >= block.max_entry2 {
+            exit2 = block.max_entry2;
+            block.entry2 = exit2;
             capped = Some(same.len() + place);
             break;
         }
+        block.entry2 = exit2;
     }
     // From here on the last one at its cap is known, or all have been looked at.
     for (_, block) in newest {
@@ -634,15 +636,15 @@ fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: u
     let mut oldest = same.iter_mut().enumerate().rev();
     if capped.is_none() {
         for (place, block) in oldest.by_ref() {
-            exit2 = block.entry_before(exit2);
-            let stays = block.entry2 == exit2;
-            block.entry2 = exit2;
+            exit2 = block.braking_entry2(exit2);
             if exit2 >= block.max_entry2 {
+                exit2 = block.max_entry2;
                 capped = Some(place);
             }
-            if stays {
+            if block.entry2 == exit2 {
                 return Walked { entry2: None, capped };
             }
+            block.entry2 = exit2;
             if capped.is_some() {
                 break;
             }
