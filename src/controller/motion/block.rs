@@ -220,26 +220,12 @@ impl<const N: usize> Block<N> {
         self.curve.left(self.acceleration, speed2)
     }
 
-    /// Greatest entry speed² from which it can be braked to an exit speed², whatever else bounds it.
-    #[inline(always)]
-    pub(super) fn braking_entry2(&self, exit2: f32) -> f32 {
-        let along = self.acceleration;
-        let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
-        exit2 + 2.0 * left * self.length
-    }
-
-    /// The same within its cap.
+    /// Greatest entry speed² from which it can be braked to an exit speed².
     #[inline]
     pub(super) fn entry_before(&self, exit2: f32) -> f32 {
-        lesser(self.max_entry2, self.braking_entry2(exit2))
-    }
-
-    /// Whether a higher exit may let it be entered less fast, because a bend then leaves so much less to brake with: not while the
-    /// greatest slope of [`CurveLoad::left`], at its least share, takes no more than the exit adds.
-    #[inline]
-    pub(super) fn is_steep(&self) -> bool {
-        let acceleration = greater(self.acceleration, self.curve.acceleration());
-        !self.curve.is_none() && 2.0 / LEAST_SHARE * acceleration * self.length > self.curve.speed2()
+        let along = self.acceleration;
+        let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
+        lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
     }
 
     /// What bounds changes of speed in the block.

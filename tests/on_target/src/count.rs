@@ -414,29 +414,17 @@ fn planning(motion: &mut Planner) {
     observed.step_idle = true;
     motion.observe(&observed);
 
-    // Blocks so short that each one changes the entries of all before it, which is found out with the next segment.
+    // Blocks so short that each one changes the entries of all before it.
     let far = 400_000;
-    let mut segment = |motion: &mut Planner| {
-        while !matches!(black_box(unit_prepare(motion, black_box(&observed))), None | Some(ToStep::Segment(_))) {}
-        observed.segments_begun += 1;
-        observed.step_idle = false;
-    };
-    for k in 0..=120 {
-        let measured = k == 40 || k == 120;
-        if measured {
-            segment(motion);
-        }
-        black_box(unit_plan(motion, black_box(&line_to(far + 100 * (k + 1), 0, 160.0))));
+    for k in 0..140 {
         match k {
-            0 => motion.start(),
             40 => row_walk_near(),
+            41 => row_none(),
             120 => row_walk_far(),
+            121 => row_none(),
             _ => {}
         }
-        if measured {
-            segment(motion);
-            row_none();
-        }
+        black_box(unit_plan(motion, black_box(&line_to(far + 100 * (k + 1), 0, 160.0))));
     }
 }
 

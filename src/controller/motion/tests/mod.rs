@@ -6,7 +6,6 @@ mod arcs;
 mod bounds;
 mod jobs;
 mod joins;
-mod put_off;
 mod ramps;
 mod rig;
 mod steps;
