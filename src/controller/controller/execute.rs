@@ -116,6 +116,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let next = match job.stage {
                 Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change()),
                 Stage::ToolChange => Some(Stage::Apply),
+                Stage::SpinningDown(until) => (self.now >= until).then(|| self.leave_for_tool()),
+                Stage::Measuring => self.advance_tool_change(),
                 Stage::Drain => {
                     self.start_queued();
                     None
@@ -175,7 +177,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
             // One chord a call.
             Stage::Chords(_) => matches!(next, Stage::Chords(_)),
-            Stage::Drain | Stage::Probing => true,
+            Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
         }
     }
@@ -230,6 +232,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (None, None) => {}
         }
         if checking {
+            if self.line.checked.tool_change && self.measures_tools() {
+                self.interpreter.assume_measured();
+            }
             return delay;
         }
         if self.interpreter.modal().overrides_held != held {

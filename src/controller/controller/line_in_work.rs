@@ -2,6 +2,7 @@
 
 use crate::axes::PerAxis;
 use crate::gcode::Checked;
+use crate::machine::tool_change::ToolChange;
 use crate::motion::{Arc, ArcGeometry};
 use crate::units::Coordinate;
 
@@ -11,11 +12,13 @@ pub(super) struct LineInWork<const N: usize> {
     /// The line. Canned cycles and jogs change it while they are carried out.
     pub(super) checked: Checked<N>,
     arc: Option<Arc<N>>,
+    /// The tool change of the line, if its tool is measured.
+    pub(super) change: ToolChange<N>,
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(super) const NONE: Self = Self { checked: Checked::NOTHING, arc: None };
+    pub(super) const NONE: Self = Self { checked: Checked::NOTHING, arc: None, change: ToolChange::NONE };
 
     /// Its arc begins. The length of the chords, mm.
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> f32 {

@@ -60,6 +60,10 @@ pub(super) enum Stage {
     Drain,
     /// Another tool is being put into the spindle: ends with `~`.
     ToolChange,
+    /// The spindle comes to rest for a tool change with measuring, until a moment.
+    SpinningDown(Instant),
+    /// A tool change with measuring: `LineInWork` knows how far it is.
+    Measuring,
     /// New modal state, spindle, coolant.
     Apply,
     /// A changed coordinate system is being stored.
@@ -114,7 +118,7 @@ impl Task {
     pub(super) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp(until), .. }) => Some(late(*until)),
-            Task::Job(Job { stage: Stage::Dwell(until), .. }) => Some(*until),
+            Task::Job(Job { stage: Stage::Dwell(until) | Stage::SpinningDown(until), .. }) => Some(*until),
             _ => None,
         }
     }

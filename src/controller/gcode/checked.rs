@@ -55,6 +55,8 @@ pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
     /// The line has M3, M4 or M5.
     pub(super) spindle_word: bool,
+    /// M6 stands without axis words and tool offsets.
+    pub(super) tool_alone: bool,
     /// What G92.3 brings back is the G92 of this line.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
@@ -78,6 +80,32 @@ impl<const N: usize> Checked<N> {
             self.modal.spindle = SpindleDirection::Off;
         }
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+    }
+
+    /// The tool length offset afterwards.
+    pub fn tool_length(&self) -> PerAxis<Coordinate, N> {
+        self.tool_length
+    }
+
+    /// Whether nothing in a line with M6 depends on the length of the tool.
+    pub fn is_tool_change_alone(&self) -> bool {
+        self.after.tool_alone
+    }
+
+    /// The tool has been changed and measured, with spindle and coolant off: they come back as the line or those before it have
+    /// them, and then the tool goes to `target`, by a rapid to `via`.
+    pub fn return_with_tool(
+        &mut self,
+        [via, target]: [PerAxis<Coordinate, N>; 2],
+        feed: Feed,
+        length: PerAxis<Coordinate, N>,
+    ) {
+        self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+        self.coolant = (self.modal.coolant != Coolant::default()).then_some(self.modal.coolant);
+        self.motion = Motion::Line { via: Some(via), target, feed };
+        self.digit = 0.0;
+        self.position = target;
+        self.tool_length = length;
     }
 
     /// The tool that is taken out of the table.
@@ -127,6 +155,7 @@ impl<const N: usize> Checked<N> {
         after: Afterwards {
             spindle_tool: 0,
             spindle_word: false,
+            tool_alone: false,
             keeps_g92: false,
             g92_acts: false,
             keeping: Keeping::Leave,

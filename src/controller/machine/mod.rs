@@ -14,3 +14,4 @@ pub mod signals;
 pub mod spindle;
 pub mod state;
 pub mod stops;
+pub mod tool_change;

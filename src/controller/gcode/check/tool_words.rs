@@ -9,7 +9,7 @@ use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
 use crate::gcode::tools::entry_number;
 use crate::gcode::values::{along, whole};
-use crate::gcode::word::{Letters, ToolLength};
+use crate::gcode::word::{Claim, Letters, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
@@ -29,6 +29,7 @@ impl<const N: usize> Check<'_, N> {
         if self.line.extended.tool_change {
             self.checked.tool_change = modal.tool != self.state.spindle_tool;
             self.checked.after.spindle_tool = modal.tool;
+            self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none();
         }
         Ok(())
     }
@@ -60,7 +61,8 @@ impl<const N: usize> Check<'_, N> {
         }
         let number = if self.take(b'H') { whole(self.line.value.h)?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
-        self.state.tools.offset(number).ok_or(Error::UnknownTool)
+        let measured = self.state.measured_offset(number);
+        measured.or_else(|| self.state.tools.offset(number)).ok_or(Error::UnknownTool)
     }
 
     /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.
