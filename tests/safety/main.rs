@@ -8,3 +8,4 @@ mod injection;
 mod probing;
 mod restore;
 mod states;
+mod tool_setter;
