@@ -142,7 +142,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::Dialect,
         "Which words, settings and answers there are. Choose Grbl for a sender that refuses what Grbl does not have.",
     ),
-    (Key::StopOnError, "A refused line ends the job. With 0 the lines after it are carried out, as with Grbl."),
+    (
+        Key::StopOnError,
+        "A refused line ends the job: the machine brakes, and moves that were accepted before it and have not been made are dropped. With 0 the lines after it are carried out, as with Grbl.",
+    ),
     (
         Key::TrustNeeded,
         "With homing on, G53, G28 and G30 are refused, and soft limits do not act, until the machine position is known. With 0 they take it as it is.",

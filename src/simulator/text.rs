@@ -240,6 +240,11 @@ impl JobText {
         }
     }
 
+    /// The line that has ended the program (M2, M30), and how many lines with words behind it have been answered.
+    pub fn behind_end(&self) -> Option<(u64, u64)> {
+        self.ended_at.filter(|_| self.behind_end > 0).map(|line| (line, self.behind_end))
+    }
+
     fn reply_line(&mut self, reply: &str) {
         // A file that asks for checked lines gets answers of that form.
         let reply = match without_header(reply) {
@@ -247,9 +252,14 @@ impl JobText {
             text => text,
         };
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
+        if reply == PROGRAM_END && self.ended_at.is_none() {
+            self.ended_at = self.unanswered.front().map(|(line, _)| *line);
+        }
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text) = self.unanswered.pop_front().unwrap_or_default();
+            let is_remark = text.trim_start().is_empty() || text.trim_start().starts_with(['(', ';']);
+            self.behind_end += u64::from(!is_remark && self.ended_at.is_some_and(|end| line > end));
             if let Some(code) = code {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }

@@ -32,6 +32,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.store.is_some()
                 || checked.tool_change && self.prompts_for_tools()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
+                || matches!(checked.pins, Some(gcode::ProgramPins::Wait { .. }))
                 || checked.modal().overrides_held != now.overrides_held
                 || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
                 || self.speed_needs_rest());
@@ -122,12 +123,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.start_queued();
                     None
                 }
+                Stage::Apply if !self.has_room_for_pins() => None,
                 Stage::Apply => {
                     job.spindle_delay = self.apply(checking);
                     Some(Stage::Storing)
                 }
                 Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_dwell(job.spindle_delay, checking)),
+                Stage::Storing => Some(self.begin_wait(job, checking)),
+                Stage::Input(until, before) => self.wait_for_input(until, before, job),
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
                 Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
                 Stage::Via => match self.line.checked.motion {
@@ -154,7 +157,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Flow => self.flow(checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::CyclePaused => Some(Stage::Target),
-                Stage::DwellSuspended(_) => None,
+                Stage::DwellSuspended(_) | Stage::InputSuspended(..) => None,
                 Stage::Done => return true,
             };
             let Some(next) = next else { break };
@@ -183,7 +186,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// G4 and the time of the spindle, if there is any to wait for.
-    fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
+    pub(super) fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + spindle_delay;
         if self.accessories.must_tell_speed(&self.settings) && self.line.checked.spindle.is_some() && !checking {
@@ -197,6 +200,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The motion of the line. What follows; `None` if something has to be waited for.
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
+        self.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
             gcode::Motion::Arc(ref arc) => {
@@ -236,6 +240,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.interpreter.assume_measured();
             }
             return delay;
+        }
+        if self.line.checked.pins.is_some() {
+            self.change_output();
         }
         if self.interpreter.modal().overrides_held != held {
             self.apply_overrides();
@@ -278,6 +285,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Flow::End => {
                 self.replies.offset_changed();
                 if !checking {
+                    self.forget_waiting_outputs();
                     self.accessories.switch_off();
                     self.accessories.set_overrides(Overrides::NONE);
                     self.motion.set_overrides(1.0, 1.0);

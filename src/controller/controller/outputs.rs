@@ -91,6 +91,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             power_from_segments: self.settings.is_on(Key::Laser) && !self.accessories.is_suspended(),
             coolant: self.accessories.coolant(),
             drivers: self.drivers.are_on(self.settings.whole(Key::IdleDelay)) && !self.drivers_held_off(),
+            digital: self.accessories.digital().levels(),
         };
         self.pins.changed(pins)
     }

@@ -7,7 +7,7 @@ use super::rotation::RotationChange;
 use super::state::Interpreter;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
-use crate::units::{Coordinate, Duration};
+use crate::units::{Coordinate, Decimal, Duration};
 
 /// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
 /// `Interpreter::commit` takes over.
@@ -25,6 +25,8 @@ pub struct Checked<const N: usize> {
     pub coolant: Option<Coolant>,
     /// M6 asks for another tool than the spindle holds.
     pub tool_change: bool,
+    /// Outputs and inputs of the program (M62 to M68).
+    pub pins: Option<ProgramPins>,
     /// How long to wait before the motion.
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
@@ -71,7 +73,11 @@ impl<const N: usize> Checked<N> {
 
     /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
     pub fn changes_outputs(&self) -> bool {
-        self.spindle.is_some() || self.coolant.is_some() || self.speed_changed || self.store.is_some()
+        self.spindle.is_some()
+            || self.coolant.is_some()
+            || self.speed_changed
+            || self.store.is_some()
+            || self.pins.is_some()
     }
 
     /// The spindle has been stopped for another tool: it turns again only if the line says so.
@@ -116,6 +122,12 @@ impl<const N: usize> Checked<N> {
         }
     }
 
+    /// Whether the machine may have something against the line that programs cannot know.
+    #[inline]
+    pub fn needs_machine(&self) -> bool {
+        self.tool_change || self.pins.is_some()
+    }
+
     /// The tool that the spindle holds afterwards.
     pub fn spindle_tool(&self) -> u32 {
         self.after.spindle_tool
@@ -142,6 +154,7 @@ impl<const N: usize> Checked<N> {
         speed: 0.0,
         coolant: None,
         tool_change: false,
+        pins: None,
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
@@ -189,6 +202,7 @@ impl<const N: usize> Checked<N> {
         self.g92 = state.offsets.g92;
         self.tool_length = state.offsets.tool_length;
         self.tool_change = false;
+        self.pins = None;
         self.after.keeps_g92 = false;
         self.after.g92_acts = state.offsets.g92_acts;
         self.after.keeping = Keeping::Leave;
@@ -196,6 +210,71 @@ impl<const N: usize> Checked<N> {
         self.stored = None;
         self.rotated.angle = None;
         self.rotated.rotation = None;
+    }
+}
+
+/// What a line does with the outputs and inputs of programs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ProgramPins {
+    /// M62 to M65.
+    Digital {
+        /// P.
+        number: u32,
+        /// M62, M64.
+        on: bool,
+        /// M62, M63: with the next motion.
+        with_motion: bool,
+    },
+    /// M67, M68.
+    Analog {
+        /// E.
+        number: u32,
+        /// Q.
+        value: Decimal,
+        /// M67: with the next motion.
+        with_motion: bool,
+    },
+    /// M66 P.
+    Wait {
+        /// P.
+        number: u32,
+        /// L.
+        until: InputWait,
+        /// Q.
+        longest: Duration,
+    },
+    /// M66 E.
+    ReadAnalog {
+        /// E.
+        number: u32,
+    },
+}
+
+/// What M66 waits for, by its L.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InputWait {
+    /// L0: nothing.
+    Nothing,
+    /// L1: the input becomes active.
+    Rise,
+    /// L2: it ceases to be.
+    Fall,
+    /// L3: it is active.
+    High,
+    /// L4: it is not.
+    Low,
+}
+
+impl InputWait {
+    /// Whether an input is as it should be that was `before` when it was looked at last.
+    pub fn is_over(self, before: bool, now: bool) -> bool {
+        match self {
+            InputWait::Nothing => true,
+            InputWait::Rise => now && !before,
+            InputWait::Fall => before && !now,
+            InputWait::High => now,
+            InputWait::Low => !now,
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion, ProgramPins};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.
@@ -47,8 +47,17 @@ impl Mill {
         let text = line.replace(' ', "");
         let checked = self.interpreter.check(text.as_bytes(), Dialect::Oxmill)?;
         self.interpreter.commit(&checked);
-        let mut events: Vec<Event> =
-            checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6)).into_iter().collect();
+        let output = match checked.pins {
+            Some(ProgramPins::Digital { number, on, with_motion }) => {
+                Some(Event::Output(false, i64::from(number), f64::from(u8::from(on)), with_motion))
+            }
+            Some(ProgramPins::Analog { number, value, with_motion }) => {
+                Some(Event::Output(true, i64::from(number), f64::from(value.to_f32()), with_motion))
+            }
+            _ => None,
+        };
+        let dwell = checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6));
+        let mut events: Vec<Event> = output.into_iter().chain(dwell).collect();
         match checked.motion {
             Motion::None => {}
             Motion::Line { via, target, feed } => {

@@ -31,6 +31,29 @@ impl<const N: usize> Check<'_, N> {
             self.checked.after.spindle_tool = modal.tool;
             self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none();
         }
+        if self.line.extended.tool_number {
+            return self.name_tool();
+        }
+        Ok(())
+    }
+
+    /// M61: the tool of this number is in the spindle. It is selected, too, if the line selects no other one.
+    fn name_tool(&mut self) -> Result<(), Error> {
+        if !self.take(b'Q') {
+            return Err(Error::ValueWordMissing);
+        }
+        let number = self.line.value.q;
+        if number < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
+        if number > Decimal::from_int(TOOL_MAX) {
+            return Err(Error::ToolNumberTooHigh);
+        }
+        let number = whole(number)?.unsigned_abs();
+        self.checked.after.spindle_tool = number;
+        if !self.line.values.has(b'T') {
+            self.checked.modal.tool = number;
+        }
         Ok(())
     }
 
