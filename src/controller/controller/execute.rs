@@ -129,8 +129,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     Some(Stage::Storing)
                 }
                 Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_wait(job, checking)),
-                Stage::Input(until, before) => self.wait_for_input(until, before, job),
+                Stage::Storing => Some(self.begin_waiting(job.spindle_delay, checking)),
+                Stage::Input(until, before) => {
+                    self.has_read_input(until, before, job).then(|| self.begin_dwell(job.spindle_delay, false))
+                }
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
                 Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
                 Stage::Via => match self.line.checked.motion {
@@ -139,14 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                     _ => Some(Stage::Target),
                 },
-                Stage::Target if checking => {
-                    if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
-                        // Taken to touch at its target, where the program continues from.
-                        let target = *self.interpreter.position();
-                        self.interpreter.set_probed(&target, true);
-                    }
-                    Some(Stage::Flow)
-                }
+                Stage::Target if checking => Some(self.check_target()),
                 Stage::Target => self.begin_motion(job),
                 Stage::Chords(feed) => self.next_chord(feed, job),
                 Stage::Probing => {
@@ -185,8 +180,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// The motion of a line that is only checked.
+    fn check_target(&mut self) -> Stage {
+        if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+            // Taken to touch at its target, where the program continues from.
+            let target = *self.interpreter.position();
+            self.interpreter.set_probed(&target, true);
+        }
+        Stage::Flow
+    }
+
+    /// M66, then what [`Controller::begin_dwell`] waits for.
+    fn begin_waiting(&self, spindle_delay: Duration, checking: bool) -> Stage {
+        let input = if checking { None } else { self.begin_wait() };
+        input.unwrap_or_else(|| self.begin_dwell(spindle_delay, checking))
+    }
+
     /// G4 and the time of the spindle, if there is any to wait for.
-    pub(super) fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
+    fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + spindle_delay;
         if self.accessories.must_tell_speed(&self.settings) && self.line.checked.spindle.is_some() && !checking {
@@ -327,6 +338,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
+        if self.line.checked.needs_machine() {
+            self.allow_change_and_pins()?;
+        }
         if self.violates_soft_limits() {
             self.motion.hold();
             self.task = Task::SoftLimit(answer);
@@ -334,6 +348,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.begin(answer, false);
         }
         Ok(())
+    }
+
+    /// A tool change and pins of the program, as far as programs cannot know whether the machine is ready for them.
+    #[inline(never)]
+    fn allow_change_and_pins(&mut self) -> Result<(), Error> {
+        if self.lacks_pin() {
+            return Err(Error::NoSuchPin);
+        }
+        let refused = self.line.checked.tool_change && self.measures_tools();
+        refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
     }
 
     pub(super) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {

@@ -22,20 +22,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(|out| report::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
-        if self.line.checked.needs_machine()
-            && let Some(error) = self.refuse_change_or_pin()
-        {
-            return Some(error);
-        }
         self.leaves_range().then_some(Error::InvalidTarget)
-    }
-
-    #[inline(never)]
-    fn refuse_change_or_pin(&mut self) -> Option<Error> {
-        if self.lacks_pin() {
-            return Some(Error::NoSuchPin);
-        }
-        if self.line.checked.tool_change && self.measures_tools() { self.refuse_tool_change() } else { None }
     }
 
     /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with

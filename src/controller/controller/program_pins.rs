@@ -3,7 +3,6 @@
 use super::Controller;
 use super::task::{Job, Stage};
 use crate::gcode::ProgramPins;
-use crate::machine::state::Mode;
 use crate::units::Instant;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -52,54 +51,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Before the dwell of a line: M66.
-    pub(super) fn begin_wait(&mut self, job: &Job, checking: bool) -> Stage {
+    /// Before the dwell of a line: M66, if it has one.
+    pub(super) fn begin_wait(&self) -> Option<Stage> {
         match self.line.checked.pins {
-            Some(ProgramPins::Wait { longest, .. }) if !checking => {
-                Stage::Input(self.now + longest, self.inputs.signals().program)
+            Some(ProgramPins::Wait { longest, .. }) => {
+                Some(Stage::Input(self.now + longest, self.inputs.signals().program))
             }
-            _ => self.begin_dwell(job.spindle_delay, checking),
+            _ => None,
         }
     }
 
-    /// M66 waits for its input, which was `before` when it was looked at last. What follows; `None` if it still waits.
+    /// Whether M66 has ended, whose input was `before` when it was looked at last.
     #[inline(never)]
-    pub(super) fn wait_for_input(&mut self, until: Instant, before: bool, job: &mut Job) -> Option<Stage> {
-        let Some(ProgramPins::Wait { until: wait, .. }) = self.line.checked.pins else { return Some(Stage::Via) };
+    pub(super) fn has_read_input(&mut self, until: Instant, before: bool, job: &mut Job) -> bool {
+        let Some(ProgramPins::Wait { until: wait, .. }) = self.line.checked.pins else { return true };
         let now = self.inputs.signals().program;
-        if wait.is_over(before, now) {
-            self.interpreter.set_input_read(Some(now));
-        } else if self.now >= until {
-            self.interpreter.set_input_read(None);
-        } else {
+        let is_over = wait.is_over(before, now);
+        if !is_over && self.now < until {
             job.stage = Stage::Input(until, now);
-            return None;
+            return false;
         }
-        Some(self.begin_dwell(job.spindle_delay, false))
-    }
-
-    /// Outputs follow the motion that has begun; they are off where the machine is locked.
-    #[inline]
-    pub(super) fn settle_outputs(&mut self) {
-        if self.accessories.digital().is_waiting() {
-            let mark = self.motion.begun_mark();
-            self.accessories.digital_mut().begun(mark);
-        }
-        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) {
-            self.switch_outputs_off();
-        }
-    }
-
-    fn switch_outputs_off(&mut self) {
-        let mark = self.motion.begun_mark();
-        self.accessories.digital_mut().switch_off(mark);
-        self.motion.set_mark(mark);
-    }
-
-    /// The job is forgotten, or has come to its end: what waits for a motion is forgotten with it.
-    pub(super) fn forget_waiting_outputs(&mut self) {
-        let mark = self.motion.begun_mark();
-        self.accessories.digital_mut().forget_waiting(mark);
-        self.motion.set_mark(mark);
+        self.interpreter.set_input_read(is_over.then_some(now));
+        true
     }
 }
