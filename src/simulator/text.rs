@@ -51,7 +51,13 @@ pub struct JobText {
     marks: Vec<u64>,
     /// Answered lines that may have begun a block of O words.
     openers: Vec<Opener>,
+    /// The line that has ended the program, and how many lines with words have been answered behind it.
+    ended_at: Option<u64>,
+    behind_end: u64,
 }
+
+/// What the controller says at M2 and M30.
+const PROGRAM_END: &str = "[MSG:Pgm End]";
 
 /// A line that may have begun a block.
 struct Opener {
@@ -82,6 +88,8 @@ impl JobText {
             lines_before: 0,
             marks: Vec::new(),
             openers: Vec::new(),
+            ended_at: None,
+            behind_end: 0,
         }
     }
 
@@ -321,6 +329,16 @@ mod tests {
         let mut job = JobText::new(&b"\xEF\xBB\xBFG0\r\nG1\n\nG2\rG3"[..]);
         assert_eq!(drain(&mut job), "G0\nG1\n\nG2\nG3\n");
         assert_eq!(job.lines(), 5);
+    }
+
+    #[test]
+    fn what_comes_behind_the_end_of_the_program_is_counted() {
+        let mut job = JobText::new(&b"G0 X1\nM30\n(more)\n\nG0 X2\n"[..]);
+        drain(&mut job);
+        job.answered(b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n");
+        assert_eq!(job.behind_end(), None);
+        job.answered(b"ok\r\n");
+        assert_eq!(job.behind_end(), Some((2, 1)));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
 use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
 use crate::machine::state::Mode;
-use crate::machine::tool_change::{Order, Plan, ToolChange};
+use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -66,9 +66,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         (!plan.is_set_up() || outside).then_some(Error::ToolSetterNotSetUp)
     }
 
-    fn plan_tool_change(&self) -> Plan<N> {
+    fn plan_tool_change(&self) -> ChangePlan<N> {
         let (offsets, settings) = (self.interpreter.offsets(), &self.settings);
-        Plan {
+        ChangePlan {
             left: *self.interpreter.position(),
             change: offsets.stored(StoredOffset::G30),
             setter: offsets.system(CoordinateSystem::G59_3),
@@ -110,39 +110,39 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Some(self.carry_out_change(order))
     }
 
-    fn carry_out_change(&mut self, order: Order<N>) -> Stage {
+    fn carry_out_change(&mut self, order: ChangeOrder<N>) -> Stage {
         match order {
-            Order::Rapid(target) => {
+            ChangeOrder::Rapid(target) => {
                 self.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
                 self.start_motion();
             }
-            Order::Move(target, rate) => {
+            ChangeOrder::Move(target, rate) => {
                 self.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
                 self.start_motion();
             }
-            Order::Probe(target, rate) => {
+            ChangeOrder::Probe(target, rate) => {
                 if !self.begin_probe(&target, Speed::Feed(rate), false, self.line.checked.line_number) {
                     return Stage::Done;
                 }
             }
-            Order::Prompt => {
+            ChangeOrder::Prompt => {
                 // Whoever pulls at the spindle does not move the axes.
                 self.drivers.stay();
                 self.interpreter.tool_removed();
                 self.prompt();
             }
-            Order::Measured(place) => {
+            ChangeOrder::Measured(place) => {
                 if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
                     self.line.change.is_first_tool();
                 }
                 self.replies.offset_changed();
             }
-            Order::Confirm => {
+            ChangeOrder::Confirm => {
                 self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
                 self.mode = Mode::Hold;
             }
-            Order::Done => return self.return_to_work(),
-            Order::Failed(alarm) => return self.fail_tool_change(alarm),
+            ChangeOrder::Done => return self.return_to_work(),
+            ChangeOrder::Failed(alarm) => return self.fail_tool_change(alarm),
         }
         Stage::Measuring
     }

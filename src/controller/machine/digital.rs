@@ -11,7 +11,7 @@ const MARKS: u8 = (1 << MARK_BITS) - 1;
 
 /// Changes that are due together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Group {
+struct DueTogether {
     /// Outputs that change.
     mask: u8,
     /// Those of them that go on.
@@ -25,7 +25,7 @@ pub struct DigitalOutputs {
     /// The mark up to which all is done.
     done: u8,
     /// What waits, in its order.
-    waiting: [Group; GROUPS],
+    waiting: [DueTogether; GROUPS],
     count: u8,
     /// No motion has come since the last group was begun.
     open: bool,
@@ -34,7 +34,7 @@ pub struct DigitalOutputs {
 impl DigitalOutputs {
     /// All off.
     pub const OFF: Self =
-        Self { levels: 0, done: 0, waiting: [Group { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
+        Self { levels: 0, done: 0, waiting: [DueTogether { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
 
     /// Bit 0 for P0.
     #[inline]
@@ -50,7 +50,7 @@ impl DigitalOutputs {
 
     /// An output changes now.
     pub fn set(&mut self, number: u32, on: bool) {
-        self.apply(Group::of(number, on));
+        self.apply(DueTogether::of(number, on));
     }
 
     /// Whether another change can wait. `idle`: no motion is queued.
@@ -60,13 +60,13 @@ impl DigitalOutputs {
 
     /// An output changes with the next motion. The mark of blocks from here on.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
-        let change = Group::of(number, on);
+        let change = DueTogether::of(number, on);
         // With nothing queued all groups wait for the same motion.
         let joins = self.count > 0 && (self.open || idle);
         if !joins && usize::from(self.count) < GROUPS {
             self.count += 1;
             if let Some(group) = self.last() {
-                *group = Group::default();
+                *group = DueTogether::default();
             }
         }
         if let Some(group) = self.last() {
@@ -77,7 +77,7 @@ impl DigitalOutputs {
         self.newest()
     }
 
-    fn last(&mut self) -> Option<&mut Group> {
+    fn last(&mut self) -> Option<&mut DueTogether> {
         self.waiting.get_mut(usize::from(self.count).checked_sub(1)?)
     }
 
@@ -106,7 +106,7 @@ impl DigitalOutputs {
         self.open &= self.count > 0;
     }
 
-    fn apply(&mut self, group: Group) {
+    fn apply(&mut self, group: DueTogether) {
         self.levels = self.levels & !group.mask | group.on;
     }
 
@@ -126,10 +126,10 @@ impl DigitalOutputs {
     }
 }
 
-impl Group {
-    fn of(number: u32, on: bool) -> Group {
+impl DueTogether {
+    fn of(number: u32, on: bool) -> DueTogether {
         let mask = 1u8.checked_shl(number).unwrap_or(0);
-        Group { mask, on: if on { mask } else { 0 } }
+        DueTogether { mask, on: if on { mask } else { 0 } }
     }
 }
 

@@ -1,5 +1,5 @@
 //! A tool change with a tool setter (`$918=2`): where the tool goes, when it is changed, how it is measured. It moves nothing
-//! itself: it gives an [`Order`] and is told how that ended.
+//! itself: it gives an [`ChangeOrder`] and is told how that ended.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)
@@ -22,7 +22,7 @@ const PULL_OFF: i32 = 2;
 
 /// Where a change leads, in machine coordinates, and its rates in mm/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plan<const N: usize> {
+pub struct ChangePlan<const N: usize> {
     /// Where the program was left.
     pub left: PerAxis<Coordinate, N>,
     /// Where tools are changed (G30): X and Y, and the height of all ways.
@@ -39,7 +39,7 @@ pub struct Plan<const N: usize> {
     pub measures: bool,
 }
 
-impl<const N: usize> Plan<N> {
+impl<const N: usize> ChangePlan<N> {
     /// A plan for nothing.
     pub const NONE: Self = Self {
         left: PerAxis::all(Coordinate::ZERO),
@@ -105,7 +105,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
 
 /// What is to be done next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Order<const N: usize> {
+pub enum ChangeOrder<const N: usize> {
     /// A rapid.
     Rapid(PerAxis<Coordinate, N>),
     /// A move that nothing ends before its target.
@@ -126,7 +126,7 @@ pub enum Order<const N: usize> {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
+enum ChangePhase {
     Retract,
     ToPlace,
     Prompt,
@@ -143,8 +143,8 @@ enum Phase {
 /// A tool change under way.
 #[derive(Clone, Copy, Debug)]
 pub struct ToolChange<const N: usize> {
-    plan: Plan<N>,
-    phase: Phase,
+    plan: ChangePlan<N>,
+    phase: ChangePhase,
     /// Where the first pass touched.
     touched: Coordinate,
     /// No tool has been measured before.
@@ -153,10 +153,11 @@ pub struct ToolChange<const N: usize> {
 
 impl<const N: usize> ToolChange<N> {
     /// None.
-    pub const NONE: Self = Self { plan: Plan::NONE, phase: Phase::Back, touched: Coordinate::ZERO, is_first: false };
+    pub const NONE: Self =
+        Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
 
     /// One that begins with [`ToolChange::begin`].
-    pub fn new(plan: Plan<N>) -> Self {
+    pub fn new(plan: ChangePlan<N>) -> Self {
         Self { plan, ..Self::NONE }
     }
 
@@ -165,7 +166,7 @@ impl<const N: usize> ToolChange<N> {
         self.is_first = true;
     }
 
-    /// The way down to the work: see [`Plan::way_back`]. The first tool stays up.
+    /// The way down to the work: see [`ChangePlan::way_back`]. The first tool stays up.
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
@@ -174,40 +175,46 @@ impl<const N: usize> ToolChange<N> {
     }
 
     /// The first order.
-    pub fn begin(&mut self) -> Order<N> {
-        self.phase = Phase::Retract;
-        Order::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
+    pub fn begin(&mut self) -> ChangeOrder<N> {
+        self.phase = ChangePhase::Retract;
+        ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
     }
 
     /// Whether the order given last is a probing move.
     pub fn is_probing(&self) -> bool {
-        matches!(self.phase, Phase::Seek | Phase::Locate)
+        matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
     }
 
     /// The order after the last one has ended; `contact` is where a probing move has touched.
-    pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> Order<N> {
+    pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
         let plan = &self.plan;
         let height = plan.height();
         let (phase, order) = match (self.phase, contact) {
-            (Phase::Retract, _) => (Phase::ToPlace, Order::Rapid(plan.over(&plan.change, height))),
-            (Phase::ToPlace, _) => (Phase::Prompt, Order::Prompt),
-            (Phase::Prompt, _) if plan.measures => (Phase::ToSetter, Order::Rapid(plan.over(&plan.setter, height))),
-            (Phase::ToSetter, _) => (Phase::Seek, Order::Probe(plan.over(&plan.setter, plan.lowest()), plan.seek_rate)),
-            (Phase::Seek | Phase::Locate, None) => return Order::Failed(Alarm::ProbeNoContact),
-            (Phase::Seek, Some(contact)) => {
+            (ChangePhase::Retract, _) => (ChangePhase::ToPlace, ChangeOrder::Rapid(plan.over(&plan.change, height))),
+            (ChangePhase::ToPlace, _) => (ChangePhase::Prompt, ChangeOrder::Prompt),
+            (ChangePhase::Prompt, _) if plan.measures => {
+                (ChangePhase::ToSetter, ChangeOrder::Rapid(plan.over(&plan.setter, height)))
+            }
+            (ChangePhase::ToSetter, _) => {
+                (ChangePhase::Seek, ChangeOrder::Probe(plan.over(&plan.setter, plan.lowest()), plan.seek_rate))
+            }
+            (ChangePhase::Seek | ChangePhase::Locate, None) => return ChangeOrder::Failed(Alarm::ProbeNoContact),
+            (ChangePhase::Seek, Some(contact)) => {
                 self.touched = along(&contact);
                 let above = (self.touched + Coordinate::mm(PULL_OFF)).min(height);
-                (Phase::PullOff, Order::Move(plan.over(&plan.setter, above), plan.seek_rate))
+                (ChangePhase::PullOff, ChangeOrder::Move(plan.over(&plan.setter, above), plan.seek_rate))
             }
-            (Phase::PullOff, _) => {
+            (ChangePhase::PullOff, _) => {
                 let below = (self.touched - Coordinate::mm(PULL_OFF)).max(plan.lowest());
-                (Phase::Locate, Order::Probe(plan.over(&plan.setter, below), plan.locate_rate))
+                (ChangePhase::Locate, ChangeOrder::Probe(plan.over(&plan.setter, below), plan.locate_rate))
             }
-            (Phase::Locate, Some(contact)) => (Phase::Measured, Order::Measured(along(&contact))),
-            (Phase::Measured, _) => (Phase::Lift, Order::Rapid(plan.over(&plan.setter, height))),
-            (Phase::Prompt | Phase::Lift, _) => (Phase::Back, Order::Rapid(plan.over(&plan.left, height))),
-            (Phase::Back, _) if self.is_first => (Phase::Confirm, Order::Confirm),
-            (Phase::Back | Phase::Confirm, _) => return Order::Done,
+            (ChangePhase::Locate, Some(contact)) => (ChangePhase::Measured, ChangeOrder::Measured(along(&contact))),
+            (ChangePhase::Measured, _) => (ChangePhase::Lift, ChangeOrder::Rapid(plan.over(&plan.setter, height))),
+            (ChangePhase::Prompt | ChangePhase::Lift, _) => {
+                (ChangePhase::Back, ChangeOrder::Rapid(plan.over(&plan.left, height)))
+            }
+            (ChangePhase::Back, _) if self.is_first => (ChangePhase::Confirm, ChangeOrder::Confirm),
+            (ChangePhase::Back | ChangePhase::Confirm, _) => return ChangeOrder::Done,
         };
         self.phase = phase;
         order
@@ -222,8 +229,8 @@ mod tests {
         PerAxis([Coordinate::mm(x), Coordinate::mm(y), Coordinate::mm(z)])
     }
 
-    fn plan() -> Plan<3> {
-        Plan {
+    fn plan() -> ChangePlan<3> {
+        ChangePlan {
             left: at(-50, -60, -40),
             change: at(-1, -2, -10),
             setter: at(-7, -8, -99),
@@ -237,19 +244,19 @@ mod tests {
     #[test]
     fn the_whole_change() {
         let mut change = ToolChange::new(plan());
-        assert_eq!(change.begin(), Order::Rapid(at(-50, -60, -10)));
-        assert_eq!(change.next(None), Order::Rapid(at(-1, -2, -10)));
-        assert_eq!(change.next(None), Order::Prompt);
-        assert_eq!(change.next(None), Order::Rapid(at(-7, -8, -10)));
+        assert_eq!(change.begin(), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-1, -2, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Prompt);
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-7, -8, -10)));
         assert!(!change.is_probing());
-        assert_eq!(change.next(None), Order::Probe(at(-7, -8, -40), 4.0));
+        assert_eq!(change.next(None), ChangeOrder::Probe(at(-7, -8, -40), 4.0));
         assert!(change.is_probing());
-        assert_eq!(change.next(Some(at(-7, -8, -35))), Order::Move(at(-7, -8, -33), 4.0));
-        assert_eq!(change.next(None), Order::Probe(at(-7, -8, -37), 0.5));
-        assert_eq!(change.next(Some(at(-7, -8, -36))), Order::Measured(Coordinate::mm(-36)));
-        assert_eq!(change.next(None), Order::Rapid(at(-7, -8, -10)));
-        assert_eq!(change.next(None), Order::Rapid(at(-50, -60, -10)));
-        assert_eq!(change.next(None), Order::Done);
+        assert_eq!(change.next(Some(at(-7, -8, -35))), ChangeOrder::Move(at(-7, -8, -33), 4.0));
+        assert_eq!(change.next(None), ChangeOrder::Probe(at(-7, -8, -37), 0.5));
+        assert_eq!(change.next(Some(at(-7, -8, -36))), ChangeOrder::Measured(Coordinate::mm(-36)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-7, -8, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Done);
     }
 
     #[test]
@@ -258,11 +265,11 @@ mod tests {
         let mut order = change.begin();
         // A setter that is touched with the first way's last hair.
         let lowest = Coordinate::mm(-40);
-        while order != Order::Done {
+        while order != ChangeOrder::Done {
             match order {
-                Order::Rapid(target) => assert_eq!(along(&target), Coordinate::mm(-10)),
-                Order::Probe(target, _) => assert!(along(&target) >= lowest),
-                Order::Move(target, _) => assert!(along(&target) > lowest),
+                ChangeOrder::Rapid(target) => assert_eq!(along(&target), Coordinate::mm(-10)),
+                ChangeOrder::Probe(target, _) => assert!(along(&target) >= lowest),
+                ChangeOrder::Move(target, _) => assert!(along(&target) > lowest),
                 _ => {}
             }
             let contact = change.is_probing().then(|| at(-7, -8, -40));
@@ -274,42 +281,42 @@ mod tests {
     fn a_setter_that_is_not_there_fails_either_pass() {
         let mut change = ToolChange::new(plan());
         change.begin();
-        (0..4).for_each(|_| assert!(!matches!(change.next(None), Order::Failed(_))));
+        (0..4).for_each(|_| assert!(!matches!(change.next(None), ChangeOrder::Failed(_))));
         let mut second = change;
-        assert_eq!(change.next(None), Order::Failed(Alarm::ProbeNoContact));
+        assert_eq!(change.next(None), ChangeOrder::Failed(Alarm::ProbeNoContact));
         second.next(Some(at(-7, -8, -35)));
         second.next(None);
-        assert_eq!(second.next(None), Order::Failed(Alarm::ProbeNoContact));
+        assert_eq!(second.next(None), ChangeOrder::Failed(Alarm::ProbeNoContact));
     }
 
     #[test]
     fn no_tool_is_not_measured() {
-        let mut change = ToolChange::new(Plan { measures: false, ..plan() });
+        let mut change = ToolChange::new(ChangePlan { measures: false, ..plan() });
         change.begin();
         change.next(None);
-        assert_eq!(change.next(None), Order::Prompt);
-        assert_eq!(change.next(None), Order::Rapid(at(-50, -60, -10)));
-        assert_eq!(change.next(None), Order::Done);
+        assert_eq!(change.next(None), ChangeOrder::Prompt);
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Done);
     }
 
     #[test]
     fn the_first_tool_stays_up_and_waits() {
         let mut change = ToolChange::new(plan());
         change.begin();
-        while !matches!(change.next(Some(at(-7, -8, -35))), Order::Measured(_)) {}
+        while !matches!(change.next(Some(at(-7, -8, -35))), ChangeOrder::Measured(_)) {}
         change.is_first_tool();
         change.next(None);
         change.next(None);
-        assert_eq!(change.next(None), Order::Confirm);
-        assert_eq!(change.next(None), Order::Done);
+        assert_eq!(change.next(None), ChangeOrder::Confirm);
+        assert_eq!(change.next(None), ChangeOrder::Done);
         assert_eq!(change.way_back(Coordinate::ZERO, Coordinate::mm(5)), [at(-50, -60, -10); 2]);
     }
 
     #[test]
     fn a_tool_above_the_height_stays_there() {
-        let mut change = ToolChange::new(Plan { left: at(-50, -60, -3), ..plan() });
-        assert_eq!(change.begin(), Order::Rapid(at(-50, -60, -3)));
-        assert_eq!(change.next(None), Order::Rapid(at(-1, -2, -3)));
+        let mut change = ToolChange::new(ChangePlan { left: at(-50, -60, -3), ..plan() });
+        assert_eq!(change.begin(), ChangeOrder::Rapid(at(-50, -60, -3)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-1, -2, -3)));
         assert_eq!(change.plan.corners()[3], at(-7, -8, -33));
     }
 
@@ -326,11 +333,11 @@ mod tests {
     fn what_is_not_set_up_is_seen() {
         assert!(plan().is_set_up());
         for wrong in [
-            Plan { change: at(0, 0, 0), ..plan() },
-            Plan { setter: at(0, 0, 0), ..plan() },
-            Plan { depth: Coordinate::ZERO, ..plan() },
-            Plan { seek_rate: 0.0, ..plan() },
-            Plan { locate_rate: 0.0, ..plan() },
+            ChangePlan { change: at(0, 0, 0), ..plan() },
+            ChangePlan { setter: at(0, 0, 0), ..plan() },
+            ChangePlan { depth: Coordinate::ZERO, ..plan() },
+            ChangePlan { seek_rate: 0.0, ..plan() },
+            ChangePlan { locate_rate: 0.0, ..plan() },
         ] {
             assert!(!wrong.is_set_up());
         }
