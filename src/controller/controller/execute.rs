@@ -32,7 +32,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.store.is_some()
                 || checked.tool_change && self.prompts_for_tools()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
-                || matches!(checked.pins, Some(gcode::ProgramPins::Wait { .. }))
+                || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
                 || checked.modal().overrides_held != now.overrides_held
                 || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
                 || self.speed_needs_rest());
@@ -252,7 +252,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             return delay;
         }
-        if self.line.checked.pins.is_some() {
+        if self.line.checked.pins().is_some() {
             self.change_output();
         }
         if self.interpreter.modal().overrides_held != held {

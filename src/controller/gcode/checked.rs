@@ -25,8 +25,6 @@ pub struct Checked<const N: usize> {
     pub coolant: Option<Coolant>,
     /// M6 asks for another tool than the spindle holds.
     pub tool_change: bool,
-    /// Outputs and inputs of the program (M62 to M68).
-    pub pins: Option<ProgramPins>,
     /// How long to wait before the motion.
     pub dwell: Option<Duration>,
     /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
@@ -57,12 +55,14 @@ pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
     /// The line has M3, M4 or M5.
     pub(super) spindle_word: bool,
-    /// M6 stands without axis words and tool offsets.
+    /// M6 is without axis words and tool offsets.
     pub(super) tool_alone: bool,
     /// What G92.3 brings back is the G92 of this line.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
+    /// Outputs and inputs of the program.
+    pub(super) pins: Option<ProgramPins>,
 }
 
 impl<const N: usize> Checked<N> {
@@ -77,7 +77,7 @@ impl<const N: usize> Checked<N> {
             || self.coolant.is_some()
             || self.speed_changed
             || self.store.is_some()
-            || self.pins.is_some()
+            || self.after.pins.is_some()
     }
 
     /// The spindle has been stopped for another tool: it turns again only if the line says so.
@@ -122,10 +122,16 @@ impl<const N: usize> Checked<N> {
         }
     }
 
+    /// What it does with the outputs and inputs of programs (M62 to M68).
+    #[inline]
+    pub fn pins(&self) -> Option<ProgramPins> {
+        self.after.pins
+    }
+
     /// Whether the machine may have something against the line that programs cannot know.
     #[inline]
     pub fn needs_machine(&self) -> bool {
-        self.tool_change || self.pins.is_some()
+        self.tool_change || self.after.pins.is_some()
     }
 
     /// The tool that the spindle holds afterwards.
@@ -154,7 +160,6 @@ impl<const N: usize> Checked<N> {
         speed: 0.0,
         coolant: None,
         tool_change: false,
-        pins: None,
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
@@ -172,6 +177,7 @@ impl<const N: usize> Checked<N> {
             keeps_g92: false,
             g92_acts: false,
             keeping: Keeping::Leave,
+            pins: None,
         },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
@@ -202,7 +208,7 @@ impl<const N: usize> Checked<N> {
         self.g92 = state.offsets.g92;
         self.tool_length = state.offsets.tool_length;
         self.tool_change = false;
-        self.pins = None;
+        self.after.pins = None;
         self.after.keeps_g92 = false;
         self.after.g92_acts = state.offsets.g92_acts;
         self.after.keeping = Keeping::Leave;

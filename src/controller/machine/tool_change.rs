@@ -9,7 +9,7 @@
 //! ```
 //! All ways between places lie at one height: that of G30, or the one that the tool has if it is higher. Below it nothing but a
 //! probing move goes down, by `$342` at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
-//! measured has nothing to be compared with: nobody knows where its tip would come to, so it stays up and waits for the operator.
+//! measured has nothing to be compared with: where its tip would come to is not known, so it stays up and waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
@@ -112,11 +112,11 @@ pub enum ChangeOrder<const N: usize> {
     Move(PerAxis<Coordinate, N>, f32),
     /// A move that the setter ends.
     Probe(PerAxis<Coordinate, N>, f32),
-    /// The tool is to be changed; goes on when the operator says so.
+    /// The tool is to be changed; continues when the operator says so.
     Prompt,
     /// With the new tool the setter was touched at this place of the machine.
     Measured(Coordinate),
-    /// The tool is over the place where the program was left, and the first one that was measured; goes on when the operator
+    /// The tool is over the place where the program was left, and the first one that was measured; continues when the operator
     /// says so.
     Confirm,
     /// The tool is over the place where the program was left.

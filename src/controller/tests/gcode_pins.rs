@@ -14,7 +14,7 @@ const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 fn what_the_words_ask_for() {
     for dialect in NEW {
         let program = Program::new(dialect);
-        let pins = |line: &str| program.check(line).unwrap_or_else(|error| panic!("{line}: {error:?}")).pins;
+        let pins = |line: &str| program.check(line).unwrap_or_else(|error| panic!("{line}: {error:?}")).pins();
         for (word, on, with_motion) in
             [("M62", true, true), ("M63", false, true), ("M64", true, false), ("M65", false, false)]
         {
@@ -35,7 +35,7 @@ fn what_the_words_ask_for() {
         assert_eq!(pins("M66 E1"), Some(ProgramPins::ReadAnalog { number: 1 }));
         // P of a dwell is P of the output.
         let both = program.check("G4 P1 M64").unwrap();
-        assert_eq!((both.dwell, both.pins.is_some()), (Some(Duration::secs(1)), true));
+        assert_eq!((both.dwell, both.pins().is_some()), (Some(Duration::secs(1)), true));
         assert_eq!(pins("G0 X1"), None);
     }
 }

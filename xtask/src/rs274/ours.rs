@@ -47,7 +47,7 @@ impl Mill {
         let text = line.replace(' ', "");
         let checked = self.interpreter.check(text.as_bytes(), Dialect::Oxmill)?;
         self.interpreter.commit(&checked);
-        let output = match checked.pins {
+        let output = match checked.pins() {
             Some(ProgramPins::Digital { number, on, with_motion }) => {
                 Some(Event::Output(false, i64::from(number), f64::from(u8::from(on)), with_motion))
             }

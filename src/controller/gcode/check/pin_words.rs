@@ -13,7 +13,7 @@ impl<const N: usize> Check<'_, N> {
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| EXTENDED) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
-        self.checked.pins = Some(match word {
+        self.checked.after.pins = Some(match word {
             62..=65 => {
                 let number = self.pin(b'P', self.line.value.p)?;
                 ProgramPins::Digital { number, on: word % 2 == 0, with_motion: word < 64 }
