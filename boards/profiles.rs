@@ -27,6 +27,8 @@ pub struct Board {
     pub safe_step_hz: u32,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
+    /// Outputs and inputs for programs (M62 to M66).
+    pub program_pins: [u8; 2],
 }
 
 /// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
@@ -39,13 +41,17 @@ pub const DESK: Board = Board {
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
     received_bytes: 255,
+    program_pins: [4, 1],
 };
+
+/// What is so on all boards with hardware: no pins for programs yet.
+const HARDWARE: Board = Board { program_pins: [0, 0], ..DESK };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
 /// (docs/how-it-works.md, "Step rates").
 pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..DESK };
+    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task:
 /// the control task takes longer, and so has more of the processor left.
@@ -55,23 +61,23 @@ pub const BLACKPILL_F401: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 400_000,
     blocks: 256,
-    ..DESK
+    ..HARDWARE
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock.
 pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..DESK };
+    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..HARDWARE };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
-pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..DESK };
+pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..HARDWARE };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
 pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..DESK };
+    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..HARDWARE };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board =
-    Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
+    Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..HARDWARE };
 
 /// All boards.
 pub const ALL: [Board; 7] =

@@ -97,6 +97,10 @@ codes! {
     RotationActs = 127, "the coordinates that the line sets are rotated by G68";
     RotationLeftOut = 128, "this board has no room for rotated coordinates";
     DamagedLine = 129, "the line is damaged or out of its order, or not checked: $LC=OFF ends the check of lines";
+    ToolChangeNeedsHoming = 130, "a tool change with a tool setter ($918=2) needs a machine that is homed";
+    ToolSetterNotSetUp = 131, "G30, G59.3 or $342 to $344 are not set for tool changes, or lead out of the machine's travel";
+    ToolChangeNotAlone = 132, "with $918=2 the line of M6 takes no axis words and no tool offset: write them on the next line";
+    NoSuchPin = 133, "this board has no such output or input for programs (M62 to M68)";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

@@ -261,6 +261,8 @@ pub const SECOND_SWITCH: u8 = 1 << 6;
 
 /// Bits of a word of inputs; limit switches have those of [`Signals::limits`], from 0 on.
 pub mod input {
+    /// Input of the program (M66 P0).
+    pub const PROGRAM: u32 = 7;
     /// Touch probe.
     pub const PROBE: u32 = 8;
     /// Safety door.
@@ -302,6 +304,8 @@ pub struct Signals {
     pub driver_fault: bool,
     /// The input for a spindle that tells its speed (`$915`).
     pub at_speed: bool,
+    /// The input of the program (M66).
+    pub program: bool,
 }
 
 impl Signals {
@@ -316,6 +320,7 @@ impl Signals {
         emergency_stop: false,
         driver_fault: false,
         at_speed: false,
+        program: false,
     };
 
     /// The inputs of a word, see [`input`].
@@ -331,6 +336,7 @@ impl Signals {
             emergency_stop: bit(input::EMERGENCY_STOP),
             driver_fault: bit(input::DRIVER_FAULT),
             at_speed: bit(input::AT_SPEED),
+            program: bit(input::PROGRAM),
         }
     }
 
@@ -346,6 +352,7 @@ impl Signals {
             | bit(self.emergency_stop, input::EMERGENCY_STOP)
             | bit(self.driver_fault, input::DRIVER_FAULT)
             | bit(self.at_speed, input::AT_SPEED)
+            | bit(self.program, input::PROGRAM)
     }
 }
 
@@ -469,6 +476,8 @@ pub struct SlowOutputs {
     pub coolant: Coolant,
     /// Motor drivers on.
     pub drivers: bool,
+    /// Digital outputs of the program (M62 to M65), bit 0 for P0.
+    pub digital: u8,
 }
 
 /// Wiring facts that the pump's own tasks need, from the settings; sent at start and after each change.

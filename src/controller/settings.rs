@@ -177,6 +177,9 @@ table! {
         ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Door, "", Kind::Real, 100.0, false;
         ParkingTarget: 58, "Parking place", "mm", Door, "", Kind::Place, -5.0, false;
         ParkingFastRate: 59, "Parking fast rate", "mm/min", Door, "", Kind::Real, 500.0, false;
+        ToolSetterDepth: 342, "Greatest way down to the tool setter", "mm", Program, "", Kind::Real, 30.0, false;
+        ToolSetterLocate: 343, "Tool setter locate feed", "mm/min", Program, "", Kind::Real, 25.0, false;
+        ToolSetterSeek: 344, "Tool setter seek rate", "mm/min", Program, "", Kind::Real, 200.0, false;
         SquaringShare: 347, "Squaring fails after (share of the travel)", "%", GangedAxis, "", Kind::Real, 5.0, false;
         SquaringLeast: 348, "Squaring fails after at least", "mm", GangedAxis, "", Kind::Real, 2.5, false;
         SquaringMost: 349, "Squaring fails after at most", "mm", GangedAxis, "", Kind::Real, 25.0, false;
@@ -202,7 +205,7 @@ table! {
         AtSpeed: 915, "Spindle at-speed input", "", Spindle, "None,Low at speed,High at speed", Kind::Whole(0, 2), 0.0, false;
         AtSpeedWithin: 916, "Longest time from spindle on to at speed", "s", Spindle, "", Kind::Real, 10.0, false;
         CurveAcceleration: 917, "Acceleration in curves, share of $120 to $122", "%", Motion, "", Kind::Whole(10, 1000), 100.0, false;
-        ToolChange: 918, "M6", "", Program, "Is ignored,Stops and asks for the tool", Kind::Whole(0, 1), 0.0, false;
+        ToolChange: 918, "M6", "", Program, "Is ignored,Stops and asks for the tool,Stops and measures the tool", Kind::Whole(0, 2), 0.0, false;
         OptionalStop: 919, "M1 pauses", "", Program, "", Kind::Switch, 0.0, false;
         BlockDelete: 920, "Lines that begin with / are skipped", "", Program, "", Kind::Switch, 0.0, false;
         PeckClearance: 921, "Peck clearance (G73, G83)", "mm", Program, "", Kind::Real, 0.254, false;

@@ -84,6 +84,14 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
+        Error::ToolChangeNeedsHoming => "Switch homing on ($22=1), home with $H, and send the line again.",
+        Error::ToolSetterNotSetUp => {
+            "Jog to the place for tool changes and send G30.1; store the place of the setter with G10 L20 P9 X0 Y0; look at $342 to $344."
+        }
+        Error::ToolChangeNotAlone => "Write T and M6 on one line, and G43, G49 or the move on the next.",
+        Error::NoSuchPin => {
+            "Leave the line out: a board with pins for programs is not there yet, but for the simulator."
+        }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."

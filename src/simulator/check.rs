@@ -189,6 +189,11 @@ impl Check {
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);
+            if let Some((line, behind)) = job.behind_end() {
+                self.outcome.note(format!(
+                    "line {line} ended the program (M2 or M30); {behind} more lines behind it were carried out, as a sender sends them"
+                ));
+            }
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();
         }
     }

@@ -85,6 +85,7 @@ impl Simulator {
             step_clock_hz: board.step_clock_hz,
             rates: StepRates { safe_hz: board.safe_step_hz },
             has_second_motor: true,
+            program_pins: board.program_pins,
             has_store: true,
         }));
         for record in store.records() {

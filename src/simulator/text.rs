@@ -53,7 +53,13 @@ pub struct JobText {
     marks: Vec<u64>,
     /// Answered lines that may have begun a block of O words.
     openers: Vec<Opener>,
+    /// The line that has ended the program, and how many lines with words have been answered behind it.
+    ended_at: Option<u64>,
+    behind_end: u64,
 }
+
+/// What the controller says at M2 and M30.
+const PROGRAM_END: &str = "[MSG:Pgm End]";
 
 /// A line that may have begun a block.
 struct Opener {
@@ -85,6 +91,8 @@ impl JobText {
             lines_before: 0,
             marks: Vec::new(),
             openers: Vec::new(),
+            ended_at: None,
+            behind_end: 0,
         }
     }
 
@@ -248,6 +256,11 @@ impl JobText {
         }
     }
 
+    /// The line that has ended the program (M2, M30), and how many lines with words behind it have been answered.
+    pub fn behind_end(&self) -> Option<(u64, u64)> {
+        self.ended_at.filter(|_| self.behind_end > 0).map(|line| (line, self.behind_end))
+    }
+
     fn reply_line(&mut self, reply: &str) {
         // A file that asks for checked lines gets answers of that form.
         let reply = match without_header(reply) {
@@ -255,9 +268,14 @@ impl JobText {
             text => text,
         };
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
+        if reply == PROGRAM_END && self.ended_at.is_none() {
+            self.ended_at = self.unanswered.front().map(|(line, _)| *line);
+        }
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text) = self.unanswered.pop_front().unwrap_or_default();
+            let is_remark = text.trim_start().is_empty() || text.trim_start().starts_with(['(', ';']);
+            self.behind_end += u64::from(!is_remark && self.ended_at.is_some_and(|end| line > end));
             if let Some(code) = code {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }
@@ -322,6 +340,16 @@ mod tests {
         let mut job = JobText::new(&b"\xEF\xBB\xBFG0\r\nG1\n\nG2\rG3"[..]);
         assert_eq!(drain(&mut job), "G0\nG1\n\nG2\nG3\n");
         assert_eq!(job.lines(), 5);
+    }
+
+    #[test]
+    fn what_comes_behind_the_end_of_the_program_is_counted() {
+        let mut job = JobText::new(&b"G0 X1\nM30\n(more)\n\nG0 X2\n"[..]);
+        drain(&mut job);
+        job.answered(b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n");
+        assert_eq!(job.behind_end(), None);
+        job.answered(b"ok\r\n");
+        assert_eq!(job.behind_end(), Some((2, 1)));
     }
 
     #[test]

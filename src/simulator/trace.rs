@@ -138,7 +138,7 @@ impl Trace {
     }
 }
 
-/// The CSV file. Spindle, power and coolant are written into the first row after they changed and left empty elsewhere.
+/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a sum of 1 for P0, 2 for P1, 4, 8) are written into the first row after they changed and left empty elsewhere.
 pub struct Csv {
     out: BufWriter<Box<dyn Write>>,
     hz: u64,
@@ -162,7 +162,7 @@ impl Csv {
     /// If it cannot be written.
     pub fn new(file: impl Write + 'static, hz: u32, origin: u64) -> io::Result<Self> {
         let mut out = BufWriter::with_capacity(1 << 18, Box::new(file) as Box<dyn Write>);
-        writeln!(out, "t_s,x,y,z,spindle,power,coolant")?;
+        writeln!(out, "t_s,x,y,z,spindle,power,coolant,outputs")?;
         let row = Vec::with_capacity(64);
         Ok(Self { out, hz: u64::from(hz), origin, row, shown: None, current: None, failed: None })
     }
@@ -189,7 +189,7 @@ impl Csv {
             push_number(&mut self.row, u64::from(steps.unsigned_abs()), 1);
         }
         if self.current == self.shown {
-            self.row.extend_from_slice(b",,,\n");
+            self.row.extend_from_slice(b",,,,\n");
         } else if let Some((outputs, power)) = self.current {
             let spindle = match outputs.spindle {
                 SpindleDirection::Off => "off",
@@ -203,7 +203,7 @@ impl Csv {
                 (true, true) => "flood+mist",
             };
             let power = f64::from(power) / f64::from(u16::MAX);
-            self.row.extend_from_slice(format!(",{spindle},{power:.4},{coolant}\n").as_bytes());
+            self.row.extend_from_slice(format!(",{spindle},{power:.4},{coolant},{}\n", outputs.digital).as_bytes());
             self.shown = self.current;
         }
         self.failed = self.out.write_all(&self.row).err();
@@ -253,6 +253,7 @@ mod tests {
             power_from_segments: false,
             coolant: Coolant { flood: true, mist: false },
             drivers: true,
+            digital: 5,
         };
         trace.outputs(&outputs, 65535);
         trace.step(step(1_000_501, [2, -10, 0]));
@@ -263,10 +264,10 @@ mod tests {
         assert_eq!(
             rows,
             [
-                "t_s,x,y,z,spindle,power,coolant",
-                "0.000000000,1,0,0,,,",
-                "1.000001000,2,-10,0,cw,1.0000,flood",
-                "61.000000000,-2147483648,0,0,,,",
+                "t_s,x,y,z,spindle,power,coolant,outputs",
+                "0.000000000,1,0,0,,,,",
+                "1.000001000,2,-10,0,cw,1.0000,flood,5",
+                "61.000000000,-2147483648,0,0,,,,",
             ]
         );
         assert_eq!((trace.events(), trace.duration()), (3, 61_000_000));

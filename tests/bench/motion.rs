@@ -40,6 +40,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         rates: StepRates { safe_hz: 200_000 },
         has_store: false,
         has_second_motor: false,
+        program_pins: [0; 2],
     };
     let mut controller = Box::new(Controller::<AXES, BLOCKS>::new(profile));
     controller.start(Instant::from_ticks(0));

@@ -49,6 +49,8 @@ const MEANINGS: &[(&str, &str)] = &[
     ("M60", "as M0"),
     ("M3 M4 M5", "spindle clockwise, counter-clockwise, off"),
     ("M6", "tool change ([tools](#tools))"),
+    ("M61", "the tool in the spindle has number Q ([tools](#tools))"),
+    ("M62 M63 M64 M65 M66 M67 M68", "[outputs and inputs](#outputs-and-inputs) of programs"),
     ("M7", "mist"),
     ("M8 M9", "flood; coolant off"),
     ("M48 M49 M50 M51 M52 M53", "which overrides act ([state](#state-and-flow))"),
@@ -58,14 +60,15 @@ const MEANINGS: &[(&str, &str)] = &[
 
 /// Letters of values, and what they are for.
 const LETTERS: &[(&str, &str)] = &[
+    ("E", "analog output or input"),
     ("F", "feed"),
     ("H", "tool of G43"),
     ("I J K", "centre of an arc"),
-    ("L", "kind of G10, repeats of a cycle"),
+    ("L", "kind of G10, repeats of a cycle, what M66 waits for"),
     ("N", "line number, told as `Ln:`; not a label"),
     ("O", "[O words](expressions.md#o-words), number of a program"),
-    ("P", "seconds, turns, tool, system; on M words 0 or 1"),
-    ("Q", "peck"),
+    ("P", "seconds, turns, tool, system, output or input; on other M words 0 or 1"),
+    ("Q", "peck, seconds of M66, tool of M61"),
     ("R", "radius, plane of a cycle, angle"),
     ("S", "spindle speed, power of a laser"),
     ("T", "tool"),

@@ -6,5 +6,7 @@ mod emergency;
 mod homing;
 mod injection;
 mod probing;
+mod program_pins;
 mod restore;
 mod states;
+mod tool_setter;

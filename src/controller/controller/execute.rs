@@ -32,6 +32,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || checked.store.is_some()
                 || checked.tool_change && self.prompts_for_tools()
                 || matches!(checked.motion, gcode::Motion::Probe { .. })
+                || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
                 || checked.modal().overrides_held != now.overrides_held
                 || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
                 || self.speed_needs_rest());
@@ -116,16 +117,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let next = match job.stage {
                 Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change()),
                 Stage::ToolChange => Some(Stage::Apply),
+                Stage::SpinningDown(until) => (self.now >= until).then(|| self.leave_for_tool()),
+                Stage::Measuring => self.advance_tool_change(),
                 Stage::Drain => {
                     self.start_queued();
                     None
                 }
+                Stage::Apply if !self.has_room_for_pins() => None,
                 Stage::Apply => {
                     job.spindle_delay = self.apply(checking);
                     Some(Stage::Storing)
                 }
                 Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_dwell(job.spindle_delay, checking)),
+                Stage::Storing => Some(self.begin_waiting(job.spindle_delay, checking)),
+                Stage::Input(until, before) => {
+                    self.has_read_input(until, before, job).then(|| self.begin_dwell(job.spindle_delay, false))
+                }
                 Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
                 Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
                 Stage::Via => match self.line.checked.motion {
@@ -134,14 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     }
                     _ => Some(Stage::Target),
                 },
-                Stage::Target if checking => {
-                    if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
-                        // Taken to touch at its target, where the program continues from.
-                        let target = *self.interpreter.position();
-                        self.interpreter.set_probed(&target, true);
-                    }
-                    Some(Stage::Flow)
-                }
+                Stage::Target if checking => Some(self.check_target()),
                 Stage::Target => self.begin_motion(job),
                 Stage::Chords(feed) => self.next_chord(feed, job),
                 Stage::Probing => {
@@ -152,7 +152,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Flow => self.flow(job, checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::CyclePaused => Some(Stage::Target),
-                Stage::DwellSuspended(_) => None,
+                Stage::DwellSuspended(_) | Stage::InputSuspended(..) => None,
                 Stage::Done => return true,
             };
             let Some(next) = next else { break };
@@ -175,9 +175,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
             // One chord a call.
             Stage::Chords(_) => matches!(next, Stage::Chords(_)),
-            Stage::Drain | Stage::Probing => true,
+            Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
         }
+    }
+
+    /// The motion of a line that is only checked.
+    fn check_target(&mut self) -> Stage {
+        if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+            // Taken to touch at its target, where the program continues from.
+            let target = *self.interpreter.position();
+            self.interpreter.set_probed(&target, true);
+        }
+        Stage::Flow
+    }
+
+    /// M66, then what [`Controller::begin_dwell`] waits for.
+    fn begin_waiting(&self, spindle_delay: Duration, checking: bool) -> Stage {
+        let input = if checking { None } else { self.begin_wait() };
+        input.unwrap_or_else(|| self.begin_dwell(spindle_delay, checking))
     }
 
     /// G4 and the time of the spindle, if there is any to wait for.
@@ -195,6 +211,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The motion of the line. What follows; `None` if something has to be waited for.
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
+        self.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
             gcode::Motion::Arc(ref arc) => {
@@ -230,7 +247,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (None, None) => {}
         }
         if checking {
+            if self.line.checked.tool_change && self.measures_tools() {
+                self.interpreter.assume_measured();
+            }
             return delay;
+        }
+        if self.line.checked.pins().is_some() {
+            self.change_output();
         }
         if self.interpreter.modal().overrides_held != held {
             self.apply_overrides();
@@ -286,6 +309,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Flow::End => {
                 self.replies.offset_changed();
                 if !checking {
+                    self.forget_waiting_outputs();
                     self.accessories.switch_off();
                     self.accessories.set_overrides(Overrides::NONE);
                     self.motion.set_overrides(1.0, 1.0);
@@ -327,6 +351,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
+        if self.line.checked.needs_machine() {
+            self.allow_change_and_pins()?;
+        }
         if self.violates_soft_limits() {
             self.motion.hold();
             self.task = Task::SoftLimit(answer);
@@ -334,6 +361,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.begin(answer, false);
         }
         Ok(())
+    }
+
+    /// A tool change and pins of the program, as far as programs cannot know whether the machine is ready for them.
+    #[inline(never)]
+    fn allow_change_and_pins(&mut self) -> Result<(), Error> {
+        if self.lacks_pin() {
+            return Err(Error::NoSuchPin);
+        }
+        let refused = self.line.checked.tool_change && self.measures_tools();
+        refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
     }
 
     pub(super) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {

@@ -105,6 +105,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn end_soft_stop(&mut self, locked: bool) {
         self.motion.discard();
+        self.forget_waiting_outputs();
         self.step_supply.end();
         self.probe.break_off();
         self.door.take_jog();

@@ -84,13 +84,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.limits_travel() {
             return false;
         }
-        let travel = self.settings.axes(AxisKey::Travel);
-        let outside = |position: &PerAxis<Coordinate, N>| {
-            position
-                .zip(&travel, |p, t| p > Coordinate::ZERO || p < -Coordinate::from_mm_f32(t))
-                .iter()
-                .any(|outside| *outside)
-        };
+        let outside = |position: &PerAxis<Coordinate, N>| self.is_outside_travel(position);
         match &self.line.checked.motion {
             gcode::Motion::None => false,
             gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
@@ -101,6 +95,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             gcode::Motion::Probe { target, .. } => outside(target),
             gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
         }
+    }
+
+    /// Whether a place lies outside of the travel.
+    pub(super) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
+        let travel = self.settings.axes(AxisKey::Travel);
+        position
+            .zip(&travel, |p, t| p > Coordinate::ZERO || p < -Coordinate::from_mm_f32(t))
+            .iter()
+            .any(|outside| *outside)
     }
 
     /// The setting that allows no motion at all.

@@ -2,6 +2,7 @@
 
 use crate::axes::PerAxis;
 use crate::gcode::Checked;
+use crate::machine::tool_change::ToolChange;
 use crate::motion::{Arc, ArcGeometry};
 use crate::units::Coordinate;
 
@@ -12,11 +13,14 @@ pub(super) struct LineInWork<const N: usize> {
     pub(super) checked: Checked<N>,
     arc: Option<Arc<N>>,
     single_block: bool,
+    /// The tool change of the line, if its tool is measured.
+    pub(super) change: ToolChange<N>,
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(super) const NONE: Self = Self { checked: Checked::NOTHING, arc: None, single_block: false };
+    pub(super) const NONE: Self =
+        Self { checked: Checked::NOTHING, arc: None, single_block: false, change: ToolChange::NONE };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(super) fn is_single_block(&self) -> bool {

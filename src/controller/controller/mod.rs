@@ -13,7 +13,7 @@
 //! * [`lines`]: received lines are dispatched
 //! * [`commands`]: `$` commands
 //! * [`execute`]: a checked line of G-code is carried out, step by step; [`task`]: how far it is
-//! * [`canned_cycle`], [`tool_change`], [`homing`], [`probing`], [`listings`]: what lines and commands begin
+//! * [`canned_cycle`], [`tool_change`], [`homing`], [`probing`], [`program_pins`], [`listings`]: what lines and commands begin
 //! * [`moves`]: a target becomes a move
 //! * [`limits`]: why a line may not be carried out
 //! * [`faults`]: how the machine stops for a fault
@@ -44,6 +44,7 @@ mod moves;
 mod outputs;
 mod pins;
 mod probing;
+mod program_pins;
 mod realtime;
 mod records;
 mod reset;
@@ -70,13 +71,16 @@ use crate::protocol::replies::Replies;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
-use crate::units::Instant;
+use crate::units::{Duration, Instant};
 use line_in_work::LineInWork;
 use pins::Pins;
 use records::Records;
 use settings_lock::SettingsLock;
 use step_supply::StepSupply;
 use task::Task;
+
+/// How often an output that changes with a motion (M62) looks whether that has begun: how late it may be.
+const OUTPUTS_LOOK: Duration = Duration::millis(1);
 
 /// What the controller must know of the machine it runs on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +91,8 @@ pub struct Profile {
     pub step_clock_hz: u32,
     /// Step rates that the step task can follow.
     pub rates: StepRates,
+    /// Outputs and inputs for programs (M62 to M66).
+    pub program_pins: [u8; 2],
     /// Whether there are pins for a motor more than there are axes.
     pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
@@ -146,7 +152,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             stops: Stops::NONE,
             replies: Replies::new(),
             pins: Pins::UNKNOWN,
-            settings_lock: SettingsLock::new(profile.rates, profile.has_second_motor),
+            settings_lock: SettingsLock::new(profile.rates, profile.has_second_motor, profile.program_pins),
             records: Records::new(profile.has_store),
             now: Instant::from_ticks(0),
         }
@@ -265,9 +271,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => self.task.wakeup(|until| self.next_look_at_spindle(until)),
         };
         let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
+        let waits = self.accessories.digital().is_waiting() && !self.motion.is_at_rest();
+        let outputs = waits.then(|| self.now + OUTPUTS_LOOK);
         let silent = self.lines.heartbeat().silent_at();
         let lost = if self.needs_speed() { self.accessories.speed_lost_at() } else { None };
-        [moving, door, task, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
+        [moving, door, task, outputs, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
@@ -328,6 +336,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.stops.is_idle()
             && self.drivers.off_at().is_none()
             && !self.accessories.is_on()
+            && !self.accessories.digital().is_waiting()
             && self.lines.heartbeat().silent_at().is_none()
     }
 
@@ -393,6 +402,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.apply_overrides();
         }
         self.settle_probe();
+        self.settle_outputs();
         if self.stops.is_awaited() {
             return;
         }

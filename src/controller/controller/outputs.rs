@@ -23,6 +23,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         spun_up == SpinUp::UpToSpeed
     }
 
+    /// Outputs follow the motion that has begun; they are off where the machine is locked.
+    #[inline]
+    pub(super) fn settle_outputs(&mut self) {
+        if self.accessories.digital().is_waiting() {
+            let mark = self.motion.begun_mark();
+            self.accessories.digital_mut().begun(mark);
+        }
+        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) {
+            self.switch_outputs_off();
+        }
+    }
+
+    fn switch_outputs_off(&mut self) {
+        let mark = self.motion.begun_mark();
+        self.accessories.digital_mut().switch_off(mark);
+        self.motion.set_mark(mark);
+    }
+
+    /// The job is forgotten, or has come to its end: what waits for a motion is forgotten with it.
+    pub(super) fn forget_waiting_outputs(&mut self) {
+        let mark = self.motion.begun_mark();
+        self.accessories.digital_mut().forget_waiting(mark);
+        self.motion.set_mark(mark);
+    }
+
     /// When [`Controller::has_spun_up`] has to be asked again, if no input changes.
     pub(super) fn next_look_at_spindle(&self, until: Instant) -> Instant {
         Accessories::next_look(until, self.now, &self.settings)
@@ -91,6 +116,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             power_from_segments: self.settings.is_on(Key::Laser) && !self.accessories.is_suspended(),
             coolant: self.accessories.coolant(),
             drivers: self.drivers.are_on(self.settings.whole(Key::IdleDelay)) && !self.drivers_held_off(),
+            digital: self.accessories.digital().levels(),
         };
         self.pins.changed(pins)
     }

@@ -138,6 +138,7 @@ mod tests {
             power_from_segments: false,
             coolant: crate::messages::Coolant::default(),
             drivers: false,
+            digital: 0,
         };
         assert_eq!((pins.changed(off), pins.changed(off)), (Some(off), None));
         assert!(pins.are_off());

@@ -38,15 +38,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Whether the probe is over; then it has been reported.
+    /// Whether the probe is over, and if so, whether it touched. The rest of its move is forgotten.
     #[inline(never)]
-    pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
-        let Some(touched) = self.probe.outcome(self.motion.is_idle()) else { return false };
+    pub(super) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
+        let touched = self.probe.outcome(self.motion.is_idle())?;
         self.motion.discard();
         self.step_supply.end();
         let here = self.motion.machine_position();
         self.interpreter.set_position(here);
         self.probe.finish(touched, must_touch, here);
+        Some(touched)
+    }
+
+    /// Whether the probe is over; then it has been reported.
+    #[inline(never)]
+    pub(super) fn end_probe(&mut self, must_touch: bool) -> bool {
+        let Some(touched) = self.take_probe(must_touch) else { return false };
         if !touched && must_touch {
             self.lock(Alarm::ProbeNoContact);
         }

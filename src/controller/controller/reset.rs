@@ -4,7 +4,6 @@ use super::Controller;
 use super::task::Task;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
-use crate::machine::accessories::Accessories;
 use crate::machine::state::Mode;
 use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
@@ -16,7 +15,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What every power-up and reset ends with.
     pub(super) fn initialise(&mut self) {
         self.pins.drive(GangedMotors::Both);
-        self.accessories = Accessories::OFF;
+        let mark = self.motion.begun_mark();
+        self.accessories.reset(mark);
+        self.motion.set_mark(mark);
         self.motion.set_overrides(1.0, 1.0);
         self.reconfigure();
         self.interpreter.set_position(self.motion.machine_position());

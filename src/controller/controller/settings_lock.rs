@@ -14,6 +14,7 @@ pub(super) struct SettingsLock {
     /// What the board can do.
     rates: StepRates,
     has_second_motor: bool,
+    program_pins: [u8; 2],
     /// Revision of the settings that were looked at last.
     revision: Option<u32>,
     /// The setting that locks them.
@@ -26,8 +27,13 @@ pub(super) struct SettingsLock {
 
 impl SettingsLock {
     /// For a board of these rates. Nothing has been looked at.
-    pub(super) const fn new(rates: StepRates, has_second_motor: bool) -> Self {
-        Self { rates, has_second_motor, revision: None, setting: None, named: None, refused: false }
+    pub(super) const fn new(rates: StepRates, has_second_motor: bool, program_pins: [u8; 2]) -> Self {
+        Self { rates, has_second_motor, program_pins, revision: None, setting: None, named: None, refused: false }
+    }
+
+    /// How many outputs and inputs the board has for programs.
+    pub(super) fn program_pins(&self) -> [u8; 2] {
+        self.program_pins
     }
 
     /// The setting that locks motion.
@@ -74,7 +80,7 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false);
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false, [0; 2]);
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }

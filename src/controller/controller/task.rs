@@ -60,6 +60,10 @@ pub(super) enum Stage {
     Drain,
     /// Another tool is being put into the spindle: ends with `~`.
     ToolChange,
+    /// The spindle comes to rest for a tool change with measuring, until a moment.
+    SpinningDown(Instant),
+    /// A tool change with measuring: `LineInWork` knows how far it is.
+    Measuring,
     /// New modal state, spindle, coolant.
     Apply,
     /// A changed coordinate system is being stored.
@@ -70,6 +74,10 @@ pub(super) enum Stage {
     SpinningUp(Instant),
     /// G4 with this much left when the hold ends.
     DwellSuspended(Duration),
+    /// M66 until a moment at most; the input was so when it was looked at last.
+    Input(Instant, bool),
+    /// The same with this much left when the hold ends.
+    InputSuspended(Duration, bool),
     /// G28, G30: the intermediate point.
     Via,
     /// The motion itself.
@@ -114,7 +122,9 @@ impl Task {
     pub(super) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp(until), .. }) => Some(late(*until)),
-            Task::Job(Job { stage: Stage::Dwell(until), .. }) => Some(*until),
+            Task::Job(Job {
+                stage: Stage::Dwell(until) | Stage::SpinningDown(until) | Stage::Input(until, _), ..
+            }) => Some(*until),
             _ => None,
         }
     }
@@ -129,8 +139,12 @@ impl Task {
         if let Task::Job(job) = self
             && let Stage::Dwell(until) = job.stage
         {
-            let left = until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0));
-            job.stage = Stage::DwellSuspended(left);
+            job.stage = Stage::DwellSuspended(left(until, now));
+        }
+        if let Task::Job(job) = self
+            && let Stage::Input(until, before) = job.stage
+        {
+            job.stage = Stage::InputSuspended(left(until, now), before);
         }
     }
 
@@ -139,6 +153,11 @@ impl Task {
             && let Stage::DwellSuspended(left) = job.stage
         {
             job.stage = Stage::Dwell(now + left);
+        }
+        if let Task::Job(job) = self
+            && let Stage::InputSuspended(left, before) = job.stage
+        {
+            job.stage = Stage::Input(now + left, before);
         }
     }
 
@@ -157,6 +176,10 @@ impl Task {
             job.stage = Stage::Done;
         }
     }
+}
+
+fn left(until: Instant, now: Instant) -> Duration {
+    until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0))
 }
 
 /// An answer of many lines.

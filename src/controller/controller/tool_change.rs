@@ -1,17 +1,29 @@
-//! M6: the program waits until somebody has put the tool into the spindle.
+//! M6: the program waits until somebody has put the tool into the spindle; with `$918=2` a tool setter measures it.
 
 use super::Controller;
+use super::probing::seek;
 use super::task::Stage;
-use crate::gcode::EXTENDED;
+use crate::axes::Axis;
+use crate::error::{Alarm, Error};
+use crate::gcode::CoordinateSystem;
+use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
 use crate::machine::state::Mode;
-use crate::messages::SpindleDirection;
+use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
+use crate::messages::{Coolant, SpindleDirection};
+use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
+use crate::units::{Coordinate, per_second};
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether M6 stops (`$918`).
     pub(super) fn prompts_for_tools(&self) -> bool {
-        EXTENDED && self.settings.whole(Key::ToolChange) == 1
+        EXTENDED && self.settings.is_on(Key::ToolChange)
+    }
+
+    /// Whether a tool setter measures what M6 has put into the spindle.
+    pub(super) fn measures_tools(&self) -> bool {
+        EXTENDED && self.settings.whole(Key::ToolChange) == 2
     }
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
@@ -20,13 +32,144 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !(self.line.checked.tool_change && self.prompts_for_tools()) {
             return Stage::Apply;
         }
+        if self.measures_tools() {
+            return self.stop_for_tool();
+        }
         self.line.checked.spindle_stopped_for_tool();
         self.accessories.stop_spindle();
         self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
         self.replies.overrides_changed();
+        self.prompt();
+        Stage::ToolChange
+    }
+
+    fn prompt(&mut self) {
         let tool = self.line.checked.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
         self.mode = Mode::Hold;
-        Stage::ToolChange
+    }
+
+    /// Why the tool cannot be changed and measured, before anything moves.
+    #[inline(never)]
+    pub(super) fn refuse_tool_change(&mut self) -> Option<Error> {
+        if !self.line.checked.is_tool_change_alone() || self.line.checked.motion != Motion::None {
+            return Some(Error::ToolChangeNotAlone);
+        }
+        if !self.reference.is_trusted() || !self.settings.is_on(Key::Homing) {
+            return Some(Error::ToolChangeNeedsHoming);
+        }
+        if let Some(error) = self.motion_locked() {
+            return Some(error);
+        }
+        let plan = self.plan_tool_change();
+        let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
+        (!plan.is_set_up() || outside).then_some(Error::ToolSetterNotSetUp)
+    }
+
+    fn plan_tool_change(&self) -> ChangePlan<N> {
+        let (offsets, settings) = (self.interpreter.offsets(), &self.settings);
+        ChangePlan {
+            left: *self.interpreter.position(),
+            change: offsets.stored(StoredOffset::G30),
+            setter: offsets.system(CoordinateSystem::G59_3),
+            depth: Coordinate::from_mm_f32(settings.value(Key::ToolSetterDepth)),
+            seek_rate: per_second(settings.value(Key::ToolSetterSeek)),
+            locate_rate: per_second(settings.value(Key::ToolSetterLocate)),
+            measures: self.line.checked.spindle_tool() != 0,
+        }
+    }
+
+    /// Spindle and coolant off. The program has them on again when the new tool is over the work.
+    fn stop_for_tool(&mut self) -> Stage {
+        let delay = self.accessories.set_spindle(SpindleDirection::Off, &self.settings);
+        self.accessories.switch_off();
+        self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+        self.replies.overrides_changed();
+        Stage::SpinningDown(self.now + delay)
+    }
+
+    /// The spindle has come to rest: the tool leaves the work.
+    pub(super) fn leave_for_tool(&mut self) -> Stage {
+        self.line.change = ToolChange::new(self.plan_tool_change());
+        let order = self.line.change.begin();
+        self.carry_out_change(order)
+    }
+
+    /// What follows when the last order has ended; `None` until then.
+    #[inline(never)]
+    pub(super) fn advance_tool_change(&mut self) -> Option<Stage> {
+        let touched = match self.line.change.is_probing() {
+            true => self.take_probe(true)?,
+            false if !self.motion.is_idle() => {
+                self.start_queued();
+                return None;
+            }
+            false => false,
+        };
+        let order = self.line.change.next(touched.then(|| self.probe.result().0));
+        Some(self.carry_out_change(order))
+    }
+
+    fn carry_out_change(&mut self, order: ChangeOrder<N>) -> Stage {
+        match order {
+            ChangeOrder::Rapid(target) => {
+                self.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
+                self.start_motion();
+            }
+            ChangeOrder::Move(target, rate) => {
+                self.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
+                self.start_motion();
+            }
+            ChangeOrder::Probe(target, rate) => {
+                if !self.begin_probe(&target, Speed::Feed(rate), false, self.line.checked.line_number) {
+                    return Stage::Done;
+                }
+            }
+            ChangeOrder::Prompt => {
+                // Whoever pulls at the spindle does not move the axes.
+                self.drivers.stay();
+                self.interpreter.tool_removed();
+                self.prompt();
+            }
+            ChangeOrder::Measured(place) => {
+                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
+                    self.line.change.is_first_tool();
+                }
+                self.replies.offset_changed();
+            }
+            ChangeOrder::Confirm => {
+                self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+                self.mode = Mode::Hold;
+            }
+            ChangeOrder::Done => return self.return_to_work(),
+            ChangeOrder::Failed(alarm) => return self.fail_tool_change(alarm),
+        }
+        Stage::Measuring
+    }
+
+    /// Over the work: spindle and coolant come back with the rest of the line, whose motion is the way down.
+    fn return_to_work(&mut self) -> Stage {
+        let length = self.interpreter.offsets().tool_length;
+        let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
+        let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
+        let clear = Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut));
+        let way = self.line.change.way_back(longer, clear);
+        let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
+        if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
+            return self.fail_tool_change(Alarm::SoftLimit);
+        }
+        // A laser is dark in rapids only.
+        let rate = per_second(self.settings.value(Key::ParkingPullOutRate));
+        let slow = rate > 0.0 && !self.settings.is_on(Key::Laser);
+        let feed = if slow { Feed::PerMinute(rate) } else { Feed::Rapid };
+        self.line.checked.return_with_tool(way, feed, length);
+        Stage::Apply
+    }
+
+    /// The machine is locked where it is; its position stays true.
+    fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
+        self.interpreter.set_position(self.motion.machine_position());
+        self.lock(alarm);
+        Stage::Done
     }
 }

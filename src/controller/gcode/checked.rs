@@ -7,7 +7,7 @@ use super::rotation::RotationChange;
 use super::state::Interpreter;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
-use crate::units::{Coordinate, Duration};
+use crate::units::{Coordinate, Decimal, Duration};
 
 /// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
 /// `Interpreter::commit` takes over.
@@ -55,10 +55,14 @@ pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
     /// The line has M3, M4 or M5.
     pub(super) spindle_word: bool,
+    /// M6 is without axis words and tool offsets.
+    pub(super) tool_alone: bool,
     /// What G92.3 brings back is the G92 of this line.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
+    /// Outputs and inputs of the program.
+    pub(super) pins: Option<ProgramPins>,
 }
 
 impl<const N: usize> Checked<N> {
@@ -69,7 +73,11 @@ impl<const N: usize> Checked<N> {
 
     /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
     pub fn changes_outputs(&self) -> bool {
-        self.spindle.is_some() || self.coolant.is_some() || self.speed_changed || self.store.is_some()
+        self.spindle.is_some()
+            || self.coolant.is_some()
+            || self.speed_changed
+            || self.store.is_some()
+            || self.after.pins.is_some()
     }
 
     /// The spindle has been stopped for another tool: it turns again only if the line says so.
@@ -80,12 +88,50 @@ impl<const N: usize> Checked<N> {
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
     }
 
+    /// The tool length offset afterwards.
+    pub fn tool_length(&self) -> PerAxis<Coordinate, N> {
+        self.tool_length
+    }
+
+    /// Whether nothing in a line with M6 depends on the length of the tool.
+    pub fn is_tool_change_alone(&self) -> bool {
+        self.after.tool_alone
+    }
+
+    /// The tool has been changed and measured, with spindle and coolant off: they come back as the line or those before it have
+    /// them, and then the tool goes to `target`, by a rapid to `via`.
+    pub fn return_with_tool(
+        &mut self,
+        [via, target]: [PerAxis<Coordinate, N>; 2],
+        feed: Feed,
+        length: PerAxis<Coordinate, N>,
+    ) {
+        self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
+        self.coolant = (self.modal.coolant != Coolant::default()).then_some(self.modal.coolant);
+        self.motion = Motion::Line { via: Some(via), target, feed };
+        self.digit = 0.0;
+        self.position = target;
+        self.tool_length = length;
+    }
+
     /// The tool that is taken out of the table.
     pub fn removes_tool(&self) -> Option<u32> {
         match (self.store, &self.stored) {
             (Some(StoredOffset::Tool(number)), None) => Some(number),
             _ => None,
         }
+    }
+
+    /// What it does with the outputs and inputs of programs (M62 to M68).
+    #[inline]
+    pub fn pins(&self) -> Option<ProgramPins> {
+        self.after.pins
+    }
+
+    /// Whether the machine may have something against the line that programs cannot know.
+    #[inline]
+    pub fn needs_machine(&self) -> bool {
+        self.tool_change || self.after.pins.is_some()
     }
 
     /// The tool that the spindle holds afterwards.
@@ -127,9 +173,11 @@ impl<const N: usize> Checked<N> {
         after: Afterwards {
             spindle_tool: 0,
             spindle_word: false,
+            tool_alone: false,
             keeps_g92: false,
             g92_acts: false,
             keeping: Keeping::Leave,
+            pins: None,
         },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
@@ -160,6 +208,7 @@ impl<const N: usize> Checked<N> {
         self.g92 = state.offsets.g92;
         self.tool_length = state.offsets.tool_length;
         self.tool_change = false;
+        self.after.pins = None;
         self.after.keeps_g92 = false;
         self.after.g92_acts = state.offsets.g92_acts;
         self.after.keeping = Keeping::Leave;
@@ -167,6 +216,71 @@ impl<const N: usize> Checked<N> {
         self.stored = None;
         self.rotated.angle = None;
         self.rotated.rotation = None;
+    }
+}
+
+/// What a line does with the outputs and inputs of programs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ProgramPins {
+    /// M62 to M65.
+    Digital {
+        /// P.
+        number: u32,
+        /// M62, M64.
+        on: bool,
+        /// M62, M63: with the next motion.
+        with_motion: bool,
+    },
+    /// M67, M68.
+    Analog {
+        /// E.
+        number: u32,
+        /// Q.
+        value: Decimal,
+        /// M67: with the next motion.
+        with_motion: bool,
+    },
+    /// M66 P.
+    Wait {
+        /// P.
+        number: u32,
+        /// L.
+        until: InputWait,
+        /// Q.
+        longest: Duration,
+    },
+    /// M66 E.
+    ReadAnalog {
+        /// E.
+        number: u32,
+    },
+}
+
+/// What M66 waits for, by its L.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InputWait {
+    /// L0: nothing.
+    Nothing,
+    /// L1: the input becomes active.
+    Rise,
+    /// L2: it ceases to be.
+    Fall,
+    /// L3: it is active.
+    High,
+    /// L4: it is not.
+    Low,
+}
+
+impl InputWait {
+    /// Whether an input is as it should be that was `before` when it was looked at last.
+    pub fn is_over(self, before: bool, now: bool) -> bool {
+        match self {
+            InputWait::Nothing => true,
+            InputWait::Rise => now && !before,
+            InputWait::Fall => before && !now,
+            InputWait::High => now,
+            InputWait::Low => !now,
+        }
     }
 }
 

@@ -89,6 +89,9 @@ impl<const N: usize> Interpreter<N> {
     /// Where parameters exist, they show it.
     pub fn set_probed(&mut self, _: &PerAxis<Coordinate, N>, _: bool) {}
 
+    /// The same of M66.
+    pub fn set_input_read(&mut self, _: Option<bool>) {}
+
     /// The remark as it is: there are no parameters.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         for byte in remark {

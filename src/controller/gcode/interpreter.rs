@@ -3,7 +3,7 @@
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::Modal;
-use super::offsets::StoredOffset;
+use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
 use super::state::{BeforeCheck, Interpreter, Saved};
 use super::{Dialect, jog, tools};
@@ -12,8 +12,8 @@ use crate::error::Error;
 use crate::units::Coordinate;
 
 impl<const N: usize> Interpreter<N> {
-    /// What a reset forgets: modal state, G92, tool length offset and parameters. Stored offsets, the tool in the spindle and the
-    /// position stay; that tool is the selected one, so that M6 without T changes nothing.
+    /// What a reset forgets: modal state, G92, tool length offset and parameters. Stored offsets, the tool in the spindle with
+    /// the length that was measured, and the position stay; that tool is the selected one, so that M6 without T changes nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
@@ -27,6 +27,10 @@ impl<const N: usize> Interpreter<N> {
         }
         self.modal.tool = self.spindle_tool;
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
+        self.measured.assumed = false;
+        if let Some(length) = self.measured.offset() {
+            self.offsets.tool_length.set(TOOL_AXIS, length);
+        }
         self.computed.reset();
     }
 
@@ -42,6 +46,7 @@ impl<const N: usize> Interpreter<N> {
         self.saved = None;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
+        self.measured.forget_tool();
         self.abandon_program();
     }
 
@@ -115,6 +120,9 @@ impl<const N: usize> Interpreter<N> {
         }
         if let Some(number) = checked.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));
+        }
+        if checked.after.spindle_tool != self.spindle_tool && !self.is_checking() {
+            self.measured.forget_tool();
         }
         self.spindle_tool = checked.after.spindle_tool;
         self.position = checked.position;

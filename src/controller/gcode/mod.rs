@@ -35,7 +35,7 @@ mod word;
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use checked::{ArcMove, Checked, Feed, Flow, Motion};
+pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, ProgramPins};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};

@@ -16,9 +16,9 @@ const TOOL_MAX_OF_GRBL: i32 = 255;
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
-const VALUES: Letters = Letters::of(b"FHIJKLNOPQRST");
+const VALUES: Letters = Letters::of(b"EFHIJKLNOPQRST");
 /// Words whose value must not be negative.
-const NOT_NEGATIVE: Letters = Letters::of(b"FHNPTS");
+const NOT_NEGATIVE: Letters = Letters::of(b"EFHNPTS");
 
 /// Words that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,6 +32,10 @@ pub(super) struct Extended {
     pub rotation: Option<bool>,
     /// M6.
     pub tool_change: bool,
+    /// M61.
+    pub tool_number: bool,
+    /// M62 to M68, by number.
+    pub pins: Option<u8>,
     /// M48 to M53, by number.
     pub overrides: Option<u8>,
     /// M70 to M72, by number.
@@ -86,6 +90,7 @@ pub(super) struct ValueWords {
     pub i: Decimal,
     pub j: Decimal,
     pub k: Decimal,
+    pub e: Decimal,
     pub f: Decimal,
     pub h: Decimal,
     pub l: Decimal,
@@ -188,6 +193,8 @@ impl<const N: usize> Parsed<N> {
             MWord::Mist | MWord::Flood | MWord::NoCoolant => self.coolant = Some(word),
             MWord::ParkingOverride => self.parking_override = true,
             MWord::ToolChange => self.extended.tool_change = true,
+            MWord::ToolNumber => self.extended = Extended { any: true, tool_number: true, ..self.extended },
+            MWord::Pins(number) => self.extended = Extended { any: true, pins: Some(number), ..self.extended },
             MWord::Overrides(number) => {
                 self.extended = Extended { any: true, overrides: Some(number), ..self.extended }
             }
@@ -221,6 +228,7 @@ impl<const N: usize> Parsed<N> {
             self.places = self.places.max(places);
         }
         match letter {
+            b'E' => self.value.e = value,
             b'F' => self.value.f = value,
             b'H' => self.value.h = value,
             b'I' => self.value.i = value,

@@ -4,9 +4,9 @@ use super::Dialect;
 use super::computed::Computed;
 use super::cycle::CycleWords;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode};
-use super::offsets::{Offsets, StoredOffset};
+use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
-use super::tools::{self, Tool, ToolTable};
+use super::tools::{self, Measured, Tool, ToolTable};
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Coordinate;
@@ -25,6 +25,7 @@ pub struct Interpreter<const N: usize> {
     /// While a program is only checked: what the machine has meanwhile.
     pub(super) before_check: Option<BeforeCheck>,
     pub(super) computed: Computed<N>,
+    pub(super) measured: Measured,
     /// M70.
     pub(super) saved: Option<Saved<N>>,
     /// G68.
@@ -66,6 +67,7 @@ impl<const N: usize> Interpreter<N> {
             spindle_tool: 0,
             before_check: None,
             computed: Computed::new(),
+            measured: Measured::NOTHING,
             saved: None,
             rotation: None,
             reached: None,
@@ -107,6 +109,36 @@ impl<const N: usize> Interpreter<N> {
     /// The tool that the spindle holds; 0 for none that M6 named.
     pub fn spindle_tool(&self) -> u32 {
         self.spindle_tool
+    }
+
+    /// Whoever changes tools may have taken it out: what is in the spindle is not known, and the next M6 asks for it.
+    pub fn tool_removed(&mut self) {
+        self.spindle_tool = 0;
+        self.measured.forget_tool();
+    }
+
+    /// With this tool in the spindle the setter was touched at this place of the machine: its offset acts from here on.
+    /// Whether it is the first tool that was measured.
+    pub fn tool_measured(&mut self, number: u32, place: Coordinate) -> bool {
+        let before = self.offsets.tool_length.get(TOOL_AXIS).unwrap_or(Coordinate::ZERO);
+        let (offset, is_first) = self.measured.touched(place, before);
+        self.spindle_tool = number;
+        self.offsets.tool_length.set(TOOL_AXIS, offset);
+        is_first
+    }
+
+    /// In a program that is only checked: the tool would have been measured.
+    pub fn assume_measured(&mut self) {
+        self.measured.assumed = true;
+    }
+
+    /// Of the tool in the spindle, the offset that was measured, with what the table has for the other axes.
+    pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
+        let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
+        let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool)?;
+        let mut offset = self.tools.offset(number).unwrap_or(PerAxis::all(Coordinate::ZERO));
+        offset.set(TOOL_AXIS, length);
+        Some(offset)
     }
 
     /// The table of tools.

@@ -80,6 +80,43 @@ impl<const N: usize> ToolTable<N> {
     }
 }
 
+/// What has been measured of the tool in the spindle (`$918=2`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Measured {
+    /// Where a tool without offset touches the setter, from the first tool that was measured.
+    reference: Option<Coordinate>,
+    /// The offset of the tool in the spindle.
+    offset: Option<Coordinate>,
+    /// In a program that is only checked M6 is taken to have measured the tool.
+    pub(super) assumed: bool,
+}
+
+impl Measured {
+    /// Nothing.
+    pub(super) const NOTHING: Self = Self { reference: None, offset: None, assumed: false };
+
+    /// The offset of the tool in the spindle, if it was measured.
+    pub(super) fn offset(&self) -> Option<Coordinate> {
+        self.offset
+    }
+
+    /// The tool is taken out.
+    pub(super) fn forget_tool(&mut self) {
+        self.offset = None;
+    }
+
+    /// A tool has touched the setter at this place of the machine while `active` was in force. Its offset is such that the
+    /// tips of all tools that were measured have the same coordinates at the same place; the first one keeps what is in force.
+    /// Whether it is the first.
+    pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
+        let is_first = self.reference.is_none();
+        let reference = *self.reference.get_or_insert(place - active);
+        let offset = place - reference;
+        self.offset = Some(offset);
+        (offset, is_first)
+    }
+}
+
 /// The number of the entry that a program sets for a tool, which may be only checked.
 pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
     if is_checking { number | CHECKED } else { number }

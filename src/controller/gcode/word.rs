@@ -159,10 +159,12 @@ pub enum Group {
     Coolant,
     /// M56.
     Override,
-    /// M6.
+    /// M6, M61.
     ToolChange,
     /// M48 to M53.
     OverridesHeld,
+    /// M62 to M68.
+    Pins,
     /// M70 to M72.
     Keep,
     /// G50.
@@ -442,6 +444,10 @@ pub(super) enum MWord {
     End,
     /// M6.
     ToolChange,
+    /// M61.
+    ToolNumber,
+    /// M62 to M68, by number.
+    Pins(u8),
     /// M3, M4, M5.
     Spindle(SpindleDirection),
     /// M7.
@@ -465,7 +471,7 @@ impl MWord {
         if code.hundredths != 0 {
             return Err(Error::IntegerRequired);
         }
-        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 70..=72) {
+        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=72) {
             return Err(Error::ExtendedLeftOut);
         }
         Ok(match code.whole {
@@ -482,8 +488,10 @@ impl MWord {
             48..=53 if more => MWord::Overrides(code.whole),
             56 if more => MWord::ParkingOverride,
             60 if more => MWord::Pause,
+            61 if more => MWord::ToolNumber,
+            62..=68 if more => MWord::Pins(code.whole),
             70..=72 if more => MWord::Keep(code.whole),
-            19 | 61..=68 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
+            19 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),
         })
     }
@@ -492,7 +500,8 @@ impl MWord {
     pub fn group(self) -> Group {
         match self {
             MWord::Pause | MWord::OptionalPause | MWord::End => Group::Flow,
-            MWord::ToolChange => Group::ToolChange,
+            MWord::ToolChange | MWord::ToolNumber => Group::ToolChange,
+            MWord::Pins(_) => Group::Pins,
             MWord::Spindle(_) => Group::Spindle,
             MWord::Mist | MWord::Flood | MWord::NoCoolant => Group::Coolant,
             MWord::ParkingOverride => Group::Override,

@@ -6,6 +6,7 @@
 //! ```
 //! Spindle and coolant are off after a reset, an alarm and the end of the program.
 
+use super::digital::DigitalOutputs;
 use super::realtime_override::Overrides;
 use super::spindle::SpindleRange;
 use crate::messages::{Coolant, SpindleDirection};
@@ -27,6 +28,7 @@ pub struct Accessories {
     /// A hold is being left: motion resumes when the spindle turns (`$394`), at this moment at the earliest.
     spinning_up: Option<Instant>,
     watch: SpeedWatch,
+    digital: DigitalOutputs,
 }
 
 /// Watches a spindle in mid-job that tells its speed.
@@ -69,7 +71,27 @@ impl Accessories {
         speed: 0.0,
         spinning_up: None,
         watch: SpeedWatch::NONE,
+        digital: DigitalOutputs::OFF,
     };
+
+    /// As after power-up. `mark`: see [`DigitalOutputs::switch_off`].
+    pub fn reset(&mut self, mark: u8) {
+        let mut digital = self.digital;
+        digital.switch_off(mark);
+        *self = Accessories { digital, ..Accessories::OFF };
+    }
+
+    /// The outputs of the program.
+    #[inline]
+    pub fn digital(&self) -> &DigitalOutputs {
+        &self.digital
+    }
+
+    /// The same, to change them.
+    #[inline]
+    pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
+        &mut self.digital
+    }
 
     /// The overrides.
     pub fn overrides(&self) -> Overrides {

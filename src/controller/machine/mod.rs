@@ -1,6 +1,7 @@
 //! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers.
 
 pub mod accessories;
+pub mod digital;
 pub mod door;
 pub mod drivers;
 pub mod filter;
@@ -14,3 +15,4 @@ pub mod signals;
 pub mod spindle;
 pub mod state;
 pub mod stops;
+pub mod tool_change;

@@ -11,6 +11,9 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 /// Laser power follows the speed.
 pub(super) const SCALE_POWER: u8 = 4;
 
+/// The bits of the flags from here on are the mark of the block: see [`super::Motion::set_mark`].
+pub(super) const MARK_SHIFT: u32 = 3;
+
 /// Most steps of a block's dominant axis: 16 units of each, doubled by a counter that is about to step, fit 32 bits.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 

@@ -206,8 +206,10 @@ impl<const N: usize> AnyQueue<N> {
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
         let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };
         let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, curve_speed2);
-        block.flags =
-            rapid | if m.no_feed_override { NO_OVERRIDE } else { 0 } | if m.scale_power { SCALE_POWER } else { 0 };
+        block.flags = rapid
+            | if m.no_feed_override { NO_OVERRIDE } else { 0 }
+            | if m.scale_power { SCALE_POWER } else { 0 }
+            | self.marked;
         block.directions = motors.directions;
         block.steps_by_axis = match ends {
             Some(ends) => steps_with_ends(&motors.steps, motors.directions, &ends),
@@ -464,7 +466,7 @@ impl<const N: usize> AnyQueue<N> {
         (block.acceleration, block.limit) = self.limits.along(&way, length);
         block.jerk = self.limits.jerk_along(&way, length, block.acceleration);
         block.programmed = block.limit;
-        block.flags = NO_OVERRIDE;
+        block.flags = NO_OVERRIDE | self.marked;
         // The tool does not move: a beam would burn a hole.
         block.power = 0;
         self.end.motors_only = true;

@@ -21,6 +21,8 @@ pub(super) struct InFlightSegment<const N: usize> {
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
+    /// That of its block.
+    pub mark: u8,
 }
 
 impl<const N: usize> InFlightSegment<N> {
@@ -28,7 +30,7 @@ impl<const N: usize> InFlightSegment<N> {
     const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
 
     const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
-        Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0 }
+        Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0, mark: 0 }
     }
 
     /// Machine steps of the motors at its end.
@@ -142,9 +144,10 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.len = 0;
         self.queued = 0;
         self.moves = false;
+        let mark = self.current().mark;
         for slot in [self.slot(1), self.slot(2)] {
             if let Some(begun) = self.ring.get_mut(slot) {
-                *begun = InFlightSegment::still(position, lead);
+                *begun = InFlightSegment { mark, ..InFlightSegment::still(position, lead) };
             }
         }
     }

@@ -49,7 +49,7 @@ use crate::messages::{Observed, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use axis_limits::bounded;
 use backlash::Motors;
-use block::{Block, NO_OVERRIDE, OverrideFactors};
+use block::{Block, MARK_SHIFT, NO_OVERRIDE, OverrideFactors};
 use core::ops::{Deref, DerefMut};
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
@@ -475,6 +475,25 @@ impl<const N: usize> AnyMotion<N> {
     /// Power of the segment being executed; 0 at rest.
     pub fn power(&self) -> u16 {
         self.source.in_flight.current().power
+    }
+
+    /// Whether blocks from here on can have another mark: not while a long move is still being cut.
+    pub fn takes_mark(&self) -> bool {
+        self.queue.long.is_none()
+    }
+
+    /// Blocks from here on have this mark, by which their begin is known.
+    pub fn set_mark(&mut self, mark: u8) {
+        let marked = mark << MARK_SHIFT;
+        if marked != self.queue.marked {
+            self.queue.end_join();
+            self.queue.marked = marked;
+        }
+    }
+
+    /// The mark of the block begun last.
+    pub fn begun_mark(&self) -> u8 {
+        self.source.in_flight.current().mark
     }
 
     /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),

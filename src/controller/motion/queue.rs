@@ -51,6 +51,8 @@ pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
+    /// The mark of blocks from here on, as bits of their flags.
+    pub marked: u8,
     /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
     pub chain: Chain<N>,
     /// The last block, as far as short moves may continue it.
@@ -73,6 +75,7 @@ impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
             substep_offset: None,
             long: None,
             numbering: Numbering::Words,
+            marked: 0,
             chain: Chain::new(),
             join: Join::NONE,
             planner: Planner::new(),
@@ -92,6 +95,7 @@ impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOC
             substep_offset: self.substep_offset,
             long: self.long,
             numbering: self.numbering,
+            marked: self.marked,
             chain: self.chain.clone(),
             join: self.join.clone(),
             planner: self.planner.clone(),

@@ -1,6 +1,6 @@
 //! The block that is being cut into segments, and which trapezoid its rest follows.
 
-use super::block::{Block, OverrideFactors, RAPID, SCALE_POWER};
+use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};
 use super::planner::Planner;
 use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
@@ -176,6 +176,12 @@ impl<const N: usize> Running<N> {
     #[inline]
     pub(super) fn is_rapid(&self) -> bool {
         self.flags & RAPID != 0
+    }
+
+    /// The mark of the block.
+    #[inline]
+    pub(super) fn mark(&self) -> u8 {
+        self.flags >> MARK_SHIFT
     }
 
     /// Spindle or laser power at a speed, mm/s: with M4 in laser mode the power is scaled with the speed.

@@ -413,7 +413,9 @@ impl<const N: usize> SegmentSource<N> {
         let speed = cut.units as f32 / (cut.seconds * run.scale);
         let power = run.power_at(speed);
         let line_number = run.line_number;
-        let sent = InFlightSegment { position: motors.tool(), lead: motors.lead, speed, clocks, line_number, power };
+        let mark = run.mark();
+        let sent =
+            InFlightSegment { position: motors.tool(), lead: motors.lead, speed, clocks, line_number, power, mark };
         let rapid = if run.is_rapid() { Segment::FLAG_RAPID } else { 0 };
         let fresh = if run.stage == BlockStage::FirstSegment { Segment::FLAG_NEW_BLOCK } else { 0 };
         self.running.stage = BlockStage::Segments;

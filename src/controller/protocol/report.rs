@@ -188,6 +188,7 @@ const fn input_name(bit: usize) -> &'static str {
         4 => "limit B",
         5 => "limit C",
         6 => "second limit",
+        input::PROGRAM => "input 0",
         input::PROBE => "probe",
         input::DOOR => "door",
         input::HOLD => "hold",

@@ -10,6 +10,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
         step_clock_hz: 1_000_000,
         rates: StepRates { safe_hz: 100_000 },
         has_second_motor: false,
+        program_pins: [0; 2],
         has_store: false,
     };
     let mut controller = Box::new(Controller::<3, 16>::new(profile));

@@ -26,6 +26,8 @@ fn cycles_tools_and_words_of_state() {
     refuses(&cycles.each_ref().map(String::as_str), Error::ExtendedLeftOut);
     let tools = ["M6", "G43 H1", "G43.2 H1", "G10 L1 P1 Z1", "G10 L10 P1 Z1", "G10 L11 P1 Z1"];
     refuses(&tools, Error::ExtendedLeftOut);
+    let pins = ["M61 Q1", "M62 P0", "M65 P0", "M66 P0", "M67 E0 Q1", "M68 E0 Q1"];
+    refuses(&pins, Error::ExtendedLeftOut);
     let offsets = ["G52 X1", "G92.2", "G92.3"];
     refuses(&offsets, Error::ExtendedLeftOut);
     let state = ["M48", "M49", "M50 P0", "M51 P0", "M52 P0", "M53", "M70", "M71", "M72"];

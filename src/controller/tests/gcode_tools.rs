@@ -5,7 +5,8 @@
 mod program;
 
 use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};
-use program::Program;
+use oxmill_controller::units::Coordinate;
+use program::{Program, in_mm};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -248,4 +249,94 @@ fn a_tool_is_taken_out() {
         program.interpreter.reset();
         assert_eq!(program.error("G43 H6"), 0);
     }
+}
+
+/// The tool of a number touches a setter at this height of the machine. Whether it is the first.
+fn measure(program: &mut Program, number: u32, height: i32) -> bool {
+    program.interpreter.tool_removed();
+    program.interpreter.tool_measured(number, Coordinate::mm(height))
+}
+
+fn tool_length(program: &Program) -> f64 {
+    in_mm(&program.interpreter.offsets().tool_length)[2]
+}
+
+#[test]
+fn measured_tools_have_the_same_work_zero() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("G43.1 X1 Z2");
+        assert!(measure(&mut program, 1, -50));
+        assert_eq!(tool_length(&program), 2.0, "the first one keeps what acts");
+        assert!(!measure(&mut program, 2, -43));
+        assert_eq!(tool_length(&program), 9.0, "7 mm longer");
+        // The offset of the table does not count for it, but along the other axes.
+        program.run_all("G10 L1 P2 X5 Z-1\nG49");
+        assert_eq!(tool_length(&program), 0.0);
+        for line in ["G43", "G43 H2", "G43 H0"] {
+            program.run("G49");
+            program.run(line);
+            assert_eq!(in_mm(&program.interpreter.offsets().tool_length), [5.0, 0.0, 9.0], "{line}");
+        }
+        program.run("G49");
+        program.interpreter.reset();
+        assert_eq!(tool_length(&program), 9.0, "a reset does not forget what is in the spindle");
+        // Another tool without being measured: nothing is known of it.
+        program.run("T3 M6");
+        assert_eq!(program.error("G43"), 47);
+        program.interpreter.reset();
+        assert_eq!(tool_length(&program), 0.0);
+        assert!(!measure(&mut program, 1, -50));
+        assert_eq!(tool_length(&program), 2.0, "the reference is kept");
+        program.run("M61 Q4");
+        assert_eq!(program.error("G43"), 47);
+    }
+}
+
+#[test]
+fn a_tool_that_was_taken_out_is_not_there() {
+    let mut program = ready(Dialect::Oxmill);
+    measure(&mut program, 5, -20);
+    assert!(!program.check("T5 M6").unwrap().tool_change);
+    program.interpreter.tool_removed();
+    assert!(program.check("T5 M6").unwrap().tool_change);
+    program.interpreter.reset();
+    assert_eq!(tool_length(&program), 0.0);
+}
+
+#[test]
+fn a_check_measures_nothing_and_forgets_nothing() {
+    let mut program = ready(Dialect::Oxmill);
+    measure(&mut program, 1, -20);
+    measure(&mut program, 2, -10);
+    program.interpreter.begin_check_mode();
+    program.run("T9 M6");
+    program.interpreter.assume_measured();
+    program.run("G43 H9");
+    program.interpreter.reset();
+    assert_eq!(program.error("G43 H9"), 47);
+    assert!(!program.check("T2 M6").unwrap().tool_change);
+    assert_eq!(tool_length(&program), 10.0);
+    program.interpreter.change_dialect();
+    program.interpreter.reset();
+    assert_eq!(tool_length(&program), 0.0, "Grbl has no such offset");
+}
+
+#[test]
+fn a_tool_is_named() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("M61 Q7");
+        assert_eq!((program.interpreter.spindle_tool(), program.interpreter.modal().tool), (7, 7));
+        assert!(!program.check("T7 M6").unwrap().tool_change);
+        program.run("T8 M61 Q9");
+        assert_eq!((program.interpreter.spindle_tool(), program.interpreter.modal().tool), (9, 8));
+        program.run("M61 Q0");
+        for (line, error) in
+            [("M61", 28), ("M61 Q-1", 4), ("M61 Q0.5", 23), ("M61 Q100000", 38), ("M61 Q1 M6", 21), ("M61 P1", 28)]
+        {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    }
+    assert_eq!(Program::new(Dialect::Grbl).error("M61 Q1"), 20);
 }

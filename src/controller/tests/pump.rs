@@ -29,6 +29,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
             step_clock_hz: 1_000_000,
             rates: StepRates { safe_hz: 100_000 },
             has_second_motor: false,
+            program_pins: [0; 2],
             has_store: true,
         });
         controller.start(Instant::from_ticks(0));

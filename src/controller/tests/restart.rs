@@ -12,6 +12,7 @@ const PROFILE: Profile = Profile {
     step_clock_hz: 1_000_000,
     rates: StepRates { safe_hz: 100_000 },
     has_second_motor: false,
+    program_pins: [0; 2],
     has_store: false,
 };
 const NOW: Instant = Instant::from_ticks(0);

@@ -49,6 +49,7 @@ mod boards {
         step_clock_hz: 96_000_000,
         rates: StepRates { safe_hz: 490_000 },
         has_second_motor: false,
+        program_pins: [0; 2],
         has_store: false,
     };
     pub const FAR_PLANNER: usize = 0x2120_0000;

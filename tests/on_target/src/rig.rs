@@ -42,6 +42,7 @@ impl Rig {
             step_clock_hz: STEP_CLOCK_HZ,
             rates: StepRates { safe_hz: 200_000 },
             has_second_motor: false,
+            program_pins: [0; 2],
             has_store: false,
         };
         let mut controller = Controller::new(profile);

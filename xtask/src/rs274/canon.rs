@@ -87,6 +87,15 @@ impl Reader {
                 self.go(to, Event::Feed(to));
             }
             "ARC_FEED" => self.arc(arguments)?,
+            "SET_MOTION_OUTPUT_BIT" => self.events.push(Event::Output(false, arguments.parse().ok()?, 1.0, true)),
+            "CLEAR_MOTION_OUTPUT_BIT" => self.events.push(Event::Output(false, arguments.parse().ok()?, 0.0, true)),
+            "SET_AUX_OUTPUT_BIT" => self.events.push(Event::Output(false, arguments.parse().ok()?, 1.0, false)),
+            "CLEAR_AUX_OUTPUT_BIT" => self.events.push(Event::Output(false, arguments.parse().ok()?, 0.0, false)),
+            "SET_MOTION_OUTPUT_VALUE" | "SET_AUX_OUTPUT_VALUE" => {
+                let (number, value) = arguments.split_once(',')?;
+                let (number, value) = (number.trim().parse().ok()?, value.trim().parse().ok()?);
+                self.events.push(Event::Output(true, number, value, name == "SET_MOTION_OUTPUT_VALUE"));
+            }
             "DWELL" => self.events.push(Event::Dwell(arguments.parse().ok()?)),
             _ => {}
         }

@@ -37,6 +37,8 @@ pub enum Event {
     Arc([f64; 3], [f64; 2], i64),
     /// Seconds.
     Dwell(f64),
+    /// An output of the program: its number, its value, and whether it changes with the next motion. `true`: an analog one.
+    Output(bool, i64, f64, bool),
 }
 
 impl Event {
@@ -48,6 +50,9 @@ impl Event {
             (Event::Rapid(a), Event::Rapid(b)) | (Event::Feed(a), Event::Feed(b)) => near(a, b),
             (Event::Arc(a, c, n), Event::Arc(b, d, m)) => near(a, b) && near(c, d) && n == m,
             (Event::Dwell(a), Event::Dwell(b)) => (a - b).abs() < 0.0006,
+            (Event::Output(a, n, v, w), Event::Output(b, m, u, x)) => {
+                (a, n, w) == (b, m, x) && (v - u).abs() <= TOLERANCE
+            }
             _ => false,
         }
     }

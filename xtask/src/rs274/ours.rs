@@ -3,7 +3,9 @@
 use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion};
+use oxmill_controller::gcode::{
+    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion, ProgramPins,
+};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.
@@ -58,8 +60,17 @@ impl Mill {
         let mut checked = Checked::NOTHING;
         self.interpreter.check_into(text.as_bytes(), Dialect::Oxmill, &mut checked)?;
         self.interpreter.commit(&checked);
-        let mut events: Vec<Event> =
-            checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6)).into_iter().collect();
+        let output = match checked.pins() {
+            Some(ProgramPins::Digital { number, on, with_motion }) => {
+                Some(Event::Output(false, i64::from(number), f64::from(u8::from(on)), with_motion))
+            }
+            Some(ProgramPins::Analog { number, value, with_motion }) => {
+                Some(Event::Output(true, i64::from(number), f64::from(value.to_f32()), with_motion))
+            }
+            _ => None,
+        };
+        let dwell = checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6));
+        let mut events: Vec<Event> = output.into_iter().chain(dwell).collect();
         match checked.motion {
             Motion::None => {}
             Motion::Line { via, target, feed } => {

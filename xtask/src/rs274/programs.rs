@@ -198,6 +198,7 @@ impl Writer {
             85..=88 => self.places(),
             89..=94 => self.tools(),
             95..=96 => self.keep(),
+            97 => self.pins(),
             _ => {
                 let line = self.one_of(&[
                     "G80", "G61", "G64", "G64 P0.1", "G61.1", "M48", "M49", "M50 P0", "M51", "M8", "M9", "F500", "S200",
@@ -389,6 +390,41 @@ impl Writer {
             7 => format!("G43.1{axes}"),
             8 => format!("T{tool} M6 M3 G43 G0{axes}"),
             _ => "G49".into(),
+        };
+        self.put(line);
+    }
+
+    /// Outputs and inputs of programs, also beside a move, and what of them is refused.
+    fn pins(&mut self) {
+        let (number, x, value) = (self.below(5), self.coordinate(), self.below(200) as f64 / 10.0 - 5.0);
+        let word = self.one_of(&["M62", "M63", "M64", "M65"]);
+        let wait = self.below(5);
+        let line = match self.below(20) {
+            0..=5 => format!("{word} P{number}"),
+            6..=8 => format!("{word} P{number} G0 X{x}"),
+            9 => format!("{word} G4 P{number}"),
+            10..=12 => format!("M67 E{number} Q{value}"),
+            13..=14 => format!("M68 E{number} Q{value} G0 X{x}"),
+            15 => format!("M66 P{number} L{wait} Q{value}"),
+            16 => format!("M66 E{number} L{wait} Q1"),
+            17 => format!("M66 P{number}"),
+            18 => {
+                let tool = self.one_of(&["1", "2", "7"]);
+                format!("M61 Q{tool}")
+            }
+            _ => self
+                .one_of(&[
+                    "M62",
+                    "M66 P0 E0",
+                    "M66",
+                    "M67 Q1",
+                    "M64 P1 Q1",
+                    "M62 P1 E1",
+                    "M64 P0 M65",
+                    "M61",
+                    "M61 Q-1",
+                ])
+                .into(),
         };
         self.put(line);
     }

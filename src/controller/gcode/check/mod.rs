@@ -5,6 +5,7 @@ mod cycle_words;
 mod line;
 mod motion_words;
 mod offset_words;
+mod pin_words;
 mod rotation_words;
 mod state_words;
 mod tool_words;
@@ -55,6 +56,9 @@ pub(super) fn check<const N: usize>(
     check.rotation()?;
     check.non_modal()?;
     check.motion()?;
+    if is_extended {
+        check.pins()?;
+    }
     check.unused_words()?;
     check.finish();
     Ok(())

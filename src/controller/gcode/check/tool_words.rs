@@ -9,7 +9,7 @@ use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
 use crate::gcode::tools::entry_number;
 use crate::gcode::values::{along, whole};
-use crate::gcode::word::{Letters, ToolLength};
+use crate::gcode::word::{Claim, Letters, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
@@ -29,6 +29,30 @@ impl<const N: usize> Check<'_, N> {
         if self.line.extended.tool_change {
             self.checked.tool_change = modal.tool != self.state.spindle_tool;
             self.checked.after.spindle_tool = modal.tool;
+            self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none();
+        }
+        if self.line.extended.tool_number {
+            return self.name_tool();
+        }
+        Ok(())
+    }
+
+    /// M61: the tool of this number is in the spindle. It is selected, too, if the line selects no other one.
+    fn name_tool(&mut self) -> Result<(), Error> {
+        if !self.take(b'Q') {
+            return Err(Error::ValueWordMissing);
+        }
+        let number = self.line.value.q;
+        if number < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
+        if number > Decimal::from_int(TOOL_MAX) {
+            return Err(Error::ToolNumberTooHigh);
+        }
+        let number = whole(number)?.unsigned_abs();
+        self.checked.after.spindle_tool = number;
+        if !self.line.values.has(b'T') {
+            self.checked.modal.tool = number;
         }
         Ok(())
     }
@@ -60,7 +84,8 @@ impl<const N: usize> Check<'_, N> {
         }
         let number = if self.take(b'H') { whole(self.line.value.h)?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
-        self.state.tools.offset(number).ok_or(Error::UnknownTool)
+        let measured = self.state.measured_offset(number);
+        measured.or_else(|| self.state.tools.offset(number)).ok_or(Error::UnknownTool)
     }
 
     /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.

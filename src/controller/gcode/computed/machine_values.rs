@@ -18,6 +18,11 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 const SELECTORS: &[u8] = b"DGHLMNOPT";
 
 impl<const N: usize> Interpreter<N> {
+    /// What M66 has read: #5399; `None` if it has waited in vain.
+    pub fn set_input_read(&mut self, active: Option<bool>) {
+        self.computed.input_read = active.map_or(-1, i8::from);
+    }
+
     /// What the last probing move has found, in machine coordinates: #5061 and on, #5070.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
         self.computed.probed = self.to_program(place);
@@ -138,6 +143,7 @@ impl<const N: usize> Interpreter<N> {
                     _ => in_mm(&self.offsets.system(*system), index).unwrap_or(Real::ZERO),
                 }
             }
+            5399 => Real::from_decimal(Decimal::from_int(self.computed.input_read.into())),
             5400 => tool(self.spindle_tool),
             5401..=5409 => in_mm(&self.offsets.tool_length, number - 5401).unwrap_or(Real::ZERO),
             5420..=5428 => self.in_units(&self.work_position(), number - 5420),

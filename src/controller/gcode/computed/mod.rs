@@ -29,6 +29,8 @@ pub(super) struct Computed<const N: usize> {
     /// Where the last probing move found its contact, in work coordinates of then.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
+    /// What M66 has read last: 1, 0, or -1.
+    input_read: i8,
 }
 
 impl<const N: usize> Computed<N> {
@@ -39,6 +41,7 @@ impl<const N: usize> Computed<N> {
             returned: None,
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
+            input_read: 0,
         }
     }
 
@@ -49,6 +52,7 @@ impl<const N: usize> Computed<N> {
         self.returned = None;
         self.probed = PerAxis::all(Coordinate::ZERO);
         self.probe_succeeded = false;
+        self.input_read = 0;
     }
 
     /// A line is going to be checked: what one before it would have set, and did not, is forgotten.

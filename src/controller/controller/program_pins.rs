@@ -1,0 +1,77 @@
+//! Outputs and inputs of programs (M62 to M68) are carried out.
+
+use super::Controller;
+use super::task::{Job, Stage};
+use crate::gcode::ProgramPins;
+use crate::units::Instant;
+
+impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+    /// Whether the line asks for a pin that the board does not have. None has analog ones.
+    pub(super) fn lacks_pin(&self) -> bool {
+        let [outputs, inputs] = self.settings_lock.program_pins();
+        match self.line.checked.pins() {
+            None => false,
+            Some(ProgramPins::Digital { number, .. }) => number >= u32::from(outputs),
+            Some(ProgramPins::Wait { number, .. }) => number >= u32::from(inputs),
+            Some(ProgramPins::Analog { .. } | ProgramPins::ReadAnalog { .. }) => true,
+        }
+    }
+
+    /// Whether the line can be carried out now: an output that changes with a motion may have to wait until those before it do.
+    #[inline]
+    pub(super) fn has_room_for_pins(&mut self) -> bool {
+        match self.line.checked.pins() {
+            Some(ProgramPins::Digital { with_motion: true, .. }) => self.has_room_for_change(),
+            _ => true,
+        }
+    }
+
+    #[inline(never)]
+    fn has_room_for_change(&mut self) -> bool {
+        let idle = self.motion.is_idle();
+        // The mark stays: whether it can be changed is asked.
+        let can = self.accessories.digital().has_room(idle) && self.motion.takes_mark();
+        if !can {
+            self.start_queued();
+        }
+        can
+    }
+
+    /// M62 to M65.
+    #[inline(never)]
+    pub(super) fn change_output(&mut self) {
+        if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.checked.pins() {
+            if with_motion {
+                let idle = self.motion.is_idle();
+                let mark = self.accessories.digital_mut().set_with_motion(number, on, idle);
+                self.motion.set_mark(mark);
+            } else {
+                self.accessories.digital_mut().set(number, on);
+            }
+        }
+    }
+
+    /// Before the dwell of a line: M66, if it has one.
+    pub(super) fn begin_wait(&self) -> Option<Stage> {
+        match self.line.checked.pins() {
+            Some(ProgramPins::Wait { longest, .. }) => {
+                Some(Stage::Input(self.now + longest, self.inputs.signals().program))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether M66 has ended, whose input was `before` when it was looked at last.
+    #[inline(never)]
+    pub(super) fn has_read_input(&mut self, until: Instant, before: bool, job: &mut Job) -> bool {
+        let Some(ProgramPins::Wait { until: wait, .. }) = self.line.checked.pins() else { return true };
+        let now = self.inputs.signals().program;
+        let is_over = wait.is_over(before, now);
+        if !is_over && self.now < until {
+            job.stage = Stage::Input(until, now);
+            return false;
+        }
+        self.interpreter.set_input_read(is_over.then_some(now));
+        true
+    }
+}

@@ -1,0 +1,73 @@
+//! Words of the outputs and inputs of programs: M62 to M68.
+
+use super::line::Check;
+use crate::error::Error;
+use crate::gcode::checked::{InputWait, ProgramPins};
+use crate::gcode::modal::EXTENDED;
+use crate::gcode::values::{seconds, whole};
+use crate::gcode::word::Letters;
+use crate::units::{Decimal, Duration};
+
+impl<const N: usize> Check<'_, N> {
+    /// M62 to M68. P may also be that of a dwell or an arc on the line, as in LinuxCNC.
+    pub(super) fn pins(&mut self) -> Result<(), Error> {
+        let Some(word) = self.line.extended.pins.filter(|_| EXTENDED) else { return Ok(()) };
+        let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
+        self.checked.after.pins = Some(match word {
+            62..=65 => {
+                let number = self.pin(b'P', self.line.value.p)?;
+                ProgramPins::Digital { number, on: word % 2 == 0, with_motion: word < 64 }
+            }
+            66 if has_p && has_e => return Err(Error::UnusedWords),
+            66 if has_e => {
+                if self.wait()? != InputWait::Nothing {
+                    return Err(Error::ValueOutOfRange);
+                }
+                ProgramPins::ReadAnalog { number: self.pin(b'E', self.line.value.e)? }
+            }
+            66 => {
+                let number = self.pin(b'P', self.line.value.p)?;
+                let until = self.wait()?;
+                let longest = match self.line.value.q {
+                    q if q > Decimal::ZERO => seconds(q),
+                    _ if until == InputWait::Nothing => Duration::from_ticks(0),
+                    _ if self.line.values.has(b'Q') => return Err(Error::ValueOutOfRange),
+                    _ => return Err(Error::ValueWordMissing),
+                };
+                ProgramPins::Wait { number, until, longest }
+            }
+            _ => {
+                let number = self.pin(b'E', self.line.value.e)?;
+                if !self.line.values.has(b'Q') {
+                    return Err(Error::ValueWordMissing);
+                }
+                ProgramPins::Analog { number, value: self.line.value.q, with_motion: word == 67 }
+            }
+        });
+        self.unused.remove(match word {
+            62..=65 => Letters::of(b"P"),
+            66 => Letters::of(b"PELQ"),
+            _ => Letters::of(b"EQ"),
+        });
+        Ok(())
+    }
+
+    fn pin(&self, letter: u8, value: Decimal) -> Result<u32, Error> {
+        if !self.line.values.has(letter) {
+            return Err(Error::ValueWordMissing);
+        }
+        Ok(whole(value)?.unsigned_abs())
+    }
+
+    /// L of M66; none is L0.
+    fn wait(&self) -> Result<InputWait, Error> {
+        Ok(match whole(self.line.value.l)? {
+            0 => InputWait::Nothing,
+            1 => InputWait::Rise,
+            2 => InputWait::Fall,
+            3 => InputWait::High,
+            4 => InputWait::Low,
+            _ => return Err(Error::ValueOutOfRange),
+        })
+    }
+}

@@ -1,0 +1,203 @@
+//! Digital outputs of programs: what is on now, and what changes when the next motion begins (M62, M63).
+//!
+//! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up to its mark
+//! are due. A group gathers all that is asked for between two motions.
+
+/// Groups that can wait. One more waits in front of its line until motion has come so far.
+const GROUPS: usize = 8;
+/// Marks are counted with so many bits: more than twice as many as there are groups.
+pub const MARK_BITS: u32 = 5;
+const MARKS: u8 = (1 << MARK_BITS) - 1;
+
+/// Changes that are due together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct DueTogether {
+    /// Outputs that change.
+    mask: u8,
+    /// Those of them that go on.
+    on: u8,
+}
+
+/// The outputs.
+#[derive(Clone, Copy, Debug)]
+pub struct DigitalOutputs {
+    levels: u8,
+    /// The mark up to which all is done.
+    done: u8,
+    /// What waits, in its order.
+    waiting: [DueTogether; GROUPS],
+    count: u8,
+    /// No motion has come since the last group was begun.
+    open: bool,
+}
+
+impl DigitalOutputs {
+    /// All off.
+    pub const OFF: Self =
+        Self { levels: 0, done: 0, waiting: [DueTogether { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
+
+    /// Bit 0 for P0.
+    #[inline]
+    pub fn levels(&self) -> u8 {
+        self.levels
+    }
+
+    /// Whether something is to change with a motion.
+    #[inline]
+    pub fn is_waiting(&self) -> bool {
+        self.count > 0
+    }
+
+    /// An output changes now.
+    pub fn set(&mut self, number: u32, on: bool) {
+        self.apply(DueTogether::of(number, on));
+    }
+
+    /// Whether another change can wait. `idle`: no motion is queued.
+    pub fn has_room(&self, idle: bool) -> bool {
+        self.open || idle || usize::from(self.count) < GROUPS
+    }
+
+    /// An output changes with the next motion. The mark of blocks from here on.
+    pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
+        let change = DueTogether::of(number, on);
+        // With nothing queued all groups wait for the same motion.
+        let joins = self.count > 0 && (self.open || idle);
+        if !joins && usize::from(self.count) < GROUPS {
+            self.count += 1;
+            if let Some(group) = self.last() {
+                *group = DueTogether::default();
+            }
+        }
+        if let Some(group) = self.last() {
+            group.mask |= change.mask;
+            group.on = group.on & !change.mask | change.on;
+        }
+        self.open = true;
+        self.newest()
+    }
+
+    fn last(&mut self) -> Option<&mut DueTogether> {
+        self.waiting.get_mut(usize::from(self.count).checked_sub(1)?)
+    }
+
+    fn newest(&self) -> u8 {
+        (self.done + self.count) & MARKS
+    }
+
+    /// A motion has been queued.
+    #[inline]
+    pub fn motion_follows(&mut self) {
+        self.open = false;
+    }
+
+    /// A block with this mark has begun: what waits for it is due.
+    pub fn begun(&mut self, mark: u8) {
+        let due = mark.wrapping_sub(self.done) & MARKS;
+        if due > self.count {
+            return;
+        }
+        for _ in 0..due {
+            self.apply(self.waiting[0]);
+            self.waiting.rotate_left(1);
+        }
+        self.count -= due;
+        self.done = mark & MARKS;
+        self.open &= self.count > 0;
+    }
+
+    fn apply(&mut self, group: DueTogether) {
+        self.levels = self.levels & !group.mask | group.on;
+    }
+
+    /// The motion that was queued has been forgotten, and with it what waits. `mark` is that of the block begun last, and the mark of
+    /// blocks from here on.
+    pub fn forget_waiting(&mut self, mark: u8) {
+        self.begun(mark);
+        self.count = 0;
+        self.open = false;
+        self.done = mark & MARKS;
+    }
+
+    /// The same, and all off.
+    pub fn switch_off(&mut self, mark: u8) {
+        self.forget_waiting(mark);
+        self.levels = 0;
+    }
+}
+
+impl DueTogether {
+    fn of(number: u32, on: bool) -> DueTogether {
+        let mask = 1u8.checked_shl(number).unwrap_or(0);
+        DueTogether { mask, on: if on { mask } else { 0 } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_change_waits_for_its_motion() {
+        let mut outputs = DigitalOutputs::OFF;
+        let first = outputs.set_with_motion(1, true, true);
+        assert_eq!(outputs.set_with_motion(0, true, false), first, "the same motion");
+        outputs.motion_follows();
+        let second = outputs.set_with_motion(1, false, false);
+        assert_eq!((outputs.levels(), second), (0, first + 1));
+        outputs.begun(0);
+        assert_eq!(outputs.levels(), 0);
+        outputs.begun(first);
+        assert_eq!(outputs.levels(), 0b11);
+        outputs.set(2, true);
+        outputs.begun(second);
+        assert_eq!((outputs.levels(), outputs.is_waiting()), (0b101, false));
+        outputs.begun(second);
+        assert_eq!(outputs.levels(), 0b101);
+    }
+
+    #[test]
+    fn a_motion_that_was_not_seen_is_made_good() {
+        let mut outputs = DigitalOutputs::OFF;
+        outputs.set_with_motion(0, true, true);
+        outputs.motion_follows();
+        let last = outputs.set_with_motion(0, false, false);
+        outputs.begun(last);
+        assert_eq!((outputs.levels(), outputs.is_waiting()), (0, false));
+    }
+
+    #[test]
+    fn there_is_room_as_long_as_motion_can_make_some() {
+        let mut outputs = DigitalOutputs::OFF;
+        for _ in 0..GROUPS {
+            assert!(outputs.has_room(false));
+            outputs.set_with_motion(0, true, false);
+            outputs.motion_follows();
+        }
+        assert!(!outputs.has_room(false) && outputs.has_room(true));
+        let mark = outputs.set_with_motion(3, true, true);
+        outputs.begun(mark);
+        assert_eq!((outputs.levels(), outputs.is_waiting()), (0b1001, false));
+    }
+
+    #[test]
+    fn what_is_forgotten_does_not_come_with_a_later_motion() {
+        let mut outputs = DigitalOutputs::OFF;
+        for round in 0..100 {
+            let mark = outputs.newest();
+            outputs.set_with_motion(0, true, false);
+            outputs.motion_follows();
+            outputs.set_with_motion(1, true, false);
+            outputs.motion_follows();
+            outputs.forget_waiting(mark);
+            outputs.begun(mark);
+            assert_eq!((outputs.levels(), outputs.is_waiting()), (0, false), "{round}");
+            let next = outputs.set_with_motion(2, true, false);
+            outputs.begun(mark);
+            assert_eq!(outputs.levels(), 0);
+            outputs.begun(next);
+            assert_eq!(outputs.levels(), 0b100);
+            outputs.switch_off(next);
+        }
+    }
+}
