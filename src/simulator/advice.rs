@@ -81,7 +81,8 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
-        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
+        Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
+        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",

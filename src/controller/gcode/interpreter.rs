@@ -2,7 +2,7 @@
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
-use super::modal::Modal;
+use super::modal::{Modal, MotionMode, SplineKind};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::{BeforeCheck, Interpreter, Saved};
@@ -21,6 +21,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92_acts = false;
         self.saved = None;
         self.rotation = None;
+        self.tangent = None;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
@@ -40,6 +41,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         self.saved = None;
+        self.tangent = None;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
         self.abandon_program();
@@ -123,8 +125,16 @@ impl<const N: usize> Interpreter<N> {
             self.saved = None;
             self.computed.end_program();
         }
-        if let Motion::Cycle(cycle) = &checked.motion {
-            self.cycle = cycle.words;
+        match &checked.motion {
+            Motion::None if checked.flow != Flow::End => {}
+            Motion::Spline(spline) if checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
+                self.tangent = Some(spline.arriving.map(|part| -part));
+            }
+            Motion::Cycle(cycle) => {
+                self.cycle = cycle.words;
+                self.tangent = None;
+            }
+            _ => self.tangent = None,
         }
     }
 }

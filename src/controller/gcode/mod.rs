@@ -35,13 +35,13 @@ mod word;
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use checked::{ArcMove, Checked, Feed, Flow, Motion};
+pub use checked::{ArcMove, Checked, Feed, Flow, Motion, SplineMove};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
 pub use modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
-    PathControl, Plane, PlaneAxes, ProbeMode, ROTATION, Units,
+    PathControl, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};

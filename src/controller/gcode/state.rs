@@ -31,6 +31,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) rotation: Option<Rotation>,
     /// The last place that was given in rotated coordinates.
     pub(super) reached: Option<Reached>,
+    /// With which I and J, in the machine, another G5 goes on smoothly where the last one has ended.
+    pub(super) tangent: Option<[Coordinate; 2]>,
 }
 
 /// What check mode leaves to the machine.
@@ -69,6 +71,7 @@ impl<const N: usize> Interpreter<N> {
             saved: None,
             rotation: None,
             reached: None,
+            tangent: None,
         }
     }
 
@@ -126,6 +129,9 @@ impl<const N: usize> Interpreter<N> {
 
     /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
+        if position != self.position {
+            self.tangent = None;
+        }
         self.position = position;
     }
 

@@ -4,7 +4,7 @@ use super::Dialect;
 use super::code::Code;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
-    ROTATION, Units,
+    ROTATION, SPLINES, SplineKind, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
@@ -129,7 +129,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G38, G80, cycles.
+    /// G0 to G3, G5, G5.1, G38, G80, cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -312,6 +312,7 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
+            (5, 0 | 10) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
@@ -355,6 +356,7 @@ impl GWord {
             (2, 0) => GWord::Motion(MotionMode::ArcClockwise),
             (3, 0) => GWord::Motion(MotionMode::ArcCounterClockwise),
             (4, 0) => GWord::NonModal(NonModal::Dwell),
+            (5, 0 | 10) if more => return Self::spline(code.hundredths),
             (10, 0) => GWord::NonModal(NonModal::SetSystem),
             (17, 0) => GWord::Plane(Plane::Xy),
             (18, 0) => GWord::Plane(Plane::Zx),
@@ -403,6 +405,12 @@ impl GWord {
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),
         })
+    }
+
+    /// G5 and G5.1.
+    fn spline(hundredths: u16) -> Result<GWord, Error> {
+        let kind = if hundredths == 0 { SplineKind::Cubic } else { SplineKind::Quadratic };
+        if SPLINES { Ok(GWord::Motion(MotionMode::Spline(kind))) } else { Err(Error::SplinesLeftOut) }
     }
 
     /// G68 and G69; without a rotation the latter says what is so.

@@ -18,6 +18,8 @@ struct Reader {
     tool: [f64; 3],
     /// Where the machine is, without offsets.
     machine: [f64; 3],
+    /// After a spline, of which only the number of control points is printed.
+    is_place_untold: bool,
     events: Vec<Event>,
 }
 
@@ -80,6 +82,10 @@ impl Reader {
                 self.go(to, Event::Feed(to));
             }
             "ARC_FEED" => self.arc(arguments)?,
+            "NURBS_FEED" => {
+                self.events.push(Event::Spline(arguments.split(',').next()?.parse().ok()?));
+                self.is_place_untold = true;
+            }
             "DWELL" => self.events.push(Event::Dwell(arguments.parse().ok()?)),
             _ => {}
         }
@@ -95,10 +101,12 @@ impl Reader {
 
     fn go(&mut self, to: [f64; 3], event: Event) {
         let machine = self.machine(to);
-        if machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE) {
+        let is_move = machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE);
+        if is_move || self.is_place_untold {
             self.events.push(event);
         }
         self.machine = machine;
+        self.is_place_untold = false;
     }
 
     fn arc(&mut self, arguments: &str) -> Option<()> {
@@ -111,6 +119,7 @@ impl Reader {
         }
         self.events.push(Event::Arc(end, [centre_first, centre_second], turns));
         self.machine = self.machine(end);
+        self.is_place_untold = false;
         Some(())
     }
 }

@@ -34,6 +34,8 @@ pub enum Event {
     Feed([f64; 3]),
     /// An arc: its end, its centre in the plane, and its turns, negative when clockwise.
     Arc([f64; 3], [f64; 2], i64),
+    /// A spline of so many control points.
+    Spline(u8),
     /// Seconds.
     Dwell(f64),
 }
@@ -46,6 +48,7 @@ impl Event {
         match (self, other) {
             (Event::Rapid(a), Event::Rapid(b)) | (Event::Feed(a), Event::Feed(b)) => near(a, b),
             (Event::Arc(a, c, n), Event::Arc(b, d, m)) => near(a, b) && near(c, d) && n == m,
+            (Event::Spline(a), Event::Spline(b)) => a == b,
             (Event::Dwell(a), Event::Dwell(b)) => (a - b).abs() < 0.0006,
             _ => false,
         }

@@ -6,6 +6,7 @@ mod line;
 mod motion_words;
 mod offset_words;
 mod rotation_words;
+mod spline_words;
 mod state_words;
 mod tool_words;
 
@@ -38,6 +39,7 @@ pub(super) fn check<const N: usize>(
     // Most lines have none of these, and every instruction counts.
     let is_extended = line.extended.any;
     if is_extended {
+        check.sign_of_p()?;
         check.keep_state()?;
     }
     check.line_number()?;
@@ -177,8 +179,8 @@ impl<const N: usize> Check<'_, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        // A cycle goes through its points exactly.
-        let exact = matches!(checked.motion, Motion::Cycle(_));
+        // A cycle goes through its points exactly, and of a spline all points are known.
+        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
         checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
         checked.uses_machine_place = matches!(
             self.line.non_modal,

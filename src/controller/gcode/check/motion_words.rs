@@ -32,6 +32,7 @@ impl<const N: usize> Check<'_, N> {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
+            MotionMode::Spline(kind) => self.spline(kind),
             MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cycle(kind) => self.cycle(kind),
             MotionMode::Cancelled => Ok(()),
