@@ -99,6 +99,9 @@ codes! {
     DamagedLine = 129, "the line is damaged or out of its order, or not checked: $LC=OFF ends the check of lines";
     SplineOutsideXy = 140, "a spline (G5, G5.1) needs G17 and has no axis words but X and Y";
     SplinesLeftOut = 141, "this board has no room for splines (G5, G5.1)";
+    UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
+    ScalingActs = 143, "the coordinates that the line sets are scaled by G51";
+    ScalingLeftOut = 144, "this board has no room for scaled coordinates (G51)";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

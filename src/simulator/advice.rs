@@ -79,10 +79,12 @@ pub fn for_error(error: Error) -> &'static str {
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
         Error::NothingSaved => "Save the state with M70 before M72.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
+        Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
+        Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
-        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut => {
+        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut | Error::ScalingLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",

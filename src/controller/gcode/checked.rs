@@ -4,6 +4,7 @@ use super::cycle::Cycle;
 use super::modal::{Modal, PlaneAxes};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
+use super::scaling::ScalingChange;
 use super::state::Interpreter;
 use super::values::along;
 use crate::axes::{Axis, PerAxis};
@@ -48,6 +49,7 @@ pub struct Checked<const N: usize> {
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
     pub(super) rotated: RotationChange,
+    pub(super) scaled: ScalingChange,
 }
 
 /// What a line leaves behind that Grbl does not know.
@@ -135,6 +137,7 @@ impl<const N: usize> Checked<N> {
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
         rotated: RotationChange::NONE,
+        scaled: ScalingChange::NONE,
     };
 
     /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
@@ -144,6 +147,7 @@ impl<const N: usize> Checked<N> {
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;
+        self.scaled.rest = None;
         self.only_moves(state);
     }
 
@@ -168,6 +172,7 @@ impl<const N: usize> Checked<N> {
         self.stored = None;
         self.rotated.angle = None;
         self.rotated.rotation = None;
+        self.scaled.scaling = None;
     }
 }
 

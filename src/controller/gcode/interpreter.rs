@@ -2,10 +2,11 @@
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
-use super::modal::{Modal, MotionMode, SplineKind};
+use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
-use super::state::{BeforeCheck, Interpreter, Saved};
+use super::state::{BeforeCheck, Interpreter, Saved, Tangent};
+use super::values::in_xy;
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -21,6 +22,8 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92_acts = false;
         self.saved = None;
         self.rotation = None;
+        self.scaling = None;
+        self.rest = [0; 3];
         self.tangent = None;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
@@ -112,6 +115,10 @@ impl<const N: usize> Interpreter<N> {
         if let Some(rotation) = checked.rotated.rotation {
             self.rotation = rotation;
         }
+        if let Some(scaling) = checked.scaled.scaling {
+            self.scaling = scaling;
+        }
+        self.rest = checked.scaled.rest.unwrap_or(self.rest);
         if checked.rotated.reached.is_some() {
             self.reached = checked.rotated.reached;
         }
@@ -123,18 +130,16 @@ impl<const N: usize> Interpreter<N> {
         self.computed.commit();
         if checked.flow == Flow::End {
             self.saved = None;
+            self.tangent = None;
             self.computed.end_program();
         }
         match &checked.motion {
-            Motion::None if checked.flow != Flow::End => {}
-            Motion::Spline(spline) if checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
-                self.tangent = Some(spline.arriving.map(|part| -part));
+            Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
+                let place = in_xy(&spline.target);
+                self.tangent = Some(Tangent { place, way: spline.arriving.map(|part| -part) });
             }
-            Motion::Cycle(cycle) => {
-                self.cycle = cycle.words;
-                self.tangent = None;
-            }
-            _ => self.tangent = None,
+            Motion::Cycle(cycle) => self.cycle = cycle.words,
+            _ => {}
         }
     }
 }

@@ -27,6 +27,7 @@ mod offsets;
 mod parse;
 mod remark;
 mod rotation;
+mod scaling;
 mod state;
 mod tools;
 mod values;
@@ -46,6 +47,7 @@ pub use modal::{
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
+pub use scaling::Scaling;
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
 pub use word::{Group, group_of};

@@ -7,7 +7,7 @@ use crate::units::Decimal;
 /// Whether there are canned cycles, the tool table and words of state: the code of what is left out is not in the image.
 pub const EXTENDED: bool = cfg!(feature = "extended-gcode");
 
-/// Whether coordinates can be rotated: a feature of its own.
+/// Whether coordinates can be rotated and scaled: a feature of its own.
 pub const ROTATION: bool = cfg!(feature = "rotation");
 
 /// Whether there are splines: a feature of its own.

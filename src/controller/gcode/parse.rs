@@ -30,6 +30,8 @@ pub(super) struct Extended {
     pub is_path_tolerance: bool,
     /// G68 (`true`), G69.
     pub rotation: Option<bool>,
+    /// G51 (`true`), G50.
+    pub scaling: Option<bool>,
     /// P has a sign, which that of G5 may have.
     pub is_p_negative: bool,
     /// M6.
@@ -164,6 +166,7 @@ impl<const N: usize> Parsed<N> {
                 self.extended.is_path_tolerance = code.whole == 64;
             }
             GWord::Rotation(on) => self.extended.rotation = Some(on),
+            GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }
         Ok(())

@@ -82,11 +82,15 @@ impl Angle {
         let (cosine, sine) = self.cosine_and_sine();
         let sum = |a: Coordinate, b: i64, c: Coordinate, d: i64| {
             let sum = i128::from(a.0) * i128::from(b) + i128::from(c.0) * i128::from(d);
-            let rounded = (sum + i128::from(ONE / 2)) >> FRACTION;
-            Coordinate(rounded.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
+            nearest((sum + i128::from(ONE / 2)) >> FRACTION)
         };
         [sum(first, cosine, second, -sine), sum(first, sine, second, cosine)]
     }
+}
+
+/// A coordinate of so many units, or the greatest that there is.
+pub(super) fn nearest(units: i128) -> Coordinate {
+    Coordinate(units.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
 }
 
 fn product(a: i64, b: i64) -> i64 {

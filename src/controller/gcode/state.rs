@@ -3,9 +3,10 @@
 use super::Dialect;
 use super::computed::Computed;
 use super::cycle::CycleWords;
-use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode};
+use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION};
 use super::offsets::{Offsets, StoredOffset};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
+use super::scaling::{Rest, Scaling};
 use super::tools::{self, Tool, ToolTable};
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -31,8 +32,20 @@ pub struct Interpreter<const N: usize> {
     pub(super) rotation: Option<Rotation>,
     /// The last place that was given in rotated coordinates.
     pub(super) reached: Option<Reached>,
-    /// With which I and J, in the machine, another G5 goes on smoothly where the last one has ended.
-    pub(super) tangent: Option<[Coordinate; 2]>,
+    /// G51.
+    pub(super) scaling: Option<Scaling>,
+    /// What the roundings of scaled coordinates have left of the position.
+    pub(super) rest: Rest,
+    /// Of the last G5.
+    pub(super) tangent: Option<Tangent>,
+}
+
+/// How another G5 goes on smoothly where the last one has ended, in X and Y of the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Tangent {
+    pub(super) place: [Coordinate; 2],
+    /// To its first control point.
+    pub(super) way: [Coordinate; 2],
 }
 
 /// What check mode leaves to the machine.
@@ -71,6 +84,8 @@ impl<const N: usize> Interpreter<N> {
             saved: None,
             rotation: None,
             reached: None,
+            scaling: None,
+            rest: [0; 3],
             tangent: None,
         }
     }
@@ -129,9 +144,6 @@ impl<const N: usize> Interpreter<N> {
 
     /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
-        if position != self.position {
-            self.tangent = None;
-        }
         self.position = position;
     }
 
@@ -177,6 +189,11 @@ impl<const N: usize> Interpreter<N> {
         self.rotation.as_ref()
     }
 
+    /// The scaling by G51.
+    pub fn scaling(&self) -> Option<&Scaling> {
+        self.scaling.as_ref()
+    }
+
     /// A coordinate system is rotated.
     pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
         self.offsets.set_angle(system, angle);
@@ -189,6 +206,9 @@ impl<const N: usize> Interpreter<N> {
         let rotated = offsets.rotated_plane(self.modal.coordinate_system, &offsets.tool_length, self.rotation.as_ref());
         if let Ok(Some(rotated)) = rotated {
             rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
+        }
+        if let Some(scaling) = self.scaling.filter(|_| ROTATION) {
+            scaling.written(&mut program, &self.rest);
         }
         program
     }

@@ -21,6 +21,11 @@ pub(super) fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) 
     place.get(axis).unwrap_or(Coordinate::ZERO)
 }
 
+/// The coordinates of a place in the plane of X and Y.
+pub(super) fn in_xy<const N: usize>(place: &PerAxis<Coordinate, N>) -> [Coordinate; 2] {
+    [along(place, Axis::X), along(place, Axis::Y)]
+}
+
 /// An error unless the controller may compute with the place.
 pub(super) fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
     if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }

@@ -165,7 +165,7 @@ pub enum Group {
     OverridesHeld,
     /// M70 to M72.
     Keep,
-    /// G50.
+    /// G50, G51.
     Scaling,
     /// G68, G69.
     Rotation,
@@ -183,16 +183,6 @@ pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, 
         b'G' => GWord::of(code, dialect).map(GWord::group),
         b'M' => MWord::of(code, dialect).map(MWord::group),
         _ => Err(Error::UnsupportedCommand),
-    }
-}
-
-impl Group {
-    /// Of G50 or G97.
-    fn of_what_is_so(whole: u8) -> Group {
-        match whole {
-            50 => Group::Scaling,
-            _ => Group::SpindleMode,
-        }
     }
 }
 
@@ -300,7 +290,9 @@ pub(super) enum GWord {
     Path(PathControl),
     /// G68, or G69 without a rotation.
     Rotation(bool),
-    /// Says what is so in any case: G50 (no scaling), G97 (S in revolutions per minute).
+    /// G51, or G50 without a scaling.
+    Scaling(bool),
+    /// Says what is so in any case: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
 
@@ -314,7 +306,7 @@ impl GWord {
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
             (5, 0 | 10) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
-            (52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
+            (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
             (73 | 81..=83 | 85 | 86 | 88 | 89, 0) if dialect != Dialect::Grbl => Claim::Motion,
             _ => Claim::Nobody,
@@ -388,7 +380,8 @@ impl GWord {
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
             (68 | 69, 0) if more => return Self::rotation(code.whole == 68),
-            (50 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
+            (50 | 51, 0) if more => return Self::scaling(code.whole == 51),
+            (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),
@@ -418,6 +411,11 @@ impl GWord {
         if on && !ROTATION { Err(Error::RotationLeftOut) } else { Ok(GWord::Rotation(on)) }
     }
 
+    /// G51 and G50.
+    fn scaling(on: bool) -> Result<GWord, Error> {
+        if on && !ROTATION { Err(Error::ScalingLeftOut) } else { Ok(GWord::Scaling(on)) }
+    }
+
     /// The modal group of the word.
     pub fn group(self) -> Group {
         match self {
@@ -434,6 +432,7 @@ impl GWord {
             GWord::CoordinateSystem(_) => Group::CoordinateSystem,
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
+            GWord::Scaling(_) => Group::Scaling,
             GWord::AsItIs(group) => group,
         }
     }

@@ -44,13 +44,19 @@ impl<const N: usize> Check<'_, N> {
         let incremental = modal.distance == Distance::Incremental;
         let (pitch, (r, bottom)) = if incremental {
             let pitch = [axes.first, axes.second].map(|axis| along(&hole, axis) - along(&place, axis));
-            (pitch, (words.level + words.r, words.level + words.r + words.depth))
+            let [r, depth] = [words.r, words.depth].map(|way| self.scaled_length(axes.linear, way, true));
+            (pitch, (words.level + r, words.level + r + depth))
         } else {
             let origin = self.work_offset(axes.linear);
-            ([Coordinate::ZERO; 2], (origin + words.r, origin + words.depth))
+            let [r, depth] = [words.r, words.depth].map(|place| self.scaled_length(axes.linear, place, false));
+            ([Coordinate::ZERO; 2], (origin + r, origin + depth))
         };
         if r < bottom {
             return Err(Error::RetractBelowBottom);
+        }
+        let peck = self.scaled_size(axes.linear, words.peck);
+        if kind.pecks() && peck <= Coordinate::ZERO {
+            return Err(Error::ValueOutOfRange);
         }
         let clear = if modal.retract_to_r { r } else { words.level.max(r) };
         let cycle = Cycle {
@@ -63,6 +69,7 @@ impl<const N: usize> Check<'_, N> {
             r,
             bottom,
             clear,
+            peck,
             reached: r,
             next: Next::Rise,
             feed: per_second(modal.feed.to_f32()),

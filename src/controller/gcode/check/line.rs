@@ -7,6 +7,7 @@ use crate::gcode::checked::{Checked, Feed};
 use crate::gcode::modal::{FeedMode, MotionMode, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
+use crate::gcode::scaling::Scaling;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
 use crate::gcode::word::{Claim, Letters};
@@ -34,6 +35,8 @@ pub(super) struct Check<'a, const N: usize> {
     pub(super) unused: Letters,
     /// How the line's coordinates are rotated.
     pub(super) rotated: Option<RotatedPlane>,
+    /// And how they are scaled before.
+    pub(super) scaled: Option<Scaling>,
     /// The result so far; its modal state is the one that the line's own words have set.
     pub(super) checked: &'a mut Checked<N>,
 }
@@ -80,7 +83,7 @@ impl<'a, const N: usize> Check<'a, N> {
             Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
             claim => claim,
         };
-        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, checked }
+        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, checked }
     }
 
     /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.

@@ -6,13 +6,14 @@ mod line;
 mod motion_words;
 mod offset_words;
 mod rotation_words;
+mod scaling_words;
 mod spline_words;
 mod state_words;
 mod tool_words;
 
 use super::Dialect;
 use super::checked::{Checked, Flow, Motion};
-use super::modal::{FeedMode, MotionMode, Units};
+use super::modal::{FeedMode, MotionMode, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::Interpreter;
@@ -182,6 +183,9 @@ impl<const N: usize> Check<'_, N> {
         // A cycle goes through its points exactly, and of a spline all points are known.
         let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
         checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
+        if ROTATION && let Some(scaling) = self.scaled {
+            checked.digit *= scaling.least();
+        }
         checked.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
@@ -189,6 +193,7 @@ impl<const N: usize> Check<'_, N> {
         if checked.flow == Flow::End {
             checked.modal.end_program();
             checked.rotated.rotation = Some(None);
+            checked.scaled.scaling = Some(None);
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
         let system_changed = match (checked.store, &checked.stored) {

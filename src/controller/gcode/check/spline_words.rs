@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::gcode::checked::{Motion, SplineMove};
 use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
 use crate::gcode::rotation::difference;
-use crate::gcode::values::{along, reachable};
+use crate::gcode::values::{in_xy, reachable};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
@@ -37,13 +37,15 @@ impl<const N: usize> Check<'_, N> {
         let (leaving, arriving) = match (kind, near_start) {
             (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
             (SplineKind::Quadratic, Some(middle)) => {
-                let chord = [Axis::X, Axis::Y].map(|axis| along(&target, axis) - along(&start, axis));
+                let chord = difference(in_xy(&target), in_xy(&start));
                 // The same curve as one of third degree.
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
             (SplineKind::Cubic, _) => {
                 let arriving = self.vector(b"PQ", [values.p, values.q])?.ok_or(Error::ValueWordMissing)?;
-                (near_start.or(self.state.tangent).ok_or(Error::ValueWordMissing)?, arriving)
+                // Without I and J where the last G5 has ended, as smoothly as it came there.
+                let last = self.state.tangent.filter(|tangent| tangent.place == in_xy(&start));
+                (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
             }
         };
         let feed = self.feed_of_motion();
@@ -62,7 +64,7 @@ impl<const N: usize> Check<'_, N> {
         if has_first != has_second {
             return Err(Error::ValueWordMissing);
         }
-        let way = values.map(|value| self.length(value));
+        let way = self.scaled_vector([Axis::X, Axis::Y], values.map(|value| self.length(value)));
         Ok(has_first.then(|| match self.rotated {
             Some(rotated) if ROTATION => rotated.angle.turn(way),
             _ => way,
