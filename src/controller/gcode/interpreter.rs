@@ -5,7 +5,8 @@ use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
-use super::state::{BeforeCheck, Interpreter, Saved, Tangent};
+use super::scaling::NO_REST;
+use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Saved, Tangent};
 use super::values::in_xy;
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
@@ -23,8 +24,8 @@ impl<const N: usize> Interpreter<N> {
         self.saved = None;
         self.rotation = None;
         self.scaling = None;
-        self.rest = [0; 3];
-        self.tangent = None;
+        self.rest = NO_REST;
+        self.tangent = NO_TANGENT;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
@@ -44,7 +45,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         self.saved = None;
-        self.tangent = None;
+        self.tangent = NO_TANGENT;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
         self.abandon_program();
@@ -130,13 +131,14 @@ impl<const N: usize> Interpreter<N> {
         self.computed.commit();
         if checked.flow == Flow::End {
             self.saved = None;
-            self.tangent = None;
+            self.tangent = NO_TANGENT;
             self.computed.end_program();
         }
         match &checked.motion {
             Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
                 let place = in_xy(&spline.target);
-                self.tangent = Some(Tangent { place, way: spline.arriving.map(|part| -part) });
+                let way = spline.arriving.map(|part| -part);
+                self.tangent.fill(Some(Tangent { place, way }));
             }
             Motion::Cycle(cycle) => self.cycle = cycle.words,
             _ => {}

@@ -7,20 +7,26 @@
 //! Products of a coordinate and a factor are exact integers of 10^-7 units. Of the place that a program has reached what the
 //! rounding to 0.1 nm has left is kept, so roundings do not add up over a million increments.
 
+use super::modal::ROTATION;
 use super::rotation::nearest;
 use crate::axes::{Axis, PerAxis};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
+/// X, Y and Z. Where scaling is left out nothing of it takes any memory.
+const AXES: usize = if ROTATION { 3 } else { 0 };
+
 /// G51.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scaling {
-    /// Of X, Y and Z; none is 0.
-    pub(super) factors: [Decimal; 3],
-    pub(super) centre: [Coordinate; 3],
+    /// None is 0.
+    factors: [Decimal; AXES],
+    centre: [Coordinate; AXES],
 }
 
-/// What rounding has left of X, Y and Z, in units of 10^-7 of 0.1 nm.
-pub(super) type Rest = [i32; 3];
+/// What rounding has left of each axis, in units of 10^-7 of 0.1 nm.
+pub(super) type Rest = [i32; AXES];
+/// Nothing.
+pub(super) const NO_REST: Rest = [0; AXES];
 
 /// A length in units of 10^-7 of 0.1 nm.
 type Fine = i128;
@@ -44,6 +50,14 @@ fn rounded(length: Fine) -> (Coordinate, i32) {
 }
 
 impl Scaling {
+    /// By factors of X, Y and Z.
+    pub(super) fn new(factors: [Decimal; 3], centre: [Coordinate; 3]) -> Self {
+        Self {
+            factors: core::array::from_fn(|axis| factors.get(axis).copied().unwrap_or(Decimal::ZERO)),
+            centre: core::array::from_fn(|axis| centre.get(axis).copied().unwrap_or(Coordinate::ZERO)),
+        }
+    }
+
     /// By what an axis is multiplied.
     pub(super) fn factor(&self, axis: Axis) -> Decimal {
         self.factors.get(axis.index()).copied().unwrap_or(Decimal::from_int(1))
@@ -114,7 +128,7 @@ impl ScalingChange {
     pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "rotation"))]
 mod tests {
     use super::*;
     use proptest::prelude::*;
@@ -126,7 +140,7 @@ mod tests {
             factor in (1_000_i64..1_000_000_000), mirrored: bool,
         ) {
             let factor = if mirrored { -factor } else { factor };
-            let scaling = Scaling { factors: [Decimal(factor); 3], centre: [Coordinate(centre); 3] };
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate(centre); 3]);
             let (place, rest) = scaling.place(Axis::Y, Coordinate(written));
             let wanted = centre as f64 + (written - centre) as f64 * factor as f64 / 1e7;
             prop_assert!((place.0 as f64 - wanted).abs() < 1.0 + wanted.abs() * 1e-15);
@@ -138,7 +152,7 @@ mod tests {
         /// However a way is cut into increments, its end is the same.
         #[test]
         fn increments_add_up(ways in prop::collection::vec(-30_000_i64..30_000, 1..50), factor in 1_i64..100_000_000) {
-            let scaling = Scaling { factors: [Decimal(factor); 3], centre: [Coordinate::ZERO; 3] };
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate::ZERO; 3]);
             let (mut place, mut rest) = (Coordinate::ZERO, 0);
             for way in &ways {
                 let (next, left) = scaling.way(Axis::X, Coordinate(*way), rest);
@@ -150,7 +164,7 @@ mod tests {
         #[test]
         fn any_numbers(written: i64, centre: i64, factor: i64, rest: i32) {
             prop_assume!(factor != 0);
-            let scaling = Scaling { factors: [Decimal(factor); 3], centre: [Coordinate(centre); 3] };
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate(centre); 3]);
             let _ = (scaling.place(Axis::X, Coordinate(written)), scaling.way(Axis::Z, Coordinate(written), rest));
             let _ = (scaling.size(Axis::X, Coordinate(written)), scaling.written_way(Axis::X, written));
             scaling.written(&mut PerAxis([Coordinate(written); 3]), &[rest; 3]);

@@ -3,10 +3,10 @@
 use super::Dialect;
 use super::computed::Computed;
 use super::cycle::CycleWords;
-use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION};
+use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
-use super::scaling::{Rest, Scaling};
+use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Tool, ToolTable};
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -36,8 +36,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) scaling: Option<Scaling>,
     /// What the roundings of scaled coordinates have left of the position.
     pub(super) rest: Rest,
-    /// Of the last G5.
-    pub(super) tangent: Option<Tangent>,
+    /// Of the last G5; no memory where there are no splines.
+    pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
 
 /// How another G5 goes on smoothly where the last one has ended, in X and Y of the machine.
@@ -47,6 +47,9 @@ pub(super) struct Tangent {
     /// To its first control point.
     pub(super) way: [Coordinate; 2],
 }
+
+/// Before the first G5.
+pub(super) const NO_TANGENT: [Option<Tangent>; SPLINES as usize] = [None; SPLINES as usize];
 
 /// What check mode leaves to the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,8 +88,8 @@ impl<const N: usize> Interpreter<N> {
             rotation: None,
             reached: None,
             scaling: None,
-            rest: [0; 3],
-            tangent: None,
+            rest: NO_REST,
+            tangent: NO_TANGENT,
         }
     }
 

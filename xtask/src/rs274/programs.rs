@@ -304,7 +304,7 @@ impl Writer {
                 }
             }
             if !self.put(line) {
-                return;
+                break;
             }
             smooth = is_cubic;
         }

@@ -5,7 +5,7 @@ use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::arc::Vector;
 use crate::gcode::modal::{PlaneAxes, ROTATION};
-use crate::gcode::scaling::{Rest, Scaling};
+use crate::gcode::scaling::{NO_REST, Rest, Scaling};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
@@ -17,11 +17,11 @@ impl<const N: usize> Check<'_, N> {
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
                 self.checked.scaled.scaling = Some(acts.then_some(scaling));
-                self.checked.scaled.rest = Some([0; 3]);
+                self.checked.scaled.rest = Some(NO_REST);
             }
             Some(false) => {
                 self.checked.scaled.scaling = Some(None);
-                self.checked.scaled.rest = Some([0; 3]);
+                self.checked.scaled.rest = Some(NO_REST);
             }
             None => self.scaled = self.state.scaling,
         }
@@ -52,7 +52,7 @@ impl<const N: usize> Check<'_, N> {
         }
         let centre = [Axis::X, Axis::Y, Axis::Z]
             .map(|axis| if named.has(axis) { self.axis_length(axis) } else { self.program_coordinate(axis) });
-        Ok(Scaling { factors, centre })
+        Ok(Scaling::new(factors, centre))
     }
 
     /// Jogs by distances go along the machine, as the buttons show them.

@@ -44,7 +44,7 @@ impl<const N: usize> Check<'_, N> {
             (SplineKind::Cubic, _) => {
                 let arriving = self.vector(b"PQ", [values.p, values.q])?.ok_or(Error::ValueWordMissing)?;
                 // Without I and J where the last G5 has ended, as smoothly as it came there.
-                let last = self.state.tangent.filter(|tangent| tangent.place == in_xy(&start));
+                let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));
                 (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
             }
         };
