@@ -72,7 +72,7 @@ impl Frame {
 fn meant(frame: &Frame, curves: &[Words]) -> (String, Vec<[Point; 4]>) {
     let mut text = frame.setup();
     let mut chain: Vec<[Point; 4]> = Vec::new();
-    let mut written = [0.0; 2];
+    let (mut written, mut smooth) = ([0.0; 2], false);
     for words in curves {
         let start = frame.place(written);
         let to = mm(words.target);
@@ -80,7 +80,8 @@ fn meant(frame: &Frame, curves: &[Words]) -> (String, Vec<[Point; 4]>) {
         let end = frame.place(written);
         let plus = |a: Point, b: Point| [a[0] + b[0], a[1] + b[1]];
         write!(text, "{} X{} Y{}", if words.quadratic { "G5.1" } else { "G5" }, to[0], to[1]).unwrap();
-        let before = chain.last().filter(|_| !words.quadratic && words.leaving.is_none());
+        let before = chain.last().filter(|_| smooth && !words.quadratic && words.leaving.is_none());
+        smooth = !words.quadratic;
         let leaving = match before {
             Some([.., third, last]) => [2.0 * last[0] - third[0], 2.0 * last[1] - third[1]],
             None => {

@@ -249,6 +249,7 @@ pub struct SplineMove<const N: usize> {
 
 impl<const N: usize> SplineMove<N> {
     /// The control points: the curve lies within the polygon that they span.
+    #[inline(never)]
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let beside = |place: &PerAxis<Coordinate, N>, way: [Coordinate; 2]| {
             let mut place = *place;

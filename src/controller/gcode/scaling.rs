@@ -36,6 +36,8 @@ fn fine(coordinate: Coordinate) -> Fine {
 }
 
 /// `numerator / denominator`, to the nearest.
+// Once in the image: the division is long.
+#[inline(never)]
 fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     let denominator = i128::from(denominator);
     let half = denominator.abs() / 2;
@@ -43,6 +45,7 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
 }
 
 /// As a coordinate, and what is left.
+#[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
     // Less than half of 10^7, but where the coordinate is at its bound.
@@ -73,6 +76,7 @@ impl Scaling {
     }
 
     /// Where a coordinate of the program is.
+    #[inline(never)]
     pub(super) fn place(&self, axis: Axis, written: Coordinate) -> (Coordinate, i32) {
         let centre = self.centre(axis);
         // Both are whole: nothing is cut off.
@@ -81,6 +85,7 @@ impl Scaling {
     }
 
     /// How long a distance of the program is, with a rest from before.
+    #[inline(never)]
     pub(super) fn way(&self, axis: Axis, written: Coordinate, rest: i32) -> (Coordinate, i32) {
         rounded(i128::from(written.0) * i128::from(self.factor(axis).0) + i128::from(rest))
     }
@@ -97,6 +102,7 @@ impl Scaling {
     }
 
     /// What the program writes for a place.
+    #[inline(never)]
     pub(super) fn written<const N: usize>(&self, place: &mut PerAxis<Coordinate, N>, rest: &Rest) {
         for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(rest) {
             if self.scales(axis)

@@ -210,7 +210,7 @@ impl<const N: usize> Interpreter<N> {
         if let Ok(Some(rotated)) = rotated {
             rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
         }
-        if let Some(scaling) = self.scaling.filter(|_| ROTATION) {
+        if ROTATION && let Some(scaling) = &self.scaling {
             scaling.written(&mut program, &self.rest);
         }
         program

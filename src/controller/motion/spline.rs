@@ -71,6 +71,7 @@ fn length([x, y]: [f32; 2]) -> f32 {
     square_root(x * x + y * y)
 }
 
+#[inline(never)]
 fn unit(vector: [i64; 2]) -> [f32; 2] {
     let vector = in_mm(vector);
     let length = length(vector);
@@ -78,6 +79,7 @@ fn unit(vector: [i64; 2]) -> [f32; 2] {
 }
 
 impl<const N: usize> SplineGeometry<N> {
+    #[inline(never)]
     fn polygon(&self) -> Polygon {
         let in_plane = |place: &PerAxis<Coordinate, N>| [Axis::X, Axis::Y].map(|axis| place.get(axis).map_or(0, |c| c.0));
         let end = minus(in_plane(&self.target), in_plane(&self.start));
@@ -86,7 +88,7 @@ impl<const N: usize> SplineGeometry<N> {
         Polygon([self.leaving.map(|part| part.0), [x + arriving_x.0, y + arriving_y.0], end])
     }
 
-    /// Length of the way, in mm: within 0.1 % but for curves with a point.
+    /// Length of the way, in mm: within half a percent, but for curves with a point.
     pub fn length(&self) -> f32 {
         self.polygon().length()
     }
@@ -100,7 +102,7 @@ impl<const N: usize> SplineGeometry<N> {
         for (index, axis) in [Axis::X, Axis::Y].into_iter().enumerate() {
             let of = |[x, y]: [i64; 2]| if index == 0 { x } else { y };
             let start = self.start.get(axis).unwrap_or(Coordinate::ZERO);
-            for share in polygon.turning_points(of) {
+            for share in Polygon::turning_points(polygon.sides().map(|side| Coordinate(of(side)).to_mm())) {
                 let place = start + Coordinate(of(polygon.at(share).0));
                 least.set(axis, least.get(axis).map_or(place, |least| least.min(place)));
                 greatest.set(axis, greatest.get(axis).map_or(place, |greatest| greatest.max(place)));
@@ -112,7 +114,7 @@ impl<const N: usize> SplineGeometry<N> {
 
 impl Polygon {
     /// The point at a share of the parameter, in 2^-30, and the derivative there but for a factor.
-    #[inline]
+    #[inline(never)]
     fn at(&self, share: i64) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
         let (ab, bc, cd) = (between([0; 2], b, share), between(b, c, share), between(c, d, share));
@@ -130,8 +132,8 @@ impl Polygon {
     ///
     /// The derivative is quadratic: p·(1-t)² + 2·q·t·(1-t) + r·t² with the sides p, q, r. Near an extremum the coordinate
     /// changes with the square of an error of t: what f32 leaves in t, 1e-6, is nothing.
-    fn turning_points(&self, of: impl Fn([i64; 2]) -> i64) -> [i64; 2] {
-        let [p, q, r] = self.sides().map(|side| Coordinate(of(side)).to_mm());
+    #[inline(never)]
+    fn turning_points([p, q, r]: [f32; 3]) -> [i64; 2] {
         let (square, half_linear) = (p - 2.0 * q + r, q - p);
         let root = square_root((q * q - p * r).max(0.0));
         // The two roots without a difference of nearly equal numbers.
@@ -171,6 +173,7 @@ impl Polygon {
 
 impl<const N: usize> Spline<N> {
     /// Prepares the chords, none of which leaves the curve by more than `tolerance` (mm).
+    #[inline(never)]
     pub fn new(geometry: &SplineGeometry<N>, tolerance: f32) -> Self {
         let polygon = geometry.polygon();
         let bend = polygon.bend();
@@ -191,6 +194,7 @@ impl<const N: usize> Spline<N> {
     }
 
     /// Where the next chord ends; `None` after the last.
+    #[inline(never)]
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
         if !SPLINES || self.done >= self.chords {
             return None;

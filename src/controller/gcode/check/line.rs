@@ -36,7 +36,7 @@ pub(super) struct Check<'a, const N: usize> {
     /// How the line's coordinates are rotated.
     pub(super) rotated: Option<RotatedPlane>,
     /// And how they are scaled before.
-    pub(super) scaled: Option<Scaling>,
+    pub(super) scaled: Option<&'a Scaling>,
     /// The result so far; its modal state is the one that the line's own words have set.
     pub(super) checked: &'a mut Checked<N>,
 }

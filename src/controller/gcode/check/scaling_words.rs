@@ -10,6 +10,7 @@ use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
     /// G51 begins and takes the place of the one before, G50 ends; in other lines what is in force acts.
+    #[inline(never)]
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
         match self.line.extended.scaling {
             Some(true) => {
@@ -23,7 +24,7 @@ impl<const N: usize> Check<'_, N> {
                 self.checked.scaled.scaling = Some(None);
                 self.checked.scaled.rest = Some(NO_REST);
             }
-            None => self.scaled = self.state.scaling,
+            None => self.scaled = self.state.scaling.as_ref(),
         }
         Ok(())
     }
@@ -57,13 +58,14 @@ impl<const N: usize> Check<'_, N> {
 
     /// Jogs by distances go along the machine, as the buttons show them.
     fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
-        self.scaled.as_ref().filter(|_| ROTATION && !(incremental && self.purpose == Purpose::Jog))
+        self.scaled.filter(|_| ROTATION && !(incremental && self.purpose == Purpose::Jog))
     }
 
     fn rest(&self, axis: Axis) -> i32 {
         self.state.rest.get(axis.index()).copied().unwrap_or(0)
     }
 
+    #[inline(never)]
     fn scaled_word(&self, axis: Axis, value: Coordinate, incremental: bool) -> (Coordinate, i32) {
         match self.scaling_of(incremental) {
             Some(scaling) if scaling.scales(axis) && incremental => scaling.way(axis, value, self.rest(axis)),
@@ -78,6 +80,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// Notes what the roundings of a target have left.
+    #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
         // A jog changes the position only.
         if self.scaling_of(incremental).is_none() || self.purpose == Purpose::Jog {
@@ -93,6 +96,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// A vector of the program along two axes.
+    #[inline(never)]
     pub(super) fn scaled_vector(&self, axes: [Axis; 2], vector: [Coordinate; 2]) -> [Coordinate; 2] {
         let Some(scaling) = self.scaling_of(false) else { return vector };
         let ([first, second], [along_first, along_second]) = (axes, vector);
@@ -100,11 +104,13 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// A length of the program along an axis that has no direction: R of an arc, Q of a cycle.
+    #[inline(never)]
     pub(super) fn scaled_size(&self, axis: Axis, value: Coordinate) -> Coordinate {
         self.scaling_of(false).map_or(value, |scaling| scaling.size(axis, value))
     }
 
     /// Whether arcs in the plane are mirrored. An ellipse is no arc.
+    #[inline(never)]
     pub(super) fn mirrors(&self, axes: PlaneAxes) -> Result<bool, Error> {
         let Some(scaling) = self.scaling_of(false) else { return Ok(false) };
         let (first, second) = (scaling.factor(axes.first), scaling.factor(axes.second));
@@ -115,6 +121,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// A vector in the plane of an arc as the program would write it, but for its direction.
+    #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };
         // Of an arc both have the same factor, or the arc is mirrored.
@@ -123,6 +130,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// What the present position is called cannot be set along axes that G51 has scaled.
+    #[inline(never)]
     pub(super) fn needs_no_scaling(&self) -> Result<(), Error> {
         match self.scaling_of(false) {
             Some(scaling) if Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && scaling.scales(axis)) => {

@@ -18,6 +18,7 @@ impl<const N: usize> Check<'_, N> {
 
     /// I and J lead from the start to the control point that the curve heads for, P and Q from the end to the one that it
     /// comes from; of a curve of second degree I and J lead to the only one. Distances always, as in LinuxCNC.
+    #[inline(never)]
     pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
         if !SPLINES {
             return Err(Error::SplinesLeftOut);
@@ -59,6 +60,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// A distance in the plane by two words, along the axes of the machine; `None` without them.
+    #[inline(never)]
     fn vector(&mut self, letters: &[u8; 2], values: [Decimal; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
         let [has_first, has_second] = letters.map(|letter| self.take(letter));
         if has_first != has_second {
