@@ -84,9 +84,11 @@ pub fn for_error(error: Error) -> &'static str {
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
-        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut | Error::ScalingLeftOut => {
-            "Use a board with more flash, or a post-processor that writes plain moves."
-        }
+        Error::ExtendedLeftOut
+        | Error::ExpressionsLeftOut
+        | Error::RotationLeftOut
+        | Error::SplinesLeftOut
+        | Error::ScalingLeftOut => "Use a board with more flash, or a post-processor that writes plain moves.",
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."

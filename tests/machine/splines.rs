@@ -144,9 +144,9 @@ fn frame() -> impl Strategy<Value = Frame> {
     let factor = || prop_oneof![Just(1.0), Just(-1.0), (20..200).prop_map(|percent| f64::from(percent) / 100.0)];
     let place = || prop::array::uniform2(-20_000..20_000);
     let angle = prop_oneof![Just(0.0), Just(90.0), (-180..180).prop_map(f64::from)];
-    (any::<bool>(), place(), (factor(), factor()), place(), angle).prop_map(|(incremental, origin, (i, j), centre, angle)| {
-        Frame { incremental, origin, factors: [i, j], centre, angle }
-    })
+    (any::<bool>(), place(), (factor(), factor()), place(), angle).prop_map(
+        |(incremental, origin, (i, j), centre, angle)| Frame { incremental, origin, factors: [i, j], centre, angle },
+    )
 }
 
 proptest! {

@@ -169,10 +169,5 @@ pub(super) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
 
 /// The curve of a spline.
 pub(super) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
-    SplineGeometry {
-        start: spline.start,
-        target: spline.target,
-        leaving: spline.leaving,
-        arriving: spline.arriving,
-    }
+    SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
 }

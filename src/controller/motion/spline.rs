@@ -81,7 +81,8 @@ fn unit(vector: [i64; 2]) -> [f32; 2] {
 impl<const N: usize> SplineGeometry<N> {
     #[inline(never)]
     fn polygon(&self) -> Polygon {
-        let in_plane = |place: &PerAxis<Coordinate, N>| [Axis::X, Axis::Y].map(|axis| place.get(axis).map_or(0, |c| c.0));
+        let in_plane =
+            |place: &PerAxis<Coordinate, N>| [Axis::X, Axis::Y].map(|axis| place.get(axis).map_or(0, |c| c.0));
         let end = minus(in_plane(&self.target), in_plane(&self.start));
         let [x, y] = end;
         let [arriving_x, arriving_y] = self.arriving;

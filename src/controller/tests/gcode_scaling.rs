@@ -100,7 +100,9 @@ fn arcs() {
     assert_eq!([program.error("G3 X0.873 Y0.873 I-1.234 J0"), program.error("G3 X0.8 Y0.9 I-1.234 J0")], [0, 33]);
     // No ellipses: but in a plane with equal factors.
     let mut program = ready("G51 X0 Y0 Z0 I2 J3 K2\nG0 X1 Y1");
-    for (line, error) in [("G2 X2 I1", 142), ("G2 I1", 142), ("G2 X5 Y5 R9", 142), ("G19 G2 Y5 Z5 R9", 142), ("G18 G2 X2 Z0 I.5", 0)] {
+    for (line, error) in
+        [("G2 X2 I1", 142), ("G2 I1", 142), ("G2 X5 Y5 R9", 142), ("G19 G2 Y5 Z5 R9", 142), ("G18 G2 X2 Z0 I.5", 0)]
+    {
         assert_eq!(program.error(line), error, "{line}");
     }
     let Motion::Arc(arc) = program.run("G18 G2 X2 Z0 I.5 Y2").motion else { panic!() };
@@ -163,7 +165,8 @@ fn jogs() {
     assert_eq!(jog(b"G91X1F100"), [3.0, 2.0, 0.0]);
     assert_eq!(jog(b"G90X3F100"), [6.0, 2.0, 0.0]);
     assert_eq!(jog(b"G53X3F100"), [3.0, 2.0, 0.0]);
-    let error = |line: &[u8]| program.interpreter.check_jog(line, Dialect::Oxmill).map(|_| ()).map_err(|error| error.code());
+    let error =
+        |line: &[u8]| program.interpreter.check_jog(line, Dialect::Oxmill).map(|_| ()).map_err(|error| error.code());
     assert_eq!((error(b"G51X1P2F100"), error(b"G50X1F100")), (Err(16), Err(16)));
 }
 
@@ -183,7 +186,12 @@ fn feed_probe_and_digit() {
 fn with_rotations() {
     play(
         "G10 L2 P1 R90",
-        &[("G51 X1 Y0 P2", [0.0; 3]), ("G0 X2 Y1", [-2.0, 3.0, 0.0]), ("G91 X1", [-2.0, 5.0, 0.0]), ("G90 Y0", [0.0, 5.0, 0.0])],
+        &[
+            ("G51 X1 Y0 P2", [0.0; 3]),
+            ("G0 X2 Y1", [-2.0, 3.0, 0.0]),
+            ("G91 X1", [-2.0, 5.0, 0.0]),
+            ("G90 Y0", [0.0, 5.0, 0.0]),
+        ],
     );
     play(
         "",

@@ -3,7 +3,9 @@
 use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion, MotionMode, SplineKind};
+use oxmill_controller::gcode::{
+    Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion, MotionMode, SplineKind,
+};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.

@@ -67,14 +67,13 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'R') {
             return Err(Error::ValueWordMissing);
         }
-        let centre = [axes.first, axes.second]
-            .map(|axis| {
-                if self.line.axes.has(axis) {
-                    self.scaled_length(axis, self.axis_length(axis), false)
-                } else {
-                    self.program_coordinate(axis)
-                }
-            });
+        let centre = [axes.first, axes.second].map(|axis| {
+            if self.line.axes.has(axis) {
+                self.scaled_length(axis, self.axis_length(axis), false)
+            } else {
+                self.program_coordinate(axis)
+            }
+        });
         Ok(Rotation { plane, angle: Angle::of(self.line.value.r), centre })
     }
 
