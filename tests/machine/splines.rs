@@ -15,7 +15,7 @@ type Point = [f64; 2];
 /// `$12` of a new machine, mm; what the steps may be off (each axis by 1/2 + 1/14); and the polygon of the oracle.
 const MOST_OFF: f64 = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 / CARVER_STEPS + 5e-4;
 
-/// A curve by its words, in thousandths; without I and J if it goes on smoothly.
+/// A curve by its words, in thousandths; without I and J if it continues the one before.
 #[derive(Clone, Debug)]
 struct Words {
     target: [i32; 2],

@@ -4,7 +4,6 @@ use super::cycle::Cycle;
 use super::modal::{Modal, PlaneAxes};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
-use super::scaling::ScalingChange;
 use super::state::Interpreter;
 use super::values::along;
 use crate::axes::{Axis, PerAxis};
@@ -49,7 +48,6 @@ pub struct Checked<const N: usize> {
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
     pub(super) rotated: RotationChange,
-    pub(super) scaled: ScalingChange,
 }
 
 /// What a line leaves behind that Grbl does not know.
@@ -137,7 +135,6 @@ impl<const N: usize> Checked<N> {
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
         rotated: RotationChange::NONE,
-        scaled: ScalingChange::NONE,
     };
 
     /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
@@ -147,7 +144,7 @@ impl<const N: usize> Checked<N> {
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;
-        self.scaled.rest = None;
+        self.rotated.scaled.rest = None;
         self.only_moves(state);
     }
 
@@ -172,7 +169,7 @@ impl<const N: usize> Checked<N> {
         self.stored = None;
         self.rotated.angle = None;
         self.rotated.rotation = None;
-        self.scaled.scaling = None;
+        self.rotated.scaled.scaling = None;
     }
 }
 

@@ -7,7 +7,6 @@ use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::scaling::NO_REST;
 use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Saved, Tangent};
-use super::values::in_xy;
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -116,10 +115,10 @@ impl<const N: usize> Interpreter<N> {
         if let Some(rotation) = checked.rotated.rotation {
             self.rotation = rotation;
         }
-        if let Some(scaling) = checked.scaled.scaling {
+        if let Some(scaling) = checked.rotated.scaled.scaling {
             self.scaling = scaling;
         }
-        self.rest = checked.scaled.rest.unwrap_or(self.rest);
+        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
         if checked.rotated.reached.is_some() {
             self.reached = checked.rotated.reached;
         }
@@ -136,9 +135,7 @@ impl<const N: usize> Interpreter<N> {
         }
         match &checked.motion {
             Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
-                let place = in_xy(&spline.target);
-                let way = spline.arriving.map(|part| -part);
-                self.tangent.fill(Some(Tangent { place, way }));
+                self.tangent.fill(Some(Tangent::behind(&spline.target, spline.arriving)));
             }
             Motion::Cycle(cycle) => self.cycle = cycle.words,
             _ => {}

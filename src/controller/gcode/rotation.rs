@@ -13,7 +13,8 @@
 //! reached is kept as the program wrote it, so that roundings do not add up over a million increments.
 
 use super::modal::{Plane, PlaneAxes};
-use super::values::along;
+use super::scaling::ScalingChange;
+use super::values::{along, nearest};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
@@ -88,11 +89,6 @@ impl Angle {
     }
 }
 
-/// A coordinate of so many units, or the greatest that there is.
-pub(super) fn nearest(units: i128) -> Coordinate {
-    Coordinate(units.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
-}
-
 fn product(a: i64, b: i64) -> i64 {
     ((i128::from(a) * i128::from(b)) >> FRACTION) as i64
 }
@@ -153,11 +149,13 @@ pub(super) struct RotationChange {
     /// G68 or G69.
     pub(super) rotation: Option<Option<Rotation>>,
     pub(super) reached: Option<Reached>,
+    pub(super) scaled: ScalingChange,
 }
 
 impl RotationChange {
     /// Nothing.
-    pub(super) const NONE: RotationChange = RotationChange { angle: None, rotation: None, reached: None };
+    pub(super) const NONE: RotationChange =
+        RotationChange { angle: None, rotation: None, reached: None, scaled: ScalingChange::NONE };
 }
 
 /// A place that a program has reached, as it wrote it and as it is in the machine.

@@ -8,7 +8,7 @@
 //! rounding to 0.1 nm has left is kept, so roundings do not add up over a million increments.
 
 use super::modal::ROTATION;
-use super::rotation::nearest;
+use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
@@ -134,8 +134,9 @@ impl ScalingChange {
     pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
 }
 
-#[cfg(all(test, feature = "rotation"))]
+#[cfg(test)]
 mod tests {
+    #![cfg(feature = "rotation")]
     use super::*;
     use proptest::prelude::*;
 

@@ -8,6 +8,7 @@ use super::offsets::{Offsets, StoredOffset};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Tool, ToolTable};
+use super::values::in_xy;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Coordinate;
@@ -40,12 +41,19 @@ pub struct Interpreter<const N: usize> {
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
 
-/// How another G5 goes on smoothly where the last one has ended, in X and Y of the machine.
+/// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tangent {
     pub(super) place: [Coordinate; 2],
     /// To its first control point.
     pub(super) way: [Coordinate; 2],
+}
+
+impl Tangent {
+    /// The last control point mirrored.
+    pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
+        Self { place: in_xy(end), way: arriving.map(|part| -part) }
+    }
 }
 
 /// Before the first G5.

@@ -348,7 +348,6 @@ impl GWord {
             (2, 0) => GWord::Motion(MotionMode::ArcClockwise),
             (3, 0) => GWord::Motion(MotionMode::ArcCounterClockwise),
             (4, 0) => GWord::NonModal(NonModal::Dwell),
-            (5, 0 | 10) if more => return Self::spline(code.hundredths),
             (10, 0) => GWord::NonModal(NonModal::SetSystem),
             (17, 0) => GWord::Plane(Plane::Xy),
             (18, 0) => GWord::Plane(Plane::Zx),
@@ -379,8 +378,7 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (68 | 69, 0) if more => return Self::rotation(code.whole == 68),
-            (50 | 51, 0) if more => return Self::scaling(code.whole == 51),
+            (5, 0 | 10) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
             (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
@@ -400,20 +398,18 @@ impl GWord {
         })
     }
 
-    /// G5 and G5.1.
-    fn spline(hundredths: u16) -> Result<GWord, Error> {
-        let kind = if hundredths == 0 { SplineKind::Cubic } else { SplineKind::Quadratic };
-        if SPLINES { Ok(GWord::Motion(MotionMode::Spline(kind))) } else { Err(Error::SplinesLeftOut) }
-    }
-
-    /// G68 and G69; without a rotation the latter says what is so.
-    fn rotation(on: bool) -> Result<GWord, Error> {
-        if on && !ROTATION { Err(Error::RotationLeftOut) } else { Ok(GWord::Rotation(on)) }
-    }
-
-    /// G51 and G50.
-    fn scaling(on: bool) -> Result<GWord, Error> {
-        if on && !ROTATION { Err(Error::ScalingLeftOut) } else { Ok(GWord::Scaling(on)) }
+    /// Splines, rotations and scaling, with an error of its own for each that is left out. Without a rotation G69 says what is
+    /// so, without a scaling G50.
+    fn by_feature(code: Code) -> Result<GWord, Error> {
+        match (code.whole, code.hundredths) {
+            (5, _) if !SPLINES => Err(Error::SplinesLeftOut),
+            (5, 0) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Cubic))),
+            (5, _) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (51, _) if !ROTATION => Err(Error::ScalingLeftOut),
+            (68, _) if !ROTATION => Err(Error::RotationLeftOut),
+            (50 | 51, _) => Ok(GWord::Scaling(code.whole == 51)),
+            _ => Ok(GWord::Rotation(code.whole == 68)),
+        }
     }
 
     /// The modal group of the word.

@@ -2,7 +2,6 @@
 //! turned in 2^-30 fixed point and kept at length 1, so the radius does not drift however many chords or turns there are.
 //! The last chord ends at the target exactly. Checking that the arc makes sense is left to the G-code rooms.
 
-use super::curve::Curvature;
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
 use crate::units::{Coordinate, integer_root, wide_to_f32};
@@ -19,6 +18,15 @@ const WIDEST: f32 = core::f32::consts::FRAC_PI_4;
 pub(super) const LEAST_TOLERANCE: f32 = 0.0001;
 /// Most chords of a turn: an f32 counts so far exactly.
 const MOST_CHORDS: f32 = 16_000_000.0;
+
+/// How a curve bends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Curvature {
+    /// Radius of the curve in space, mm; infinite where it is straight or nothing is known.
+    pub radius: f32,
+    /// The axes that take part in the turn.
+    pub axes: [Axis; 2],
+}
 
 /// An arc in a plane, with the other axes moving evenly along.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

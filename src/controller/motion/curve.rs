@@ -1,21 +1,9 @@
 //! Curves that are cut into chords: what arcs and splines have in common.
 
-use super::arc::Arc;
+use super::arc::{Arc, Curvature};
 use super::spline::Spline;
-use crate::axes::{Axis, PerAxis};
+use crate::axes::PerAxis;
 use crate::units::Coordinate;
-
-/// Whether there are splines: the code of what is left out is not in the image.
-pub(super) const SPLINES: bool = cfg!(feature = "splines");
-
-/// How a curve bends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Curvature {
-    /// Radius of the curve in space, mm; infinite where it is straight or nothing is known.
-    pub radius: f32,
-    /// The axes that take part in the turn.
-    pub axes: [Axis; 2],
-}
 
 /// A curve that has begun.
 #[derive(Clone, Debug)]

@@ -1,10 +1,10 @@
 //! Moves on their way in: from a target to a block of the queue.
 
+use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::curvature::{NOTICEABLE, PathPiece};
-use super::curve::Curvature;
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
 use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Numbering};

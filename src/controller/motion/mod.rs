@@ -41,8 +41,8 @@ mod spline;
 pub mod stepper;
 mod trapezoid;
 
-pub use arc::{Arc, ArcGeometry};
-pub use curve::{Curvature, Curve};
+pub use arc::{Arc, ArcGeometry, Curvature};
+pub use curve::Curve;
 pub use extent::extent;
 pub use segment_source::QUEUED_TIME_MS;
 pub use spline::{Spline, SplineGeometry};

@@ -10,12 +10,13 @@
 //! A chord of a parameter step h leaves the curve by |second derivative|·h²/8 at most, and the derivative is greatest at an
 //! end: that gives the number of chords. The last one ends at the target exactly.
 
-use super::arc::{LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
-use super::curve::{Curvature, SPLINES};
+use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
 use crate::units::Coordinate;
 
+/// Whether there are splines: the code of what is left out is not in the image.
+const SPLINES: bool = cfg!(feature = "splines");
 /// Fewest chords of what is no straight line, whatever the tolerance allows: a tiny curve keeps its shape.
 const FEWEST: u32 = 4;
 /// Pieces in which the length is summed up, each by three points.

@@ -4,7 +4,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Checked, Feed};
-use crate::gcode::modal::{FeedMode, MotionMode, Units};
+use crate::gcode::modal::{FeedMode, MotionMode, ROTATION, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::scaling::Scaling;
@@ -132,6 +132,20 @@ impl<'a, const N: usize> Check<'a, N> {
 
     pub(super) fn position(&self, axis: Axis) -> Coordinate {
         along(&self.state.position, axis)
+    }
+
+    /// Where the program is along an axis, in its own coordinates, which are scaled already.
+    pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
+        if ROTATION && let Some(rotated) = self.rotated {
+            let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
+            if axis == rotated.axes.first {
+                return first;
+            }
+            if axis == rotated.axes.second {
+                return second;
+            }
+        }
+        self.position(axis) - self.work_offset(axis)
     }
 
     /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,

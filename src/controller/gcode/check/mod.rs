@@ -193,7 +193,7 @@ impl<const N: usize> Check<'_, N> {
         if checked.flow == Flow::End {
             checked.modal.end_program();
             checked.rotated.rotation = Some(None);
-            checked.scaled.scaling = Some(None);
+            checked.rotated.scaled.scaling = Some(None);
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
         let system_changed = match (checked.store, &checked.stored) {

@@ -77,20 +77,6 @@ impl<const N: usize> Check<'_, N> {
         Ok(Rotation { plane, angle: Angle::of(self.line.value.r), centre })
     }
 
-    /// Where the program is along an axis, in its own coordinates, which are scaled already.
-    pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
-        if ROTATION && let Some(rotated) = self.rotated {
-            let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
-            if axis == rotated.axes.first {
-                return first;
-            }
-            if axis == rotated.axes.second {
-                return second;
-            }
-        }
-        self.position(axis) - self.work_offset(axis)
-    }
-
     /// Where the line's axis words lead to, in machine coordinates.
     pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);

@@ -17,12 +17,12 @@ impl<const N: usize> Check<'_, N> {
                 // The axes of a rotation that acts are the ones of the program.
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
-                self.checked.scaled.scaling = Some(acts.then_some(scaling));
-                self.checked.scaled.rest = Some(NO_REST);
+                self.checked.rotated.scaled.scaling = Some(acts.then_some(scaling));
+                self.checked.rotated.scaled.rest = Some(NO_REST);
             }
             Some(false) => {
-                self.checked.scaled.scaling = Some(None);
-                self.checked.scaled.rest = Some(NO_REST);
+                self.checked.rotated.scaled.scaling = Some(None);
+                self.checked.rotated.scaled.rest = Some(NO_REST);
             }
             None => self.scaled = self.state.scaling.as_ref(),
         }
@@ -92,7 +92,7 @@ impl<const N: usize> Check<'_, N> {
                 *rest = self.scaled_word(axis, self.axis_length(axis), incremental).1;
             }
         }
-        self.checked.scaled.rest = Some(rest);
+        self.checked.rotated.scaled.rest = Some(rest);
     }
 
     /// A vector of the program along two axes.
