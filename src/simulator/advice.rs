@@ -79,11 +79,16 @@ pub fn for_error(error: Error) -> &'static str {
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
         Error::NothingSaved => "Save the state with M70 before M72.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
+        Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
+        Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
-        Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
-            "Use a board with more flash, or a post-processor that writes plain moves."
-        }
+        Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
+        Error::ExtendedLeftOut
+        | Error::ExpressionsLeftOut
+        | Error::RotationLeftOut
+        | Error::SplinesLeftOut
+        | Error::ScalingLeftOut => "Use a board with more flash, or a post-processor that writes plain moves.",
         Error::ToolChangeNeedsHoming => "Switch homing on ($22=1), home with $H, and send the line again.",
         Error::ToolSetterNotSetUp => {
             "Jog to the place for tool changes and send G30.1; store the place of the setter with G10 L20 P9 X0 Y0; look at $342 to $344."

@@ -10,10 +10,11 @@ use std::fmt::Write;
 /// Lengths of the step pulse (`$0`) whose greatest rates the table has, microseconds.
 const PULSES: [f32; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
 /// What an image may lack, as the firmware calls it and as a reader does.
-const PARTS: [(&str, &str); 4] = [
+const PARTS: [(&str, &str); 5] = [
     ("expressions", "expressions, parameters, O words"),
     ("extended-gcode", "cycles, tool table"),
-    ("rotation", "rotated coordinates"),
+    ("rotation", "rotated and scaled coordinates"),
+    ("splines", "splines"),
     ("descriptions", "texts of settings and errors (`$ES`)"),
 ];
 

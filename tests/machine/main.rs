@@ -21,5 +21,6 @@ mod reactions;
 mod resets;
 mod rig;
 mod seed;
+mod splines;
 mod stream;
 mod turns;

@@ -2,12 +2,12 @@
 //! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
 
 use super::Controller;
-use super::limits::geometry;
+use super::limits::{geometry, spline_geometry};
 use super::moves::speed;
 use super::task::{Answer, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, Flow, Held, HeldLine, PathControl, StoredOffset};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::motion::Speed;
@@ -218,12 +218,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (geometry, feed) = (geometry(arc), arc.feed);
                 Some(self.begin_arc(&geometry, feed))
             }
+            gcode::Motion::Spline(ref spline) if SPLINES => {
+                let (geometry, feed) = (spline_geometry(spline), spline.feed);
+                Some(self.begin_spline(&geometry, feed))
+            }
             gcode::Motion::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
             gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None => Some(Stage::Flow),
+            gcode::Motion::None | gcode::Motion::Spline(_) => Some(Stage::Flow),
         }
     }
 

@@ -4,8 +4,8 @@
 use super::Controller;
 use crate::axes::{Arrangement, PerAxis};
 use crate::error::Error;
-use crate::gcode::{self, ArcMove, Dialect};
-use crate::motion::{ArcGeometry, extent};
+use crate::gcode::{self, ArcMove, Dialect, SPLINES, SplineMove};
+use crate::motion::{ArcGeometry, SplineGeometry, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
@@ -54,6 +54,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             gcode::Motion::Line { via, target, .. } if belts => via.as_ref().is_some_and(outside) || outside(target),
             gcode::Motion::Probe { target, .. } if belts => outside(target),
+            // The curve lies within its polygon.
+            gcode::Motion::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
             gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
             _ => false,
         }
@@ -92,6 +94,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (least, greatest) = extent(&geometry(arc));
                 outside(&least) || outside(&greatest)
             }
+            gcode::Motion::Spline(spline) if SPLINES => {
+                let (least, greatest) = spline_geometry(spline).extent();
+                outside(&least) || outside(&greatest)
+            }
+            gcode::Motion::Spline(_) => false,
             gcode::Motion::Probe { target, .. } => outside(target),
             gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
         }
@@ -161,4 +168,9 @@ pub(super) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
         clockwise: arc.clockwise,
         turns: arc.turns,
     }
+}
+
+/// The curve of a spline.
+pub(super) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
+    SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
 }

@@ -3,15 +3,15 @@
 use crate::axes::PerAxis;
 use crate::gcode::Checked;
 use crate::machine::tool_change::ToolChange;
-use crate::motion::{Arc, ArcGeometry};
+use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Spline, SplineGeometry};
 use crate::units::Coordinate;
 
-/// A checked line, and its arc once that has begun.
+/// A checked line, and its curve once that has begun.
 #[derive(Clone, Debug)]
 pub(super) struct LineInWork<const N: usize> {
     /// The line. Canned cycles and jogs change it while they are carried out.
     pub(super) checked: Checked<N>,
-    arc: Option<Arc<N>>,
+    curve: Option<Curve<N>>,
     single_block: bool,
     /// The tool change of the line, if its tool is measured.
     pub(super) change: ToolChange<N>,
@@ -20,7 +20,7 @@ pub(super) struct LineInWork<const N: usize> {
 impl<const N: usize> LineInWork<N> {
     /// There is none.
     pub(super) const NONE: Self =
-        Self { checked: Checked::NOTHING, arc: None, single_block: false, change: ToolChange::NONE };
+        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(super) fn is_single_block(&self) -> bool {
@@ -40,16 +40,21 @@ impl<const N: usize> LineInWork<N> {
 
     /// Its arc begins. The length of the chords, mm.
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> f32 {
-        self.arc.insert(Arc::new(geometry, tolerance)).length()
+        let arc = Arc::new(geometry, tolerance);
+        let length = arc.length();
+        self.curve = Some(Curve::Arc(arc));
+        length
     }
 
-    /// End of the next chord of the arc.
-    pub(super) fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
-        self.arc.as_mut()?.next_chord()
+    /// Its spline begins.
+    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, tolerance: f32) {
+        self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
     }
 
-    /// The arc that has begun.
-    pub(super) fn arc(&self) -> Option<&Arc<N>> {
-        self.arc.as_ref()
+    /// End of the next chord of the curve, and how that bends.
+    pub(super) fn next_chord(&mut self) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
+        let curve = self.curve.as_mut()?;
+        let end = curve.next_chord()?;
+        Some((end, curve.curvature()))
     }
 }

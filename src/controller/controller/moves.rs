@@ -7,7 +7,7 @@ use crate::gcode::Feed;
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed};
+use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -65,18 +65,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Stage::Chords(feed)
     }
 
-    /// The next chord of the arc under way. What follows; `None` if there is no room for it.
+    #[inline(never)]
+    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed) -> Stage {
+        self.line.begin_spline(geometry, self.settings.value(Key::ArcTolerance));
+        Stage::Chords(match feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        })
+    }
+
+    /// The next chord of the curve under way. What follows; `None` if there is no room for it.
     pub(super) fn next_chord(&mut self, feed: f32, job: &Job) -> Option<Stage> {
         if self.motion.free_blocks() == 0 {
             self.start_queued();
             return None;
         }
-        let Some(end) = self.line.next_chord() else { return Some(Stage::Flow) };
+        let Some((end, curvature)) = self.line.next_chord() else { return Some(Stage::Flow) };
         let mv = self.move_of(&end, Speed::Feed(feed), job.jog);
-        if let Some(arc) = self.line.arc() {
-            // There is room for a block, so the move is taken.
-            self.motion.chord(&mv, arc);
-        }
+        // There is room for a block, so the move is taken.
+        self.motion.chord(&mv, curvature);
         Some(Stage::Chords(feed))
     }
 }

@@ -105,7 +105,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn burns_at_rest(&self) -> bool {
         matches!(
             self.interpreter.acting_modal().motion,
-            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise | MotionMode::Spline(_)
         )
     }
 

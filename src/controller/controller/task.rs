@@ -84,7 +84,7 @@ pub(super) enum Stage {
     Target,
     /// The probe moves.
     Probing,
-    /// Chords of the controller's arc that are still to come, at this feed.
+    /// Chords of the line's curve that are still to come, at this feed.
     Chords(f32),
     /// Motion has to end before the program pauses or ends.
     Flow,

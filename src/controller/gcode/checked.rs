@@ -5,7 +5,8 @@ use super::modal::{Modal, PlaneAxes};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
-use crate::axes::PerAxis;
+use super::values::along;
+use crate::axes::{Axis, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
 
@@ -191,6 +192,7 @@ impl<const N: usize> Checked<N> {
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;
+        self.rotated.scaled.rest = None;
         self.only_moves(state);
     }
 
@@ -216,6 +218,7 @@ impl<const N: usize> Checked<N> {
         self.stored = None;
         self.rotated.angle = None;
         self.rotated.rotation = None;
+        self.rotated.scaled.scaling = None;
     }
 }
 
@@ -300,6 +303,8 @@ pub enum Motion<const N: usize> {
     },
     /// An arc or helix.
     Arc(ArcMove<N>),
+    /// A Bezier curve in X and Y.
+    Spline(SplineMove<N>),
     /// A straight move until the probe changes.
     Probe {
         /// Where it ends if the probe does not change.
@@ -335,6 +340,38 @@ pub struct ArcMove<const N: usize> {
     pub turns: u32,
     /// How fast.
     pub feed: Feed,
+}
+
+/// A Bezier curve of third degree in X and Y; the other axes stay where they are. All its control points are within
+/// [`Coordinate::LIMIT`], and so is the curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SplineMove<const N: usize> {
+    /// Where it begins.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends.
+    pub target: PerAxis<Coordinate, N>,
+    /// In X and Y from the start to the control point that the curve heads for.
+    pub leaving: [Coordinate; 2],
+    /// In X and Y from the target to the control point that the curve comes from.
+    pub arriving: [Coordinate; 2],
+    /// How fast.
+    pub feed: Feed,
+}
+
+impl<const N: usize> SplineMove<N> {
+    /// The control points: the curve lies within the polygon that they span.
+    #[inline(never)]
+    pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
+        let beside = |place: &PerAxis<Coordinate, N>, way: [Coordinate; 2]| {
+            let mut place = *place;
+            for (axis, way) in [Axis::X, Axis::Y].into_iter().zip(way) {
+                place.set(axis, along(&place, axis) + way);
+            }
+            place
+        };
+        let (start, target) = (&self.start, &self.target);
+        [*start, beside(start, self.leaving), beside(target, self.arriving), *target]
+    }
 }
 
 /// Speed of a motion.

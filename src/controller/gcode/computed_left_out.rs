@@ -84,6 +84,7 @@ impl<const N: usize> Interpreter<N> {
     /// The rest of the program is not run: G68 ends, which no other program expects. There are no conditions.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
+        self.scaling = None;
     }
 
     /// Where parameters exist, they show it.

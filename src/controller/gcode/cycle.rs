@@ -26,7 +26,7 @@ pub struct CycleWords {
     pub(super) r: Coordinate,
     /// The word of the axis across the plane, as it was written, in mm.
     pub(super) depth: Coordinate,
-    /// Q.
+    /// Q, as it was written, in mm.
     pub(super) peck: Coordinate,
     /// P.
     pub(super) dwell: Duration,
@@ -140,6 +140,8 @@ pub struct Cycle<const N: usize> {
     pub(super) r: Coordinate,
     pub(super) bottom: Coordinate,
     pub(super) clear: Coordinate,
+    /// Depth of a peck.
+    pub(super) peck: Coordinate,
     /// Bottom of the latest peck.
     pub(super) reached: Coordinate,
     pub(super) next: Next,
@@ -206,7 +208,7 @@ impl<const N: usize> Cycle<N> {
                 (Next::Cut, r, false)
             }
             Next::Cut => {
-                let peck = if self.kind.pecks() { self.reached - self.words.peck } else { self.bottom };
+                let peck = if self.kind.pecks() { self.reached - self.peck } else { self.bottom };
                 self.reached = peck.max(self.bottom);
                 let next = match self.kind {
                     _ if self.reached == self.bottom => Next::After(0),

@@ -2,10 +2,11 @@
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
-use super::modal::Modal;
+use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
-use super::state::{BeforeCheck, Interpreter, Saved};
+use super::scaling::NO_REST;
+use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Saved, Tangent};
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -21,6 +22,9 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92_acts = false;
         self.saved = None;
         self.rotation = None;
+        self.scaling = None;
+        self.rest = NO_REST;
+        self.tangent = NO_TANGENT;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
             self.tools.end_check();
@@ -44,6 +48,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         self.saved = None;
+        self.tangent = NO_TANGENT;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
         self.measured.forget_tool();
@@ -115,6 +120,10 @@ impl<const N: usize> Interpreter<N> {
         if let Some(rotation) = checked.rotated.rotation {
             self.rotation = rotation;
         }
+        if let Some(scaling) = checked.rotated.scaled.scaling {
+            self.scaling = scaling;
+        }
+        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
         if checked.rotated.reached.is_some() {
             self.reached = checked.rotated.reached;
         }
@@ -129,10 +138,15 @@ impl<const N: usize> Interpreter<N> {
         self.computed.commit();
         if checked.flow == Flow::End {
             self.saved = None;
+            self.tangent = NO_TANGENT;
             self.computed.end_program();
         }
-        if let Motion::Cycle(cycle) = &checked.motion {
-            self.cycle = cycle.words;
+        match &checked.motion {
+            Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
+                self.tangent.fill(Some(Tangent::behind(&spline.target, spline.arriving)));
+            }
+            Motion::Cycle(cycle) => self.cycle = cycle.words,
+            _ => {}
         }
     }
 }

@@ -27,6 +27,7 @@ mod offsets;
 mod parse;
 mod remark;
 mod rotation;
+mod scaling;
 mod state;
 mod tools;
 mod values;
@@ -35,17 +36,18 @@ mod word;
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, ProgramPins};
+pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, ProgramPins, SplineMove};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
 pub use modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
-    PathControl, Plane, PlaneAxes, ProbeMode, ROTATION, Units,
+    PathControl, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
+pub use scaling::Scaling;
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable};
 pub use word::{Group, group_of};

@@ -7,8 +7,11 @@ use crate::units::Decimal;
 /// Whether there are canned cycles, the tool table and words of state: the code of what is left out is not in the image.
 pub const EXTENDED: bool = cfg!(feature = "extended-gcode");
 
-/// Whether coordinates can be rotated: a feature of its own.
+/// Whether coordinates can be rotated and scaled: a feature of its own.
 pub const ROTATION: bool = cfg!(feature = "rotation");
+
+/// Whether there are splines: a feature of its own.
+pub const SPLINES: bool = cfg!(feature = "splines");
 
 /// Motion mode, modal group 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,6 +25,8 @@ pub enum MotionMode {
     ArcClockwise,
     /// G3.
     ArcCounterClockwise,
+    /// G5, G5.1.
+    Spline(SplineKind),
     /// G38.2 to G38.5.
     Probe(ProbeMode),
     /// G80.
@@ -38,6 +43,8 @@ impl MotionMode {
             MotionMode::Linear => "G1",
             MotionMode::ArcClockwise => "G2",
             MotionMode::ArcCounterClockwise => "G3",
+            MotionMode::Spline(SplineKind::Cubic) => "G5",
+            MotionMode::Spline(SplineKind::Quadratic) => "G5.1",
             MotionMode::Probe(ProbeMode { away: false, alarm: true }) => "G38.2",
             MotionMode::Probe(ProbeMode { away: false, alarm: false }) => "G38.3",
             MotionMode::Probe(ProbeMode { away: true, alarm: true }) => "G38.4",
@@ -46,6 +53,15 @@ impl MotionMode {
             MotionMode::Cycle(kind) => kind.word(),
         }
     }
+}
+
+/// Bezier curves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplineKind {
+    /// G5: two control points between the ends.
+    Cubic,
+    /// G5.1: one.
+    Quadratic,
 }
 
 /// Canned cycles.

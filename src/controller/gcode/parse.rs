@@ -2,7 +2,7 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, Units};
+use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, SPLINES, Units};
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, PerAxis};
@@ -30,6 +30,10 @@ pub(super) struct Extended {
     pub is_path_tolerance: bool,
     /// G68 (`true`), G69.
     pub rotation: Option<bool>,
+    /// G51 (`true`), G50.
+    pub scaling: Option<bool>,
+    /// P has a sign, which that of G5 may have.
+    pub is_p_negative: bool,
     /// M6.
     pub tool_change: bool,
     /// M61.
@@ -167,6 +171,7 @@ impl<const N: usize> Parsed<N> {
                 self.extended.is_path_tolerance = code.whole == 64;
             }
             GWord::Rotation(on) => self.extended.rotation = Some(on),
+            GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }
         Ok(())
@@ -219,7 +224,11 @@ impl<const N: usize> Parsed<N> {
             return Err(Error::WordRepeated);
         }
         if NOT_NEGATIVE.has(letter) && value < Decimal::ZERO {
-            return Err(Error::NegativeValue);
+            if !SPLINES || letter != b'P' || dialect == Dialect::Grbl {
+                return Err(Error::NegativeValue);
+            }
+            // The check looks whether it is that of G5.
+            self.extended = Extended { any: true, is_p_negative: true, ..self.extended };
         }
         self.values.add(letter);
         if let Some(axis) = axis {

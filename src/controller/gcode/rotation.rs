@@ -13,7 +13,8 @@
 //! reached is kept as the program wrote it, so that roundings do not add up over a million increments.
 
 use super::modal::{Plane, PlaneAxes};
-use super::values::along;
+use super::scaling::ScalingChange;
+use super::values::{along, nearest};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
@@ -82,8 +83,7 @@ impl Angle {
         let (cosine, sine) = self.cosine_and_sine();
         let sum = |a: Coordinate, b: i64, c: Coordinate, d: i64| {
             let sum = i128::from(a.0) * i128::from(b) + i128::from(c.0) * i128::from(d);
-            let rounded = (sum + i128::from(ONE / 2)) >> FRACTION;
-            Coordinate(rounded.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
+            nearest((sum + i128::from(ONE / 2)) >> FRACTION)
         };
         [sum(first, cosine, second, -sine), sum(first, sine, second, cosine)]
     }
@@ -149,11 +149,13 @@ pub(super) struct RotationChange {
     /// G68 or G69.
     pub(super) rotation: Option<Option<Rotation>>,
     pub(super) reached: Option<Reached>,
+    pub(super) scaled: ScalingChange,
 }
 
 impl RotationChange {
     /// Nothing.
-    pub(super) const NONE: RotationChange = RotationChange { angle: None, rotation: None, reached: None };
+    pub(super) const NONE: RotationChange =
+        RotationChange { angle: None, rotation: None, reached: None, scaled: ScalingChange::NONE };
 }
 
 /// A place that a program has reached, as it wrote it and as it is in the machine.

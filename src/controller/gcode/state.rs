@@ -3,10 +3,12 @@
 use super::Dialect;
 use super::computed::Computed;
 use super::cycle::CycleWords;
-use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode};
+use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
+use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
+use super::values::in_xy;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Coordinate;
@@ -32,7 +34,31 @@ pub struct Interpreter<const N: usize> {
     pub(super) rotation: Option<Rotation>,
     /// The last place that was given in rotated coordinates.
     pub(super) reached: Option<Reached>,
+    /// G51.
+    pub(super) scaling: Option<Scaling>,
+    /// What the roundings of scaled coordinates have left of the position.
+    pub(super) rest: Rest,
+    /// Of the last G5; no memory where there are no splines.
+    pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
+
+/// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Tangent {
+    pub(super) place: [Coordinate; 2],
+    /// To its first control point.
+    pub(super) way: [Coordinate; 2],
+}
+
+impl Tangent {
+    /// The last control point mirrored.
+    pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
+        Self { place: in_xy(end), way: arriving.map(|part| -part) }
+    }
+}
+
+/// Before the first G5.
+pub(super) const NO_TANGENT: [Option<Tangent>; SPLINES as usize] = [None; SPLINES as usize];
 
 /// What check mode leaves to the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,6 +97,9 @@ impl<const N: usize> Interpreter<N> {
             saved: None,
             rotation: None,
             reached: None,
+            scaling: None,
+            rest: NO_REST,
+            tangent: NO_TANGENT,
         }
     }
 
@@ -203,6 +232,11 @@ impl<const N: usize> Interpreter<N> {
         self.rotation.as_ref()
     }
 
+    /// The scaling by G51.
+    pub fn scaling(&self) -> Option<&Scaling> {
+        self.scaling.as_ref()
+    }
+
     /// A coordinate system is rotated.
     pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
         self.offsets.set_angle(system, angle);
@@ -215,6 +249,9 @@ impl<const N: usize> Interpreter<N> {
         let rotated = offsets.rotated_plane(self.modal.coordinate_system, &offsets.tool_length, self.rotation.as_ref());
         if let Ok(Some(rotated)) = rotated {
             rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
+        }
+        if ROTATION && let Some(scaling) = &self.scaling {
+            scaling.written(&mut program, &self.rest);
         }
         program
     }

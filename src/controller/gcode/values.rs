@@ -21,6 +21,16 @@ pub(super) fn along<const N: usize>(place: &PerAxis<Coordinate, N>, axis: Axis) 
     place.get(axis).unwrap_or(Coordinate::ZERO)
 }
 
+/// A coordinate of so many units, or the greatest that there is.
+pub(super) fn nearest(units: i128) -> Coordinate {
+    Coordinate(units.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
+}
+
+/// The coordinates of a place in the plane of X and Y.
+pub(super) fn in_xy<const N: usize>(place: &PerAxis<Coordinate, N>) -> [Coordinate; 2] {
+    [along(place, Axis::X), along(place, Axis::Y)]
+}
+
 /// An error unless the controller may compute with the place.
 pub(super) fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
     if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }

@@ -4,7 +4,7 @@ use super::Dialect;
 use super::code::Code;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
-    ROTATION, Units,
+    ROTATION, SPLINES, SplineKind, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
@@ -129,7 +129,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G38, G80, cycles.
+    /// G0 to G3, G5, G5.1, G38, G80, cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -167,7 +167,7 @@ pub enum Group {
     Pins,
     /// M70 to M72.
     Keep,
-    /// G50.
+    /// G50, G51.
     Scaling,
     /// G68, G69.
     Rotation,
@@ -185,16 +185,6 @@ pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, 
         b'G' => GWord::of(code, dialect).map(GWord::group),
         b'M' => MWord::of(code, dialect).map(MWord::group),
         _ => Err(Error::UnsupportedCommand),
-    }
-}
-
-impl Group {
-    /// Of G50 or G97.
-    fn of_what_is_so(whole: u8) -> Group {
-        match whole {
-            50 => Group::Scaling,
-            _ => Group::SpindleMode,
-        }
     }
 }
 
@@ -302,7 +292,9 @@ pub(super) enum GWord {
     Path(PathControl),
     /// G68, or G69 without a rotation.
     Rotation(bool),
-    /// Says what is so in any case: G50 (no scaling), G97 (S in revolutions per minute).
+    /// G51, or G50 without a scaling.
+    Scaling(bool),
+    /// Says what is so in any case: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
 
@@ -314,8 +306,9 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
+            (5, 0 | 10) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
-            (52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
+            (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
             (73 | 81..=83 | 85 | 86 | 88 | 89, 0) if dialect != Dialect::Grbl => Claim::Motion,
             _ => Claim::Nobody,
@@ -387,8 +380,8 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (68 | 69, 0) if more => return Self::rotation(code.whole == 68),
-            (50 | 97, 0) if more => GWord::AsItIs(Group::of_what_is_so(code.whole)),
+            (5, 0 | 10) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
+            (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
             (90, 10) if more => GWord::ArcDistance(ArcDistance::Absolute),
@@ -407,9 +400,18 @@ impl GWord {
         })
     }
 
-    /// G68 and G69; without a rotation the latter says what is so.
-    fn rotation(on: bool) -> Result<GWord, Error> {
-        if on && !ROTATION { Err(Error::RotationLeftOut) } else { Ok(GWord::Rotation(on)) }
+    /// Splines, rotations and scaling, with an error of its own for each that is left out. Without a rotation G69 says what is
+    /// so, without a scaling G50.
+    fn by_feature(code: Code) -> Result<GWord, Error> {
+        match (code.whole, code.hundredths) {
+            (5, _) if !SPLINES => Err(Error::SplinesLeftOut),
+            (5, 0) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Cubic))),
+            (5, _) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (51, _) if !ROTATION => Err(Error::ScalingLeftOut),
+            (68, _) if !ROTATION => Err(Error::RotationLeftOut),
+            (50 | 51, _) => Ok(GWord::Scaling(code.whole == 51)),
+            _ => Ok(GWord::Rotation(code.whole == 68)),
+        }
     }
 
     /// The modal group of the word.
@@ -428,6 +430,7 @@ impl GWord {
             GWord::CoordinateSystem(_) => Group::CoordinateSystem,
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
+            GWord::Scaling(_) => Group::Scaling,
             GWord::AsItIs(group) => group,
         }
     }

@@ -7,17 +7,26 @@ use crate::axes::{Axis, PerAxis};
 use crate::units::{Coordinate, integer_root, wide_to_f32};
 
 /// Fraction bits of the direction vector.
-const UNIT_BITS: u32 = 30;
-const UNIT: i64 = 1 << UNIT_BITS;
+pub(super) const UNIT_BITS: u32 = 30;
+pub(super) const UNIT: i64 = 1 << UNIT_BITS;
 /// Angles within this of zero are full circles, as in Grbl.
 const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
 /// Widest half angle of a chord (45 degrees), whatever the tolerance allows: tiny circles stay round.
 const WIDEST: f32 = core::f32::consts::FRAC_PI_4;
 /// Least tolerance, in mm: below it chords would be shorter than what machines can follow.
-const LEAST_TOLERANCE: f32 = 0.0001;
+pub(super) const LEAST_TOLERANCE: f32 = 0.0001;
 /// Most chords of a turn: an f32 counts so far exactly.
 const MOST_CHORDS: f32 = 16_000_000.0;
+
+/// How a curve bends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Curvature {
+    /// Radius of the curve in space, mm; infinite where it is straight or nothing is known.
+    pub radius: f32,
+    /// The axes that take part in the turn.
+    pub axes: [Axis; 2],
+}
 
 /// An arc in a plane, with the other axes moving evenly along.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,7 +94,7 @@ fn integer_length(x: i64, y: i64) -> i64 {
 
 /// `value` × `unit`, rounded to nearest.
 #[inline]
-fn scale(value: i64, unit: i64) -> i64 {
+pub(super) fn scale(value: i64, unit: i64) -> i64 {
     // The upper half of the value by itself: 2^32 of it are whole multiples of what is cut off, and no product is wide.
     let (upper, lower) = (value >> 32, value & i64::from(u32::MAX));
     ((upper * unit) << (32 - UNIT_BITS)) + ((lower * unit + UNIT / 2) >> UNIT_BITS)
@@ -303,15 +312,10 @@ impl<const N: usize> Arc<N> {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
-    /// Radius of the curve in space, in mm: on a helix more than that of its circle, on a spiral the mean one. Infinite if a
-    /// single chord is all there is.
-    pub fn curve_radius(&self) -> f32 {
-        self.curve_radius
-    }
-
-    /// Whether an axis takes part in the turn.
-    pub fn bends(&self, axis: Axis) -> bool {
-        axis == self.geometry.axis_0 || axis == self.geometry.axis_1
+    /// Radius of the curve in space: on a helix more than that of its circle, on a spiral the mean one. Infinite if a single
+    /// chord is all there is.
+    pub fn curvature(&self) -> Curvature {
+        Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }
 
     /// Radius at the start, in mm.

@@ -1,6 +1,6 @@
 //! Moves on their way in: from a target to a block of the queue.
 
-use super::arc::Arc;
+use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
@@ -91,17 +91,17 @@ impl<const N: usize> AnyQueue<N> {
         self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of an arc: [`MoveQueue::line`], not faster than the arc's own curve allows, and stepped along its true
-    /// ends instead of the steps next to them.
-    pub(super) fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
+    /// Queues a chord of a curve: [`MoveQueue::line`], not faster than the curve allows, and stepped along its true ends
+    /// instead of the steps next to them.
+    pub(super) fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
         for (axis, most) in Axis::of_machine::<N>().zip(self.limits.turns.acceleration) {
-            if arc.bends(axis) {
+            if curvature.axes.contains(&axis) {
                 acceleration = lesser(acceleration, most);
             }
         }
         acceleration *= self.limits.turns.curve_share;
-        self.queue(m, acceleration * arc.curve_radius(), true)
+        self.queue(m, acceleration * curvature.radius, true)
     }
 
     fn queue(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) -> bool {

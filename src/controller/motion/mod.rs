@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper
-//!  arc ─ chords ─┘                 entry speeds        cut from the trapezoid of the running block
+//!  curve ─ chords ┘                 entry speeds        cut from the trapezoid of the running block
 //!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_source ──────────╯
 //! ```
 //! `queue` owns the way in: the blocks and the end of the path, at which `enqueue` adds blocks (`short_moves` joins
@@ -19,6 +19,7 @@ mod backlash;
 mod block;
 mod course;
 mod curvature;
+mod curve;
 mod dda;
 mod enqueue;
 mod extent;
@@ -36,12 +37,15 @@ mod running;
 mod segment;
 mod segment_source;
 mod short_moves;
+mod spline;
 pub mod stepper;
 mod trapezoid;
 
-pub use arc::{Arc, ArcGeometry};
+pub use arc::{Arc, ArcGeometry, Curvature};
+pub use curve::Curve;
 pub use extent::extent;
 pub use segment_source::QUEUED_TIME_MS;
+pub use spline::{Spline, SplineGeometry};
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
@@ -226,10 +230,10 @@ impl<const N: usize> AnyMotion<N> {
         self.queue.line(m)
     }
 
-    /// Queues a chord of an arc: [`AnyMotion::line`], not faster than the arc's own curve allows, and stepped along its true
-    /// ends instead of the steps next to them.
-    pub fn chord(&mut self, m: &Move<N>, arc: &Arc<N>) -> bool {
-        self.queue.chord(m, arc)
+    /// Queues a chord of a curve: [`AnyMotion::line`], not faster than the curve allows, and stepped along its true ends
+    /// instead of the steps next to them.
+    pub fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
+        self.queue.chord(m, curvature)
     }
 
     /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the

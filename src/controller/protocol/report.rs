@@ -381,6 +381,8 @@ pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, suc
 pub struct ParserState {
     /// The words of motion, coordinate system, plane, units, distance mode and feed mode.
     pub words: [&'static str; 6],
+    /// G51 acts.
+    pub scaling: bool,
     /// G68 acts.
     pub rotation: bool,
     /// Spindle.
@@ -405,6 +407,9 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
             put(out, b" ");
         }
         put(out, word.as_bytes());
+    }
+    if state.scaling {
+        put(out, b" G51");
     }
     if state.rotation {
         put(out, b" G68");

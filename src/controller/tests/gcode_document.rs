@@ -27,6 +27,7 @@ fn feed(checked: &Checked<3>) -> Feed {
     match checked.motion {
         Motion::Line { feed, .. } | Motion::Probe { feed, .. } => feed,
         Motion::Arc(arc) => arc.feed,
+        Motion::Spline(spline) => spline.feed,
         Motion::None | Motion::Cycle(_) => panic!("no motion"),
     }
 }

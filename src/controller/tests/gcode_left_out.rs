@@ -39,7 +39,16 @@ fn cycles_tools_and_words_of_state() {
 fn rotations() {
     refuses(&["G68 X1 R1", "G68 R1", "G10 L2 P1 R1", "G10 L2 P1 X1 R1"], Error::RotationLeftOut);
     refuses(&["G68.1 X1 R1"], Error::NotSupported);
-    assert_eq!(Program::new(Dialect::Oxmill).error("G69"), 0);
+    refuses(&["G51 X1 Y1 P2", "G51 I2", "G51"], Error::ScalingLeftOut);
+    assert_eq!(["G69", "G50"].map(|line| Program::new(Dialect::Oxmill).error(line)), [0; 2]);
+}
+
+#[cfg(not(feature = "splines"))]
+#[test]
+fn splines() {
+    refuses(&["G5 X1 Y1 I1 J1 P1 Q1", "G5.1 X1 Y1 I1 J1", "G5"], Error::SplinesLeftOut);
+    refuses(&["G5.2 P1 L3", "G5.3"], Error::NotSupported);
+    refuses(&["G4 P-1", "G10 L2 P-1 X0"], Error::NegativeValue);
 }
 
 #[cfg(not(feature = "expressions"))]

@@ -72,6 +72,11 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
                 }
             }
         }
+        Motion::Spline(spline) => {
+            prop_assert!(spline.corners().iter().all(in_reach) && feeds(spline.feed));
+            prop_assert_eq!((*checked.position(), *before.position()), (spline.target, spline.start));
+            prop_assert_eq!(spline.start.0[2], spline.target.0[2]);
+        }
         Motion::Arc(arc) => {
             prop_assert!(in_reach(&arc.target) && feeds(arc.feed));
             prop_assert_eq!((*checked.position(), *before.position()), (arc.target, arc.start));

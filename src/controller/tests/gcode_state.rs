@@ -210,8 +210,8 @@ fn errors_of_their_own() {
     for dialect in NEW {
         let mut program = ready(dialect);
         for word in [
-            "G5", "G5.1", "G7", "G8", "G15", "G16", "G33", "G33.1", "G51", "G74", "G76", "G84", "G87", "G95", "G96",
-            "M19", "M73", "M98", "M99",
+            "G5.2", "G5.3", "G7", "G8", "G15", "G16", "G33", "G33.1", "G51.1", "G74", "G76", "G84", "G87", "G95",
+            "G96", "M19", "M73", "M98", "M99",
         ] {
             let line = format!("{word} X1 Z-1 R1 Q1 P1 F100 S1");
             assert_eq!(program.error(&line), 121, "{word}");
@@ -263,7 +263,9 @@ fn grbl_knows_none_of_them() {
         "G97",
         "G41",
         "G42",
-        "G51",
+        "G51 X1 P2",
+        "G5 X1 I1 J1",
+        "G5.1 X1 I1 J1",
         "G33",
         "M48",
         "M49",

@@ -18,6 +18,8 @@ struct Reader {
     tool: [f64; 3],
     /// Where the machine is, without offsets.
     machine: [f64; 3],
+    /// After a spline, of which only the number of control points is printed.
+    is_place_untold: bool,
     events: Vec<Event>,
 }
 
@@ -96,6 +98,10 @@ impl Reader {
                 let (number, value) = (number.trim().parse().ok()?, value.trim().parse().ok()?);
                 self.events.push(Event::Output(true, number, value, name == "SET_MOTION_OUTPUT_VALUE"));
             }
+            "NURBS_FEED" => {
+                self.events.push(Event::Spline(arguments.split(',').next()?.parse().ok()?));
+                self.is_place_untold = true;
+            }
             "DWELL" => self.events.push(Event::Dwell(arguments.parse().ok()?)),
             _ => {}
         }
@@ -111,10 +117,12 @@ impl Reader {
 
     fn go(&mut self, to: [f64; 3], event: Event) {
         let machine = self.machine(to);
-        if machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE) {
+        let is_move = machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE);
+        if is_move || self.is_place_untold {
             self.events.push(event);
         }
         self.machine = machine;
+        self.is_place_untold = false;
     }
 
     fn arc(&mut self, arguments: &str) -> Option<()> {
@@ -127,6 +135,7 @@ impl Reader {
         }
         self.events.push(Event::Arc(end, [centre_first, centre_second], turns));
         self.machine = self.machine(end);
+        self.is_place_untold = false;
         Some(())
     }
 }

@@ -35,6 +35,8 @@ pub enum Event {
     Feed([f64; 3]),
     /// An arc: its end, its centre in the plane, and its turns, negative when clockwise.
     Arc([f64; 3], [f64; 2], i64),
+    /// A spline of so many control points.
+    Spline(u8),
     /// Seconds.
     Dwell(f64),
     /// An output of the program: its number, its value, and whether it changes with the next motion. `true`: an analog one.
@@ -49,6 +51,7 @@ impl Event {
         match (self, other) {
             (Event::Rapid(a), Event::Rapid(b)) | (Event::Feed(a), Event::Feed(b)) => near(a, b),
             (Event::Arc(a, c, n), Event::Arc(b, d, m)) => near(a, b) && near(c, d) && n == m,
+            (Event::Spline(a), Event::Spline(b)) => a == b,
             (Event::Dwell(a), Event::Dwell(b)) => (a - b).abs() < 0.0006,
             (Event::Output(a, n, v, w), Event::Output(b, m, u, x)) => {
                 (a, n, w) == (b, m, x) && (v - u).abs() <= TOLERANCE

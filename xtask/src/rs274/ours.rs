@@ -4,7 +4,8 @@ use super::{Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
-    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion, ProgramPins,
+    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion, MotionMode, ProgramPins,
+    SplineKind,
 };
 use oxmill_controller::units::Coordinate;
 
@@ -17,6 +18,8 @@ pub struct Mill {
     interpreter: Interpreter<3>,
     /// Where the last event has led, machine coordinates.
     place: [f64; 3],
+    /// No event has told where the last one ended.
+    is_place_untold: bool,
 }
 
 fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
@@ -25,7 +28,7 @@ fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; 3] }
+        Mill { interpreter: Interpreter::new(), place: [0.0; 3], is_place_untold: false }
     }
 
     /// Where the program is, in the active system, mm.
@@ -90,6 +93,14 @@ impl Mill {
                 let turns = i64::from(arc.turns) + 1;
                 events.push(Event::Arc(end, centre, if arc.clockwise { -turns } else { turns }));
                 self.place = mm(&arc.target);
+                self.is_place_untold = false;
+            }
+            Motion::Spline(spline) => {
+                let is_cubic = matches!(checked.modal().motion, MotionMode::Spline(SplineKind::Cubic));
+                events.push(Event::Spline(if is_cubic { 4 } else { 3 }));
+                // `rs274` does not print where it ends: the next move tells.
+                self.place = mm(&spline.target);
+                self.is_place_untold = true;
             }
             Motion::Cycle(mut cycle) => {
                 while let Some(step) = cycle.step(CLEARANCE) {
@@ -111,10 +122,12 @@ impl Mill {
 
     fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {
         let machine = mm(to);
-        if machine.iter().zip(self.place).any(|(a, b)| (a - b).abs() > NO_MOVE) {
+        let is_move = machine.iter().zip(self.place).any(|(a, b)| (a - b).abs() > NO_MOVE);
+        if is_move || std::mem::take(&mut self.is_place_untold) {
             let work = self.relative(to);
             events.push(if rapid { Event::Rapid(work) } else { Event::Feed(work) });
         }
         self.place = machine;
+        self.is_place_untold = false;
     }
 }

@@ -169,7 +169,8 @@ impl Writer {
                 let axes = self.axes();
                 self.put(axes.trim().into());
             }
-            28..=43 => self.arc(),
+            28..=41 => self.arc(),
+            42..=43 => self.spline(),
             44..=63 => self.cycle(),
             64..=67 => {
                 let plane = self.below(3) as usize;
@@ -275,6 +276,42 @@ impl Writer {
             }
         };
         self.put(line);
+    }
+
+    /// Splines in a row, and a move that tells where they end: `rs274` prints of a spline how many control points it has.
+    fn spline(&mut self) {
+        let mut smooth = false;
+        for _ in 0..1 + self.below(3) {
+            let is_cubic = self.percent(70);
+            let mut line = String::from(if is_cubic { "G5" } else { "G5.1" });
+            let axes: &[&str] = if self.percent(3) { &["X", "Z"] } else { &["X", "Y"] };
+            for axis in axes {
+                if self.percent(85) {
+                    line += &format!(" {axis}{}", self.coordinate());
+                }
+            }
+            if !(is_cubic && smooth && self.percent(50)) {
+                let (i, j) = (self.length(-20.0, 20.0), self.length(-20.0, 20.0));
+                line += &format!(" I{i}");
+                if self.percent(98) {
+                    line += &format!(" J{j}");
+                }
+            }
+            if is_cubic {
+                let (p, q) = (self.length(-20.0, 20.0), self.length(-20.0, 20.0));
+                line += &format!(" P{p}");
+                if self.percent(98) {
+                    line += &format!(" Q{q}");
+                }
+            }
+            if !self.put(line) {
+                break;
+            }
+            smooth = is_cubic;
+        }
+        let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
+        let word = self.one_of(&["G0", "G1"]);
+        self.put(format!("{word} {axis}{to}"));
     }
 
     /// A series of cycles, and a motion that ends it.

@@ -1,7 +1,7 @@
 //! Words of canned cycles: those that stay in force in a series, and the holes that they give.
 
 use super::line::Check;
-use crate::axes::Axis;
+use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::checked::Motion;
 use crate::gcode::cycle::{Cycle, CycleWords, Next};
@@ -41,14 +41,7 @@ impl<const N: usize> Check<'_, N> {
         let place = self.state.position;
         let mut hole = self.target();
         hole.set(axes.linear, along(&place, axes.linear));
-        let incremental = modal.distance == Distance::Incremental;
-        let (pitch, (r, bottom)) = if incremental {
-            let pitch = [axes.first, axes.second].map(|axis| along(&hole, axis) - along(&place, axis));
-            (pitch, (words.level + words.r, words.level + words.r + words.depth))
-        } else {
-            let origin = self.work_offset(axes.linear);
-            ([Coordinate::ZERO; 2], (origin + words.r, origin + words.depth))
-        };
+        let (pitch, [r, bottom], peck) = self.levels(&words, axes, &hole)?;
         if r < bottom {
             return Err(Error::RetractBelowBottom);
         }
@@ -63,6 +56,7 @@ impl<const N: usize> Check<'_, N> {
             r,
             bottom,
             clear,
+            peck,
             reached: r,
             next: Next::Rise,
             feed: per_second(modal.feed.to_f32()),
@@ -75,6 +69,29 @@ impl<const N: usize> Check<'_, N> {
         self.checked.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
         self.checked.motion = Motion::Cycle(cycle);
         Ok(())
+    }
+
+    /// From a hole to the next, R and the bottom as places of the machine, and the depth of a peck, all scaled.
+    fn levels(
+        &self,
+        words: &CycleWords,
+        axes: PlaneAxes,
+        hole: &PerAxis<Coordinate, N>,
+    ) -> Result<([Coordinate; 2], [Coordinate; 2], Coordinate), Error> {
+        let incremental = self.checked.modal.distance == Distance::Incremental;
+        let [r, depth] = [words.r, words.depth].map(|word| self.scaled_length(axes.linear, word, incremental));
+        let peck = self.scaled_size(axes.linear, words.peck);
+        if words.peck > Coordinate::ZERO && peck <= Coordinate::ZERO {
+            return Err(Error::ValueOutOfRange);
+        }
+        if incremental {
+            let place = &self.state.position;
+            let pitch = [axes.first, axes.second].map(|axis| along(hole, axis) - along(place, axis));
+            Ok((pitch, [words.level + r, words.level + r + depth], peck))
+        } else {
+            let origin = self.work_offset(axes.linear);
+            Ok(([Coordinate::ZERO; 2], [origin + r, origin + depth], peck))
+        }
     }
 
     /// The words of the line over those that are in force.

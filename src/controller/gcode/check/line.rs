@@ -4,9 +4,10 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Checked, Feed};
-use crate::gcode::modal::{FeedMode, MotionMode, Units};
+use crate::gcode::modal::{FeedMode, MotionMode, ROTATION, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
+use crate::gcode::scaling::Scaling;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
 use crate::gcode::word::{Claim, Letters};
@@ -34,6 +35,8 @@ pub(super) struct Check<'a, const N: usize> {
     pub(super) unused: Letters,
     /// How the line's coordinates are rotated.
     pub(super) rotated: Option<RotatedPlane>,
+    /// And how they are scaled before.
+    pub(super) scaled: Option<&'a Scaling>,
     /// The result so far; its modal state is the one that the line's own words have set.
     pub(super) checked: &'a mut Checked<N>,
 }
@@ -80,7 +83,7 @@ impl<'a, const N: usize> Check<'a, N> {
             Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
             claim => claim,
         };
-        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, checked }
+        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, checked }
     }
 
     /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
@@ -129,6 +132,20 @@ impl<'a, const N: usize> Check<'a, N> {
 
     pub(super) fn position(&self, axis: Axis) -> Coordinate {
         along(&self.state.position, axis)
+    }
+
+    /// Where the program is along an axis, in its own coordinates, which are scaled already.
+    pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
+        if ROTATION && let Some(rotated) = self.rotated {
+            let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
+            if axis == rotated.axes.first {
+                return first;
+            }
+            if axis == rotated.axes.second {
+                return second;
+            }
+        }
+        self.position(axis) - self.work_offset(axis)
     }
 
     /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,

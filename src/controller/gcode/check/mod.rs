@@ -7,12 +7,14 @@ mod motion_words;
 mod offset_words;
 mod pin_words;
 mod rotation_words;
+mod scaling_words;
+mod spline_words;
 mod state_words;
 mod tool_words;
 
 use super::Dialect;
 use super::checked::{Checked, Flow, Motion};
-use super::modal::{FeedMode, MotionMode, Units};
+use super::modal::{FeedMode, MotionMode, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::Interpreter;
@@ -39,6 +41,7 @@ pub(super) fn check<const N: usize>(
     // Most lines have none of these, and every instruction counts.
     let is_extended = line.extended.any;
     if is_extended {
+        check.sign_of_p()?;
         check.keep_state()?;
     }
     check.line_number()?;
@@ -181,9 +184,12 @@ impl<const N: usize> Check<'_, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        // A cycle goes through its points exactly.
-        let exact = matches!(checked.motion, Motion::Cycle(_));
+        // A cycle goes through its points exactly, and of a spline all points are known.
+        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
         checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
+        if ROTATION && let Some(scaling) = self.scaled {
+            checked.digit *= scaling.least();
+        }
         checked.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
@@ -191,6 +197,7 @@ impl<const N: usize> Check<'_, N> {
         if checked.flow == Flow::End {
             checked.modal.end_program();
             checked.rotated.rotation = Some(None);
+            checked.rotated.scaled.scaling = Some(None);
         }
         let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
         let system_changed = match (checked.store, &checked.stored) {

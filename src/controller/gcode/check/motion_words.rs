@@ -32,6 +32,7 @@ impl<const N: usize> Check<'_, N> {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
+            MotionMode::Spline(kind) => self.spline(kind),
             MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cycle(kind) => self.cycle(kind),
             MotionMode::Cancelled => Ok(()),
@@ -75,6 +76,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::NoPlaneAxisForArc);
         }
         self.needs_plane(axes)?;
+        let clockwise = clockwise != self.mirrors(axes)?;
         let start = self.state.position;
         let mut target = self.target();
         let mut chord = Vector::new(
@@ -83,10 +85,11 @@ impl<const N: usize> Check<'_, N> {
         );
         let centre = if self.line.values.has(b'R') {
             self.unused.remove(Letters::of(b"R"));
-            arc::centre_by_radius(chord, self.length(self.line.value.r), clockwise)?
+            let radius = self.scaled_size(axes.first, self.length(self.line.value.r));
+            arc::centre_by_radius(chord, radius, clockwise)?
         } else {
             let centre = self.centre(axes)?;
-            if !arc::radii_agree(chord, centre)? {
+            if !arc::radii_agree(self.written_vector(axes, chord), self.written_vector(axes, centre))? {
                 if self.dialect != Dialect::Seed {
                     return Err(Error::InvalidTarget);
                 }
@@ -126,7 +129,11 @@ impl<const N: usize> Check<'_, N> {
                 Axis::Y => self.line.value.j,
                 _ => self.line.value.k,
             });
-            if absolute { value - self.program_coordinate(axis) } else { value }
+            if absolute {
+                self.scaled_length(axis, value, false) - self.program_coordinate(axis)
+            } else {
+                self.scaled_length(axis, value, true)
+            }
         };
         if ROTATION && let Some(rotated) = self.rotated {
             let [first, second] = rotated.angle.turn([centre_along(axes.first), centre_along(axes.second)]);

@@ -92,7 +92,10 @@ impl<const N: usize> Check<'_, N> {
                 self.keeps_planes(system)?;
                 false
             }
-            20 => true,
+            20 => {
+                self.needs_no_scaling()?;
+                true
+            }
             _ => return Err(Error::UnsupportedCommand),
         };
         self.unused.remove(Letters::of(b"LP"));
@@ -132,6 +135,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::NoAxisWords);
         }
         self.needs_no_rotation()?;
+        self.needs_no_scaling()?;
         let origin = self.state.offsets.system(self.checked.modal.coordinate_system);
         let rotated = self.rotated.filter(|_| ROTATION);
         self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {

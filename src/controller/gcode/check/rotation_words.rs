@@ -17,7 +17,9 @@ impl<const N: usize> Check<'_, N> {
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
         let system = self.checked.modal.coordinate_system;
         let is_plain = self.state.rotation.is_none()
+            && self.state.scaling.is_none()
             && self.line.extended.rotation.is_none()
+            && self.line.extended.scaling.is_none()
             && self.state.offsets.angle(system) == Angle::ZERO;
         if !ROTATION || is_plain || self.dialect == Dialect::Grbl {
             return Ok(());
@@ -30,6 +32,7 @@ impl<const N: usize> Check<'_, N> {
         match self.line.extended.rotation {
             Some(true) => {
                 self.rotated = self.plane_with(None)?;
+                self.scaling()?;
                 let rotation = self.new_rotation()?;
                 // By no angle nothing is rotated, in whatever plane.
                 let rotation = Some(rotation).filter(|rotation| rotation.angle != Angle::ZERO);
@@ -39,11 +42,11 @@ impl<const N: usize> Check<'_, N> {
             Some(false) => {
                 self.checked.rotated.rotation = Some(None);
                 self.rotated = self.plane_with(None)?;
-                Ok(())
+                self.scaling()
             }
             None => {
                 self.rotated = self.plane_with(self.state.rotation.as_ref())?;
-                Ok(())
+                self.scaling()
             }
         }
     }
@@ -64,30 +67,21 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'R') {
             return Err(Error::ValueWordMissing);
         }
-        let centre = [axes.first, axes.second]
-            .map(|axis| if self.line.axes.has(axis) { self.axis_length(axis) } else { self.program_coordinate(axis) });
+        let centre = [axes.first, axes.second].map(|axis| {
+            if self.line.axes.has(axis) {
+                self.scaled_length(axis, self.axis_length(axis), false)
+            } else {
+                self.program_coordinate(axis)
+            }
+        });
         Ok(Rotation { plane, angle: Angle::of(self.line.value.r), centre })
-    }
-
-    /// Where the program is along an axis, in its own coordinates.
-    pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
-        if ROTATION && let Some(rotated) = self.rotated {
-            let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
-            if axis == rotated.axes.first {
-                return first;
-            }
-            if axis == rotated.axes.second {
-                return second;
-            }
-        }
-        self.position(axis) - self.work_offset(axis)
     }
 
     /// Where the line's axis words lead to, in machine coordinates.
     pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
-        if ROTATION && let Some(rotated) = self.rotated.filter(|_| !machine) {
-            return self.rotated_target(rotated);
+        if ROTATION && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
+            return self.transformed_target();
         }
         let incremental = self.checked.modal.distance == Distance::Incremental;
         self.with_axis_words(self.state.position, |axis, value| {
@@ -101,16 +95,31 @@ impl<const N: usize> Check<'_, N> {
         })
     }
 
-    /// The same in rotated coordinates. An axis that is not named stays where it is in the program's coordinates. Distances of
-    /// jogs are along the axes of the machine, as the buttons and the reports show them.
+    /// The same in scaled or rotated coordinates. An axis that is not named stays where it is in the program's coordinates.
+    /// Distances of jogs are along the axes of the machine, as the buttons and the reports show them.
     #[inline(never)]
-    fn rotated_target(&mut self, rotated: RotatedPlane) -> PerAxis<Coordinate, N> {
+    fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
         let incremental = self.checked.modal.distance == Distance::Incremental;
-        let in_plane = |axis: Axis| axis == rotated.axes.first || axis == rotated.axes.second;
-        let along_machine = incremental && self.purpose == Purpose::Jog;
-        let mut target = self.with_axis_words(self.state.position, |axis, value| {
+        self.keep_rest(incremental);
+        let target = self.with_axis_words(self.state.position, |axis, value| {
+            let value = self.scaled_length(axis, value, incremental);
             if incremental { value + self.position(axis) } else { value + self.work_offset(axis) }
         });
+        match self.rotated {
+            Some(rotated) => self.rotated_target(rotated, target, incremental),
+            None => target,
+        }
+    }
+
+    /// `target` is where unrotated axes would lead to.
+    fn rotated_target(
+        &mut self,
+        rotated: RotatedPlane,
+        mut target: PerAxis<Coordinate, N>,
+        incremental: bool,
+    ) -> PerAxis<Coordinate, N> {
+        let in_plane = |axis: Axis| axis == rotated.axes.first || axis == rotated.axes.second;
+        let along_machine = incremental && self.purpose == Purpose::Jog;
         if along_machine || !Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && in_plane(axis)) {
             return target;
         }
@@ -118,7 +127,7 @@ impl<const N: usize> Check<'_, N> {
         let mut program = before;
         for (axis, coordinate) in [rotated.axes.first, rotated.axes.second].into_iter().zip(&mut program) {
             if self.line.axes.has(axis) {
-                let value = self.axis_length(axis);
+                let value = self.scaled_length(axis, self.axis_length(axis), incremental);
                 *coordinate = if incremental { *coordinate + value } else { value };
             }
         }

@@ -120,6 +120,9 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         let present = known.unwrap_or(PerAxis::all(Coordinate::ZERO));
+        if l != 1 {
+            self.needs_no_scaling()?;
+        }
         if l != 1 && self.sets_rotated_tool(l, &present)? {
             return Ok(());
         }

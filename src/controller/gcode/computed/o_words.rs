@@ -171,6 +171,7 @@ impl<const N: usize> Interpreter<N> {
     /// is held. G68 ends, which no other program expects.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
+        self.scaling = None;
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
     }

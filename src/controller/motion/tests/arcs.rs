@@ -340,7 +340,7 @@ fn six_axes_have_their_ends() {
     let mut motion = Motion::<6, 8>::new(config);
     let zero = PerAxis::all(Coordinate::ZERO);
     let offsets = (Coordinate::mm(50), Coordinate::ZERO);
-    let geometry = ArcGeometry {
+    let geometry: ArcGeometry<6> = ArcGeometry {
         start: zero,
         target: zero,
         axis_0: Axis::X,
@@ -353,8 +353,8 @@ fn six_axes_have_their_ends() {
     let arc = Arc::new(&geometry, 0.002);
     // 5/7 of a step beyond six steps are 2/7 short of seven.
     let ends = [0.611, -0.611, 0.671, -0.671, 0.0, 0.029];
-    motion.chord(&to(ends, Speed::Feed(10.0)), &arc);
-    motion.chord(&to([0.0; 6], Speed::Feed(10.0)), &arc);
+    motion.chord(&to(ends, Speed::Feed(10.0)), arc.curvature());
+    motion.chord(&to([0.0; 6], Speed::Feed(10.0)), arc.curvature());
     motion.line(&to(ends, Speed::Feed(10.0)));
     motion.start();
     let mut blocks = Vec::new();
@@ -385,7 +385,7 @@ fn a_chord_of_very_many_steps_is_a_line() {
     let g = geometry(0, 1.0e5, 0.0, 0.1, 0.0, 0, [-1.0e5, 0.0]);
     let arc = Arc::new(&g, 10.0);
     for x in [958.698_035, 1_917.396_14, 1_917.396_14] {
-        assert!(motion.chord(&to([x, 1.000_03, 0.0], Speed::Feed(500.0)), &arc));
+        assert!(motion.chord(&to([x, 1.000_03, 0.0], Speed::Feed(500.0)), arc.curvature()));
     }
     motion.start();
     let mut observed = crate::messages::Observed::default();

@@ -8,5 +8,6 @@ mod jobs;
 mod joins;
 mod ramps;
 mod rig;
+mod splines;
 mod steps;
 mod stops;

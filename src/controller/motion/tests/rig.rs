@@ -1,6 +1,6 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
-use super::super::{Arc, Motion, MotionSettings, Move, Speed, Stepper};
+use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper};
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
@@ -43,6 +43,8 @@ pub struct Rig<const N: usize, const B: usize> {
     pub moves: VecDeque<Move<N>>,
     /// The moves are chords of this.
     pub arc: Option<Arc<N>>,
+    /// The moves are chords that bend so.
+    pub bends: VecDeque<Curvature>,
     pub time: u64,
     due: u32,
     waited: u64,
@@ -102,6 +104,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             blocks: Vec::new(),
             moves: VecDeque::new(),
             arc: None,
+            bends: VecDeque::new(),
             time: 0,
             due: 0,
             waited: 0,
@@ -132,14 +135,16 @@ impl<const N: usize, const B: usize> Rig<N, B> {
     pub fn pump(&mut self) {
         loop {
             while let Some(m) = self.moves.front() {
-                let taken = match &self.arc {
-                    Some(arc) => self.motion.chord(m, arc),
+                let bend = self.arc.as_ref().map(Arc::curvature).or(self.bends.front().copied());
+                let taken = match bend {
+                    Some(bend) => self.motion.chord(m, bend),
                     None => self.motion.line(m),
                 };
                 if !taken {
                     break;
                 }
                 self.moves.pop_front();
+                self.bends.pop_front();
             }
             if !self.feeding || self.queue.len() >= SEGMENTS_DEPTH {
                 return;

@@ -72,6 +72,7 @@ pub fn target(checked: &Checked<3>) -> [f64; 3] {
         Motion::Cycle(_) => in_mm(checked.position()),
         Motion::Line { target, .. } | Motion::Probe { target, .. } => in_mm(&target),
         Motion::Arc(arc) => in_mm(&arc.target),
+        Motion::Spline(spline) => in_mm(&spline.target),
     }
 }
 

@@ -1,0 +1,142 @@
+//! G51 and G50, and where they act on the values of a line.
+
+use super::line::{CENTRE, Check, Purpose};
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::gcode::arc::Vector;
+use crate::gcode::modal::{PlaneAxes, ROTATION};
+use crate::gcode::scaling::{NO_REST, Rest, Scaling};
+use crate::units::{Coordinate, Decimal};
+
+impl<const N: usize> Check<'_, N> {
+    /// G51 begins and takes the place of the one before, G50 ends; in other lines what is in force acts.
+    #[inline(never)]
+    pub(super) fn scaling(&mut self) -> Result<(), Error> {
+        match self.line.extended.scaling {
+            Some(true) => {
+                // The axes of a rotation that acts are the ones of the program.
+                let scaling = self.new_scaling()?;
+                let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
+                self.checked.rotated.scaled.scaling = Some(acts.then_some(scaling));
+                self.checked.rotated.scaled.rest = Some(NO_REST);
+            }
+            Some(false) => {
+                self.checked.rotated.scaled.scaling = Some(None);
+                self.checked.rotated.scaled.rest = Some(NO_REST);
+            }
+            None => self.scaled = self.state.scaling.as_ref(),
+        }
+        Ok(())
+    }
+
+    /// G51: P is the factor of X, Y and Z, or each has one by I, J, K, which may mirror X and Y. An axis that is not named
+    /// has the centre where the tool is. Distance mode plays no part.
+    fn new_scaling(&mut self) -> Result<Scaling, Error> {
+        let named = self.line.axes;
+        if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
+            return Err(Error::AxisWordsUnused);
+        }
+        let one = Decimal::from_int(1);
+        let factors = if self.take(b'P') {
+            [self.line.value.p; 3]
+        } else if self.unused.has_any(CENTRE) {
+            let values = &self.line.value;
+            let [i, j, k] = [(b'I', values.i), (b'J', values.j), (b'K', values.k)];
+            [i, j, k].map(|(letter, value)| if self.take(letter) { value } else { one })
+        } else {
+            return Err(Error::ValueWordMissing);
+        };
+        // A mirrored Z would turn a retract into a plunge.
+        let [_, _, z] = factors;
+        if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
+            return Err(Error::ValueOutOfRange);
+        }
+        let centre = [Axis::X, Axis::Y, Axis::Z]
+            .map(|axis| if named.has(axis) { self.axis_length(axis) } else { self.program_coordinate(axis) });
+        Ok(Scaling::new(factors, centre))
+    }
+
+    /// Jogs by distances go along the machine, as the buttons show them.
+    fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
+        self.scaled.filter(|_| ROTATION && !(incremental && self.purpose == Purpose::Jog))
+    }
+
+    fn rest(&self, axis: Axis) -> i32 {
+        self.state.rest.get(axis.index()).copied().unwrap_or(0)
+    }
+
+    #[inline(never)]
+    fn scaled_word(&self, axis: Axis, value: Coordinate, incremental: bool) -> (Coordinate, i32) {
+        match self.scaling_of(incremental) {
+            Some(scaling) if scaling.scales(axis) && incremental => scaling.way(axis, value, self.rest(axis)),
+            Some(scaling) if scaling.scales(axis) => scaling.place(axis, value),
+            _ => (value, 0),
+        }
+    }
+
+    /// An axis word that says where a motion leads, scaled: a coordinate or a distance.
+    pub(super) fn scaled_length(&self, axis: Axis, value: Coordinate, incremental: bool) -> Coordinate {
+        self.scaled_word(axis, value, incremental).0
+    }
+
+    /// Notes what the roundings of a target have left.
+    #[inline(never)]
+    pub(super) fn keep_rest(&mut self, incremental: bool) {
+        // A jog changes the position only.
+        if self.scaling_of(incremental).is_none() || self.purpose == Purpose::Jog {
+            return;
+        }
+        let mut rest: Rest = self.state.rest;
+        for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(&mut rest) {
+            if self.line.axes.has(axis) {
+                *rest = self.scaled_word(axis, self.axis_length(axis), incremental).1;
+            }
+        }
+        self.checked.rotated.scaled.rest = Some(rest);
+    }
+
+    /// A vector of the program along two axes.
+    #[inline(never)]
+    pub(super) fn scaled_vector(&self, axes: [Axis; 2], vector: [Coordinate; 2]) -> [Coordinate; 2] {
+        let Some(scaling) = self.scaling_of(false) else { return vector };
+        let ([first, second], [along_first, along_second]) = (axes, vector);
+        [scaling.way(first, along_first, 0).0, scaling.way(second, along_second, 0).0]
+    }
+
+    /// A length of the program along an axis that has no direction: R of an arc, Q of a cycle.
+    #[inline(never)]
+    pub(super) fn scaled_size(&self, axis: Axis, value: Coordinate) -> Coordinate {
+        self.scaling_of(false).map_or(value, |scaling| scaling.size(axis, value))
+    }
+
+    /// Whether arcs in the plane are mirrored. An ellipse is no arc.
+    #[inline(never)]
+    pub(super) fn mirrors(&self, axes: PlaneAxes) -> Result<bool, Error> {
+        let Some(scaling) = self.scaling_of(false) else { return Ok(false) };
+        let (first, second) = (scaling.factor(axes.first), scaling.factor(axes.second));
+        if first.0.unsigned_abs() != second.0.unsigned_abs() {
+            return Err(Error::UnequalScaling);
+        }
+        Ok(first != second)
+    }
+
+    /// A vector in the plane of an arc as the program would write it, but for its direction.
+    #[inline(never)]
+    pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
+        let Some(scaling) = self.scaling_of(false) else { return vector };
+        // Of an arc both have the same factor, or the arc is mirrored.
+        let written = |way| scaling.written_way(axes.first, way);
+        Vector { first: written(vector.first), second: written(vector.second) }
+    }
+
+    /// What the present position is called cannot be set along axes that G51 has scaled.
+    #[inline(never)]
+    pub(super) fn needs_no_scaling(&self) -> Result<(), Error> {
+        match self.scaling_of(false) {
+            Some(scaling) if Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && scaling.scales(axis)) => {
+                Err(Error::ScalingActs)
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Words of splines: G5 and G5.1, which lie in the plane of X and Y.
+
+use super::line::Check;
+use crate::axes::Axis;
+use crate::error::Error;
+use crate::gcode::checked::{Motion, SplineMove};
+use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
+use crate::gcode::rotation::difference;
+use crate::gcode::values::{in_xy, reachable};
+use crate::units::{Coordinate, Decimal};
+
+impl<const N: usize> Check<'_, N> {
+    /// P of G5 is a distance; all others are numbers that have no sign.
+    pub(super) fn sign_of_p(&self) -> Result<(), Error> {
+        let is_distance = self.checked.modal.motion == MotionMode::Spline(SplineKind::Cubic);
+        if self.line.extended.is_p_negative && !is_distance { Err(Error::NegativeValue) } else { Ok(()) }
+    }
+
+    /// I and J lead from the start to the control point that the curve heads for, P and Q from the end to the one that it
+    /// comes from; of a curve of second degree I and J lead to the only one. Distances always, as in LinuxCNC.
+    #[inline(never)]
+    pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
+        if !SPLINES {
+            return Err(Error::SplinesLeftOut);
+        }
+        if self.line.axes.is_empty() {
+            return Err(Error::NoAxisWords);
+        }
+        let aside = Axis::of_machine::<N>().skip(2).any(|axis| self.line.axes.has(axis));
+        if aside || self.checked.modal.plane != Plane::Xy {
+            return Err(Error::SplineOutsideXy);
+        }
+        self.needs_plane(Plane::Xy.axes())?;
+        let start = self.state.position;
+        let target = self.target();
+        let values = &self.line.value;
+        let near_start = self.vector(b"IJ", [values.i, values.j])?;
+        let (leaving, arriving) = match (kind, near_start) {
+            (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
+            (SplineKind::Quadratic, Some(middle)) => {
+                let chord = difference(in_xy(&target), in_xy(&start));
+                // The same curve as one of third degree.
+                (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
+            }
+            (SplineKind::Cubic, _) => {
+                let arriving = self.vector(b"PQ", [values.p, values.q])?.ok_or(Error::ValueWordMissing)?;
+                // Without I and J where the last G5 has ended, as smoothly as it came there.
+                let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));
+                (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
+            }
+        };
+        let feed = self.feed_of_motion();
+        let spline = SplineMove { start, target, leaving, arriving, feed };
+        for corner in &spline.corners() {
+            reachable(corner)?;
+        }
+        self.checked.motion = Motion::Spline(spline);
+        self.checked.position = target;
+        Ok(())
+    }
+
+    /// A distance in the plane by two words, along the axes of the machine; `None` without them.
+    #[inline(never)]
+    fn vector(&mut self, letters: &[u8; 2], values: [Decimal; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
+        let [has_first, has_second] = letters.map(|letter| self.take(letter));
+        if has_first != has_second {
+            return Err(Error::ValueWordMissing);
+        }
+        let way = self.scaled_vector([Axis::X, Axis::Y], values.map(|value| self.length(value)));
+        Ok(has_first.then(|| match self.rotated {
+            Some(rotated) if ROTATION => rotated.angle.turn(way),
+            _ => way,
+        }))
+    }
+}
+
+fn two_thirds(way: Coordinate) -> Coordinate {
+    Coordinate(way.0.saturating_mul(2).saturating_add(way.0.signum()) / 3)
+}

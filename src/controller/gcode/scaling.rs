@@ -1,0 +1,180 @@
+//! Scaled coordinates: G51 multiplies what a program writes along X, Y and Z, seen from a centre; what comes of it is
+//! rotated (`rotation`) and offset.
+//!
+//! ```text
+//!                       scaled = centre + factor · (written - centre)         a distance: factor · written
+//! ```
+//! Products of a coordinate and a factor are exact integers of 10^-7 units. Of the place that a program has reached what the
+//! rounding to 0.1 nm has left is kept, so roundings do not add up over a million increments.
+
+use super::modal::ROTATION;
+use super::values::nearest;
+use crate::axes::{Axis, PerAxis};
+use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
+
+/// X, Y and Z. Where scaling is left out nothing of it takes any memory.
+const AXES: usize = if ROTATION { 3 } else { 0 };
+
+/// G51.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scaling {
+    /// None is 0.
+    factors: [Decimal; AXES],
+    centre: [Coordinate; AXES],
+}
+
+/// What rounding has left of each axis, in units of 10^-7 of 0.1 nm.
+pub(super) type Rest = [i32; AXES];
+/// Nothing.
+pub(super) const NO_REST: Rest = [0; AXES];
+
+/// A length in units of 10^-7 of 0.1 nm.
+type Fine = i128;
+
+fn fine(coordinate: Coordinate) -> Fine {
+    i128::from(coordinate.0) * i128::from(DECIMAL_ONE)
+}
+
+/// `numerator / denominator`, to the nearest.
+// Once in the image: the division is long.
+#[inline(never)]
+fn divided(numerator: Fine, denominator: i64) -> Coordinate {
+    let denominator = i128::from(denominator);
+    let half = denominator.abs() / 2;
+    nearest((numerator * denominator.signum() + half).div_euclid(denominator.abs()))
+}
+
+/// As a coordinate, and what is left.
+#[inline(never)]
+fn rounded(length: Fine) -> (Coordinate, i32) {
+    let coordinate = divided(length, DECIMAL_ONE);
+    // Less than half of 10^7, but where the coordinate is at its bound.
+    (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
+}
+
+impl Scaling {
+    /// By factors of X, Y and Z.
+    pub(super) fn new(factors: [Decimal; 3], centre: [Coordinate; 3]) -> Self {
+        Self {
+            factors: core::array::from_fn(|axis| factors.get(axis).copied().unwrap_or(Decimal::ZERO)),
+            centre: core::array::from_fn(|axis| centre.get(axis).copied().unwrap_or(Coordinate::ZERO)),
+        }
+    }
+
+    /// By what an axis is multiplied.
+    pub(super) fn factor(&self, axis: Axis) -> Decimal {
+        self.factors.get(axis.index()).copied().unwrap_or(Decimal::from_int(1))
+    }
+
+    /// Whether it is multiplied at all.
+    pub(super) fn scales(&self, axis: Axis) -> bool {
+        self.factor(axis) != Decimal::from_int(1)
+    }
+
+    fn centre(&self, axis: Axis) -> Fine {
+        fine(self.centre.get(axis.index()).copied().unwrap_or(Coordinate::ZERO))
+    }
+
+    /// Where a coordinate of the program is.
+    #[inline(never)]
+    pub(super) fn place(&self, axis: Axis, written: Coordinate) -> (Coordinate, i32) {
+        let centre = self.centre(axis);
+        // Both are whole: nothing is cut off.
+        let from_centre = nearest((fine(written) - centre) / i128::from(DECIMAL_ONE));
+        rounded(centre + i128::from(from_centre.0) * i128::from(self.factor(axis).0))
+    }
+
+    /// How long a distance of the program is, with a rest from before.
+    #[inline(never)]
+    pub(super) fn way(&self, axis: Axis, written: Coordinate, rest: i32) -> (Coordinate, i32) {
+        rounded(i128::from(written.0) * i128::from(self.factor(axis).0) + i128::from(rest))
+    }
+
+    /// How long a distance is that has no direction.
+    pub(super) fn size(&self, axis: Axis, written: Coordinate) -> Coordinate {
+        let length = i128::from(written.0) * i128::from(self.factor(axis).0.unsigned_abs());
+        rounded(length).0
+    }
+
+    /// What the program writes for a distance.
+    pub(super) fn written_way(&self, axis: Axis, scaled: i64) -> i64 {
+        divided(fine(Coordinate(scaled)), self.factor(axis).0).0
+    }
+
+    /// What the program writes for a place.
+    #[inline(never)]
+    pub(super) fn written<const N: usize>(&self, place: &mut PerAxis<Coordinate, N>, rest: &Rest) {
+        for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(rest) {
+            if self.scales(axis)
+                && let Some(scaled) = place.get(axis)
+            {
+                let centre = self.centre(axis);
+                let from_centre = divided(fine(scaled) + i128::from(*rest) - centre, self.factor(axis).0);
+                place.set(axis, nearest(centre / i128::from(DECIMAL_ONE)) + from_centre);
+            }
+        }
+    }
+
+    /// By what the last digit of a program is multiplied at least.
+    pub(super) fn least(&self) -> f32 {
+        self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)
+    }
+}
+
+/// What a line changes of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct ScalingChange {
+    /// G51 or G50.
+    pub(super) scaling: Option<Option<Scaling>>,
+    pub(super) rest: Option<Rest>,
+}
+
+impl ScalingChange {
+    /// Nothing.
+    pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
+}
+
+#[cfg(test)]
+mod tests {
+    #![cfg(feature = "rotation")]
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn back_and_forth(
+            written in -500_000_000_000_i64..500_000_000_000, centre in -500_000_000_000_i64..500_000_000_000,
+            factor in (1_000_i64..1_000_000_000), mirrored: bool,
+        ) {
+            let factor = if mirrored { -factor } else { factor };
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate(centre); 3]);
+            let (place, rest) = scaling.place(Axis::Y, Coordinate(written));
+            let wanted = centre as f64 + (written - centre) as f64 * factor as f64 / 1e7;
+            prop_assert!((place.0 as f64 - wanted).abs() < 1.0 + wanted.abs() * 1e-15);
+            let mut back = PerAxis([Coordinate::ZERO, place, Coordinate::ZERO]);
+            scaling.written(&mut back, &[0, rest, 0]);
+            prop_assert_eq!(back.0[1].0, written);
+        }
+
+        /// However a way is cut into increments, its end is the same.
+        #[test]
+        fn increments_add_up(ways in prop::collection::vec(-30_000_i64..30_000, 1..50), factor in 1_i64..100_000_000) {
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate::ZERO; 3]);
+            let (mut place, mut rest) = (Coordinate::ZERO, 0);
+            for way in &ways {
+                let (next, left) = scaling.way(Axis::X, Coordinate(*way), rest);
+                (place, rest) = (place + next, left);
+            }
+            prop_assert_eq!((place, rest), scaling.way(Axis::X, Coordinate(ways.iter().sum()), 0));
+        }
+
+        #[test]
+        fn any_numbers(written: i64, centre: i64, factor: i64, rest: i32) {
+            prop_assume!(factor != 0);
+            let scaling = Scaling::new([Decimal(factor); 3], [Coordinate(centre); 3]);
+            let _ = (scaling.place(Axis::X, Coordinate(written)), scaling.way(Axis::Z, Coordinate(written), rest));
+            let _ = (scaling.size(Axis::X, Coordinate(written)), scaling.written_way(Axis::X, written));
+            scaling.written(&mut PerAxis([Coordinate(written); 3]), &[rest; 3]);
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! G5 and G5.1: which curve a line asks for.
+
+#![cfg(all(feature = "extended-gcode", feature = "rotation", feature = "splines"))]
+
+mod program;
+
+use oxmill_controller::gcode::{Checked, Dialect, Feed, Motion};
+use oxmill_controller::units::DECIMAL_ONE;
+use program::{Program, in_mm};
+
+/// Half of the root of 3.
+const H: f64 = 0.866_025_403_784_438_6;
+
+fn ready(setup: &str) -> Program {
+    let mut program = Program::new(Dialect::Oxmill);
+    program.run_all("G21 G90 G17 F300");
+    program.run_all(setup);
+    program
+}
+
+/// The control points in X and Y of the machine, mm.
+fn curve(checked: &Checked<3>) -> [[f64; 2]; 4] {
+    let Motion::Spline(spline) = checked.motion else { panic!("no spline: {:?}", checked.motion) };
+    assert_eq!((spline.corners()[0], spline.corners()[3]), (spline.start, spline.target));
+    assert_eq!(*checked.position(), spline.target);
+    spline.corners().map(|corner| [corner.0[0], corner.0[1]].map(|c| c.0 as f64 / DECIMAL_ONE as f64))
+}
+
+/// Lines, and the control points after the first that the last of them gives.
+fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
+    let mut program = ready(setup);
+    let found = curve(&program.run(line));
+    for (found, wanted) in found[1..].iter().zip(wanted) {
+        let near = (found[0] - wanted[0]).abs() < 1.6e-7 && (found[1] - wanted[1]).abs() < 1.6e-7;
+        assert!(near, "{line}: {found:?}, not {wanted:?}");
+    }
+    program
+}
+
+#[test]
+fn two_control_points() {
+    let mut program = gives("", "G5 I0 J3 P0 Q-3 X1 Y1", [[0.0, 3.0], [1.0, -2.0], [1.0, 1.0]]);
+    // Smoothly on, and modal.
+    assert_eq!(curve(&program.run("G5 P0 Q-3 X2 Y2")), [[1.0, 1.0], [1.0, 4.0], [2.0, -1.0], [2.0, 2.0]]);
+    assert_eq!(curve(&program.run("P-1 Q.5 X7")), [[2.0, 2.0], [2.0, 5.0], [6.0, 2.5], [7.0, 2.0]]);
+    assert_eq!(curve(&program.run("G91 I1 J1 P-1 Q.5 Y1")), [[7.0, 2.0], [8.0, 3.0], [6.0, 3.5], [7.0, 3.0]]);
+    assert_eq!(program.interpreter.modal().motion.word(), "G5");
+}
+
+#[test]
+fn one_control_point() {
+    let program = gives("G0 X1 Y2", "G5.1 X4 Y-1 I3 J6", [[3.0, 6.0], [4.0, 5.0], [4.0, -1.0]]);
+    assert_eq!(program.interpreter.modal().motion.word(), "G5.1");
+    gives("G91 G0 X1 Y2", "G5.1 X3 I.1 J0", [[1.0 + 0.2 / 3.0, 2.0], [2.0 + 0.2 / 3.0, 2.0], [4.0, 2.0]]);
+}
+
+/// Control points go the way of all coordinates; they are distances even with G90.1.
+#[test]
+fn what_acts_on_control_points() {
+    gives("G20", "G5 I1 J2 P-1 Q0 X3 Y0", [[25.4, 50.8], [50.8, 0.0], [76.2, 0.0]]);
+    gives("G90.1 G0 X5", "G5 I1 J2 P-1 Q0 X8 Y0", [[6.0, 2.0], [7.0, 0.0], [8.0, 0.0]]);
+    gives("G10 L2 P1 X10 Y20\nG92 X-1 Y-1", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, 1.0], [4.0, 1.0]]);
+    gives("G10 L2 P1 X10 R90\nG0 X0 Y0", "G5 I1 J2 P-1 Q0 X3 Y0", [[8.0, 1.0], [10.0, 2.0], [10.0, 3.0]]);
+    let end = [10.0 + 3.0 * H, 1.5];
+    gives("G68 X10 Y0 R30\nG0 X10 Y0", "G5 I1 J0 P-1 Q0 X13", [[10.0 + H, 0.5], [end[0] - H, 1.0], end]);
+    gives("G43.1 X1 Y-1 Z5", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, -1.0], [4.0, -1.0]]);
+}
+
+/// Where the last G5 has ended, whatever lies between, and in the direction that the machine had.
+#[test]
+fn going_on_smoothly() {
+    let first = "G5 I1 J2 P-1 Q.5 X3 Y0";
+    for between in ["", "G1", "F100 M8", "G4 P0", "G1 Z5", "G21 G17", "G80", "G1 X5\nX3", "G92 X7 Y7", "N5"] {
+        let mut program = ready(first);
+        program.run_all(between);
+        let found = curve(&program.run("G91 G5 X1 P0 Q0"));
+        assert_eq!(found[1], [4.0, -0.5], "{between}");
+    }
+    let mut program = ready(first);
+    program.run("G68 X3 Y0 R90");
+    assert_eq!(curve(&program.run("G5 X4 Y0 P-1 Q0")), [[3.0, 0.0], [4.0, -0.5], [3.0, 0.0], [3.0, 1.0]]);
+    for between in ["", "G1 X4", "G28", "M2", "G5 X4 I0 J0 P0 Q0\nG1 X3 Y0", "G5.1 X4 I0 J1"] {
+        let mut program = if between.is_empty() { ready("") } else { ready(first) };
+        program.run_all(between);
+        assert_eq!(program.error("G17 G90 F1 G5 X9 P0 Q0"), 28, "{between}");
+    }
+    let mut program = ready(first);
+    program.interpreter.reset();
+    assert_eq!(program.error("F1 G5 X9 P0 Q0"), 28);
+    let mut program = ready(first);
+    program.interpreter.change_dialect();
+    assert_eq!(program.error("F1 G5 X9 P0 Q0"), 28);
+    // A jog away, and one back.
+    let mut program = ready(first);
+    let jog = program.interpreter.check_jog(b"X9F100", Dialect::Oxmill).unwrap();
+    program.interpreter.commit(&jog);
+    assert_eq!(program.error("G5 X9 P0 Q0"), 28);
+    let jog = program.interpreter.check_jog(b"X3F100", Dialect::Oxmill).unwrap();
+    program.interpreter.commit(&jog);
+    assert_eq!(program.error("G5 X9 P0 Q0"), 0);
+}
+
+#[test]
+fn feeds() {
+    let feed = |line: &str| match ready("").run(line).motion {
+        Motion::Spline(spline) => spline.feed,
+        _ => panic!("{line}"),
+    };
+    assert_eq!(feed("G5 I1 J2 P-1 Q0 X3"), Feed::PerMinute(5.0));
+    assert_eq!(feed("G93 F30 G5.1 I1 J2 X3"), Feed::InverseTime(2.0));
+}
+
+#[test]
+fn what_is_refused() {
+    let mut program = ready("");
+    for (line, error) in [
+        ("G5 I1 J1 P1 Q1", 26),
+        ("G5.1 I1 J1", 26),
+        ("G5", 26),
+        ("G5 I1 P1 Q1 X1", 28),
+        ("G5 J1 P1 Q1 X1", 28),
+        ("G5 I1 J1 P1 X1", 28),
+        ("G5 I1 J1 Q1 X1", 28),
+        ("G5 I1 J1 X1", 28),
+        ("G5 P1 Q1 X1", 28),
+        ("G5.1 I1 X1", 28),
+        ("G5.1 X1", 28),
+        ("G5 I1 J1 P1 Q1 X1 Z1", 140),
+        ("G5 I1 J1 P1 Q1 Z1", 140),
+        ("G18 G5 I1 J1 P1 Q1 X1", 140),
+        ("G5.1 G19 I1 J1 X1", 140),
+        ("G5 I1 J1 K1 P1 Q1 X1", 36),
+        ("G5 I1 J1 P1 Q1 X1 R1", 36),
+        ("G5.1 I1 J1 P1 X1", 36),
+        ("G5.1 I1 J1 P-1 X1", 4),
+        ("G1 P-1 X1", 4),
+        ("G4 P-1", 4),
+        ("G10 L2 P-1 X1", 4),
+        ("G2 X1 I1 P-1", 4),
+        ("G4 P1 G5 I1 J1 Q1 X1", 28),
+        ("G53 G5 I1 J1 P1 Q1 X1", 30),
+        ("G5 G1 I1 J1 P1 Q1 X1", 24),
+        ("G5 G28 I1 J1 P1 Q1 X1", 24),
+        ("G93 G5 I1 J1 P1 Q1 X1", 22),
+        ("G5 I60000 J1 P1 Q1 X1", 33),
+        ("G5 I1 J1 P-60000 Q1 X1", 33),
+        ("G5 I1 J1 P1 Q1 X60000", 33),
+        ("G5.1 I9999999 J1 X1", 33),
+        ("G5.2 P1 L3", 121),
+        ("G5.3", 121),
+        ("G5.4", 121),
+        ("G18 G68 X0 Z0 R1", 0),
+    ] {
+        let before = program.interpreter.clone();
+        assert_eq!(program.error(line), error, "{line}");
+        assert!(program.interpreter == before, "{line}");
+    }
+    program.run("G18 G68 X0 Z0 R1");
+    assert_eq!(program.error("G17 G5 I1 J1 P1 Q1 X1"), 126);
+    let no_feed = Program::new(Dialect::Seed);
+    assert_eq!(no_feed.error("G5 I1 J1 P1 Q1 X1"), 22);
+    let jog = |line: &[u8]| program.interpreter.check_jog(line, Dialect::Oxmill).map(|_| ());
+    assert_eq!(jog(b"G17G69G5X1I1J1P1Q1F100").map_err(|error| error.code()), Err(16));
+}
+
+#[test]
+fn grbl_knows_none() {
+    let mut program = Program::new(Dialect::Grbl);
+    program.run("G17 F300");
+    for line in ["G5 X1 I1 J1", "G5.1 X1 I1 J1", "G5"] {
+        assert_eq!(program.error(line), 20, "{line}");
+    }
+    assert_eq!(program.error("G1 X1 P-1"), 4);
+}
+
+/// No increment is lost over very many curves.
+#[test]
+fn curves_do_not_drift() {
+    let mut program = ready("G68 X0 Y0 R33.3\nG91\nG5 X0.001 Y.0003 I1 J1 P0 Q0");
+    for _ in 1..10_000 {
+        program.run("X0.001 Y.0003 P-.1 Q.05");
+    }
+    assert_eq!(in_mm(&program.interpreter.to_program(program.interpreter.position()))[..2], [10.0, 3.0]);
+}
