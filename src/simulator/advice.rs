@@ -84,6 +84,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
+        Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."

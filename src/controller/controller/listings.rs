@@ -157,6 +157,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 modal.feed_mode.word(),
             ],
             rotation: self.interpreter.rotation().is_some(),
+            blends: self.interpreter.modal().path.tolerance().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,
             parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
