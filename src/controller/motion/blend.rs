@@ -11,9 +11,11 @@
 //!                          the path turns by t. e is what is left of P, and d a quarter of the shorter move at most.
 //! ```
 //! The piece turns twice by t/2, which the rule of turns ([`super::junction`]) lets pass faster than t, and has the length
-//! between that the axes need. What was left of a move is straight, so it stays within P of the path, and the path within P
-//! of it: C is e away, and no point of the piece is farther from the moves than C is from it.
+//! between that the axes need: it touches a circle of radius r that touches both moves, and v² - v·J = a·L/t. Where there is room
+//! for more speed than corners of t/2 allow, there are four of t/4. What is left of a move is straight, so the tool stays within P
+//! of the path, and the path within P of it: C is e = r·(1/cos(t/2) - 1) away, and no point of a piece is farther from the moves.
 //!
+//! Turns of 0.25 to 0.6 rad are left as they are: their halves would count as a bend ([`super::curvature`]), which is granted no J.
 //! Beyond two radians the way round takes longer than the stop saves: with the acceleration a, cutting off a corner raises its
 //! speed by a·L/(t·v), which saves 2·L/(t·v) of braking and speeding up, and the way L takes L/v.
 
