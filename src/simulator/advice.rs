@@ -97,6 +97,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NoSuchPin => {
             "Leave the line out: a board with pins for programs is not there yet, but for the simulator."
         }
+        Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."

@@ -2,6 +2,7 @@
 
 mod axis_speeds;
 mod backlash;
+mod blended;
 mod conversations;
 mod crumbs;
 mod curves;

@@ -51,12 +51,12 @@ impl Style {
         Style { inches: false, decimals }
     }
 
-    const fn inches(decimals: usize) -> Style {
+    pub const fn inches(decimals: usize) -> Style {
         Style { inches: true, decimals }
     }
 
     /// mm.
-    fn unit(self) -> f64 {
+    pub fn unit(self) -> f64 {
         if self.inches { 25.4 } else { 1.0 }
     }
 }

@@ -171,6 +171,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             ],
             rotation: self.interpreter.rotation().is_some(),
             scaling: self.interpreter.scaling().is_some(),
+            blends: self.interpreter.modal().path.tolerance().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,
             parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,

@@ -3,11 +3,11 @@
 use super::Controller;
 use super::task::{Job, Stage};
 use crate::axes::PerAxis;
-use crate::gcode::Feed;
+use crate::gcode::{Feed, Motion, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry};
+use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -52,7 +52,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_number: self.line.checked.line_number,
             no_feed_override: jog,
             digit: self.line.checked.digit,
+            tolerance: self.tolerance(speed),
         }
+    }
+
+    /// How far a move may be from its path: lines at a feed only.
+    fn tolerance(&self, speed: Speed) -> Tolerance {
+        let within = match (speed, self.line.checked.motion, self.interpreter.modal().path) {
+            (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
+            _ => return Tolerance::EXACT,
+        };
+        let mm = |units: u32| Coordinate(i64::from(units)).to_mm();
+        Tolerance { path: mm(within.path), merging: mm(within.merging) }
     }
 
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed) -> Stage {

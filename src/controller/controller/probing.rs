@@ -4,7 +4,7 @@ use super::Controller;
 use crate::axes::PerAxis;
 use crate::error::Alarm;
 use crate::machine::stops::StopReason;
-use crate::motion::{Move, Speed};
+use crate::motion::{Move, Speed, Tolerance};
 use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::Coordinate;
@@ -66,5 +66,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
 /// A move that the operator's overrides leave alone.
 pub(super) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
-    Move { target, speed, power: 0, scale_power: false, line_number, no_feed_override: true, digit: 0.0 }
+    Move {
+        target,
+        speed,
+        power: 0,
+        scale_power: false,
+        line_number,
+        no_feed_override: true,
+        digit: 0.0,
+        tolerance: Tolerance::EXACT,
+    }
 }

@@ -12,6 +12,8 @@ pub const ROTATION: bool = cfg!(feature = "rotation");
 
 /// Whether there are splines: a feature of its own.
 pub const SPLINES: bool = cfg!(feature = "splines");
+/// Whether corners can be rounded (G64 P): a feature of its own.
+pub const BLENDING: bool = cfg!(feature = "blending");
 
 /// Motion mode, modal group 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -226,11 +228,32 @@ impl Units {
 /// Path control, modal group 13.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PathControl {
-    /// G61: through all points. So is G64, whose tolerance may be used up or not.
+    /// G61: through all points. So is G64 without a tolerance.
     #[default]
     ExactPath,
     /// G61.1: and to rest at each.
     ExactStop,
+    /// G64 P: near all points.
+    Within(PathTolerance),
+}
+
+/// How far the tool may be from the programmed path, in units of 0.1 nm. More than fits is not made use of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathTolerance {
+    /// P of G64, above 0: in all.
+    pub path: u32,
+    /// Q of G64: where moves are merged.
+    pub merging: u32,
+}
+
+impl PathControl {
+    /// How far the tool may be from the path, if it is not exact.
+    pub fn tolerance(self) -> Option<PathTolerance> {
+        match self {
+            PathControl::Within(tolerance) => Some(tolerance),
+            PathControl::ExactPath | PathControl::ExactStop => None,
+        }
+    }
 }
 
 /// Overrides of the operator that the program holds off, modal group 9.

@@ -13,7 +13,7 @@
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
 use crate::messages::{Coolant, Observed, ToStep};
-use crate::motion::{Motion, Move, Speed};
+use crate::motion::{Motion, Move, Speed, Tolerance};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, per_second};
 
@@ -182,6 +182,7 @@ impl<const N: usize> SafetyDoor<N> {
             line_number: 0,
             no_feed_override: true,
             digit: 0.0,
+            tolerance: Tolerance::EXACT,
         });
         self.motion.start();
         true

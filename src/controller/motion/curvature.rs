@@ -34,7 +34,7 @@ const SHORTEST: f32 = 1.0 / 256.0;
 /// Spans that a new one is compared with.
 const HISTORY: usize = 4;
 /// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
-const DIGITS_ASIDE: f32 = 1.5;
+pub(super) const DIGITS_ASIDE: f32 = 1.5;
 /// A span whose ends are closer than this share of its path is no chord of a bend: that of half a circle has 0.64.
 const STRAIGHTNESS: f32 = 0.6;
 /// q² of 0.6 rad: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
@@ -316,7 +316,7 @@ impl<const N: usize> Scale<N> {
 
 /// The program's last digit: the finest of its last 32 to 64 points.
 #[derive(Clone, Copy, Debug)]
-struct LastDigit {
+pub(super) struct LastDigit {
     finest: f32,
     before: f32,
     points: u8,
@@ -367,6 +367,16 @@ impl<const N: usize> Chain<N> {
     /// The program's last digit, mm, with that of one more point.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
+    }
+
+    /// What is known of the program's last digit, to be restored after a piece that has none.
+    pub(super) fn program_digit(&self) -> LastDigit {
+        self.digit
+    }
+
+    /// See [`Chain::program_digit`].
+    pub(super) fn set_program_digit(&mut self, digit: LastDigit) {
+        self.digit = digit;
     }
 
     /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.

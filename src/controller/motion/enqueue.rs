@@ -7,7 +7,7 @@ use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER}
 use super::curvature::{NOTICEABLE, PathPiece};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
-use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, Numbering};
+use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};
@@ -108,6 +108,13 @@ impl<const N: usize> AnyQueue<N> {
         if self.free_blocks() == 0 {
             return false;
         }
+        self.put(m, curve_speed2, chord);
+        true
+    }
+
+    /// Queues a move where there is room. `chord`: along its true ends, instead of the steps next to them.
+    #[inline]
+    pub(super) fn put(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let timed;
         let m = match m.speed {
             // The time is that of the whole, and a piece of it may be cut off.
@@ -131,7 +138,7 @@ impl<const N: usize> AnyQueue<N> {
         }
         if most < MAX_STEPS {
             self.append(m, &steps, curve_speed2, chord);
-            return true;
+            return;
         }
         let mut whole = *m;
         if let Speed::Duration(seconds) = m.speed {
@@ -141,7 +148,6 @@ impl<const N: usize> AnyQueue<N> {
         let pieces = most / (MAX_STEPS / 2) + 1;
         self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
-        true
     }
 
     /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
@@ -198,10 +204,7 @@ impl<const N: usize> AnyQueue<N> {
         self.end.planned_steps = *target_steps;
 
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
-        let line_number = match self.numbering {
-            Numbering::Words => m.line_number,
-            Numbering::Given(number) => number,
-        };
+        let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
         let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };

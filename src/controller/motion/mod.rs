@@ -16,6 +16,7 @@
 pub mod arc;
 mod axis_limits;
 mod backlash;
+mod blend;
 mod block;
 mod course;
 mod curvature;
@@ -33,6 +34,7 @@ mod measure;
 mod path_end;
 mod planner;
 mod queue;
+mod rounding;
 mod running;
 mod segment;
 mod segment_source;
@@ -42,6 +44,7 @@ pub mod stepper;
 mod trapezoid;
 
 pub use arc::{Arc, ArcGeometry, Curvature};
+pub use blend::Tolerance;
 pub use curve::Curve;
 pub use extent::extent;
 pub use segment_source::QUEUED_TIME_MS;
@@ -115,6 +118,8 @@ pub struct Move<const N: usize> {
     pub no_feed_override: bool,
     /// The last digit of the program's coordinates, mm: how far apart neighbouring points are that it can name; 0 = exact.
     pub digit: f32,
+    /// How far the tool may be from the path.
+    pub tolerance: Tolerance,
 }
 
 /// The facade of this room, with a look-ahead ring of so many blocks.
@@ -227,13 +232,13 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub fn line(&mut self, m: &Move<N>) -> bool {
-        self.queue.line(m)
+        self.queue.take(m)
     }
 
     /// Queues a chord of a curve: [`AnyMotion::line`], not faster than the curve allows, and stepped along its true ends
     /// instead of the steps next to them.
     pub fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
-        self.queue.chord(m, curvature)
+        self.queue.take_chord(m, curvature)
     }
 
     /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the
@@ -281,6 +286,9 @@ impl<const N: usize> AnyMotion<N> {
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
     pub fn start(&mut self) {
+        if self.queue.planner.len() == 0 {
+            self.queue.release();
+        }
         if self.queue.planner.len() > 0 {
             self.source.start();
         }
@@ -304,6 +312,7 @@ impl<const N: usize> AnyMotion<N> {
             return None;
         }
         self.queue.continue_long_move();
+        self.queue.release_in_time();
         let message = self.source.next_message(&mut self.queue.planner, self.queue.overrides, &self.queue.backlash)?;
         if self.queue.is_empty() {
             self.run_out();
@@ -490,6 +499,7 @@ impl<const N: usize> AnyMotion<N> {
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {
+            self.queue.release();
             self.queue.end_join();
             self.queue.marked = marked;
         }
@@ -503,8 +513,10 @@ impl<const N: usize> AnyMotion<N> {
     /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),
     /// or without one. It is ahead of the step task by the time queued there.
     pub fn running_power(&self) -> Option<u16> {
-        let block = self.queue.planner.first()?;
-        (block.flags & NO_OVERRIDE == 0).then_some(block.power)
+        match self.queue.planner.first() {
+            Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),
+            None => self.queue.blend.moves().next().map(|held| held.m.power),
+        }
     }
 
     /// N word of the block being executed, 0 if none.
@@ -521,7 +533,8 @@ impl<const N: usize> AnyMotion<N> {
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
         let planner = &self.queue.planner;
         let queued = (0..planner.len()).filter_map(|place| planner.block(place)).map(|block| block.line_number);
-        core::iter::once(self.running_line_number()).chain(queued)
+        let held = self.queue.blend.moves().map(|held| held.number);
+        core::iter::once(self.running_line_number()).chain(queued).chain(held)
     }
 
     /// Moves have this number from here on, instead of their N words.

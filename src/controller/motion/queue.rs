@@ -3,6 +3,7 @@
 
 use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};
+use super::blend::Blend;
 use super::block::{Block, OverrideFactors};
 use super::curvature::Chain;
 use super::join::Join;
@@ -57,6 +58,8 @@ pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
     pub chain: Chain<N>,
     /// The last block, as far as short moves may continue it.
     pub join: Join<N>,
+    /// Moves that are not queued yet: corners may be rounded.
+    pub blend: Blend<N>,
     pub planner: Planner<N, R>,
 }
 
@@ -78,6 +81,7 @@ impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
             marked: 0,
             chain: Chain::new(),
             join: Join::NONE,
+            blend: Blend::NONE,
             planner: Planner::new(),
         }
     }
@@ -98,6 +102,7 @@ impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOC
             marked: self.marked,
             chain: self.chain.clone(),
             join: self.join.clone(),
+            blend: self.blend.clone(),
             planner: self.planner.clone(),
         }
     }
@@ -121,6 +126,7 @@ impl<const N: usize> AnyQueue<N> {
         let steps = motors.tool();
         self.planner.clear();
         self.join.forget();
+        self.blend.forget();
         self.long = None;
         self.end.restart(steps, self.kinematics.place(&steps));
         self.substep_offset = None;
@@ -138,18 +144,42 @@ impl<const N: usize> AnyQueue<N> {
     /// Whether there is nothing more to be done.
     #[inline]
     pub(super) fn is_empty(&self) -> bool {
-        self.planner.len() == 0 && self.long.is_none()
+        self.planner.len() == 0 && self.long.is_none() && !self.blend.is_holding()
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
     pub(super) fn free_blocks(&self) -> usize {
         let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(self.planner.capacity()) - 1 } else { 0 };
-        if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare) }
+        if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare + self.blocks_held()) }
     }
 
     /// The end of all moves, as programmed.
     pub(super) fn planned_position(&self) -> PerAxis<Coordinate, N> {
+        if let Some(end) = self.blend.end() {
+            return end;
+        }
         self.long.map_or(self.end.planned, |long| long.whole.target)
+    }
+
+    /// Blocks that are kept free for what is held back.
+    fn blocks_held(&self) -> usize {
+        let pieces = match self.blend.moves().count() {
+            0 => return 0,
+            // One more makes a corner: five blocks.
+            1 => 4,
+            // With one more the first corner is queued, and there is the second.
+            _ => 8,
+        };
+        if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }
+    }
+
+    /// What the block of a move is numbered with.
+    #[inline]
+    pub(super) fn number_of(&self, m: &Move<N>) -> u32 {
+        match self.numbering {
+            Numbering::Words => m.line_number,
+            Numbering::Given(number) => number,
+        }
     }
 }
 

@@ -385,6 +385,8 @@ pub struct ParserState {
     pub scaling: bool,
     /// G68 acts.
     pub rotation: bool,
+    /// G64 P acts.
+    pub blends: bool,
     /// Spindle.
     pub spindle: SpindleDirection,
     /// Coolant.
@@ -413,6 +415,9 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     }
     if state.rotation {
         put(out, b" G68");
+    }
+    if state.blends {
+        put(out, b" G64");
     }
     put(
         out,

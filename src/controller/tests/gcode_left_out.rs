@@ -51,6 +51,13 @@ fn splines() {
     refuses(&["G4 P-1", "G10 L2 P-1 X0"], Error::NegativeValue);
 }
 
+#[cfg(not(feature = "blending"))]
+#[test]
+fn rounded_corners() {
+    refuses(&["G64 P0.1", "G64 P0.1 Q0"], Error::BlendingLeftOut);
+    assert_eq!(["G64", "G64 P0", "G61", "G61.1"].map(|line| Program::new(Dialect::Oxmill).error(line)), [0; 4]);
+}
+
 #[cfg(not(feature = "expressions"))]
 #[test]
 fn expressions_and_parameters() {

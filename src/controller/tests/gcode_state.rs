@@ -5,7 +5,7 @@
 
 mod program;
 
-use oxmill_controller::gcode::{Dialect, Flow, Motion, PathControl};
+use oxmill_controller::gcode::{Dialect, Flow, Motion, PathControl, PathTolerance};
 use oxmill_controller::messages::SpindleDirection;
 use program::Program;
 
@@ -176,7 +176,8 @@ fn path_control() {
         let mut program = ready(dialect);
         for (line, path) in [
             ("G61.1", PathControl::ExactStop),
-            ("G64 P0.1 Q0.2", PathControl::ExactPath),
+            ("G64 P0 Q0.2", PathControl::ExactPath),
+            ("G64 Q0.2", PathControl::ExactPath),
             ("G61.1 G0 X1", PathControl::ExactStop),
             ("G61", PathControl::ExactPath),
             ("G64", PathControl::ExactPath),
@@ -247,6 +248,33 @@ fn g92_and_m72() {
     ]);
 }
 
+/// P and Q are in the unit of the line; LinuxCNC has the same numbers for them, and takes Q for P where it is not there.
+#[cfg(feature = "blending")]
+#[test]
+fn path_tolerances() {
+    let within = |path, merging| PathControl::Within(PathTolerance { path, merging });
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for (line, path) in [
+            ("G64 P0.1 Q0.2", within(1_000_000, 2_000_000)),
+            ("G64 P0.05", within(500_000, 500_000)),
+            ("G64 P0.05 Q0", within(500_000, 0)),
+            ("G20 G64 P0.01", within(2_540_000, 2_540_000)),
+            ("M70", within(2_540_000, 2_540_000)),
+            ("G61", PathControl::ExactPath),
+            ("M72", within(2_540_000, 2_540_000)),
+            ("G21 G64 P1000", within(u32::MAX, u32::MAX)),
+            ("G1 X1 F100", within(u32::MAX, u32::MAX)),
+            ("G64", PathControl::ExactPath),
+        ] {
+            program.run(line);
+            assert_eq!(program.interpreter.modal().path, path, "{line}");
+        }
+        let errors = ["G64 P-1", "G64 P1 Q-1", "G1 X1 P1", "G61 Q1"].map(|line| program.error(line));
+        assert_eq!(errors, [4, 4, 36, 36]);
+    }
+}
+
 /// In Grbl's dialect all of them are what they are to Grbl.
 #[test]
 fn grbl_knows_none_of_them() {
@@ -257,6 +285,7 @@ fn grbl_knows_none_of_them() {
         "G92.3",
         "G61.1",
         "G64",
+        "G64 P0.1",
         "G50",
         "G68 X0 R1",
         "G69",

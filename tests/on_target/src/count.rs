@@ -17,7 +17,7 @@ use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
-use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed};
+use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed, Tolerance};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
 use oxmill_controller::{Controller, Profile, StepRates};
 use oxmill_firmware as _;
@@ -379,7 +379,16 @@ fn micrometres(x: i64, y: i64) -> PerAxis<Coordinate, 3> {
 fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
     let target = micrometres(x, y);
     let speed = Speed::Feed(speed);
-    Move { target, speed, power: 0, scale_power: false, line_number: 0, no_feed_override: false, digit: 0.001 }
+    Move {
+        target,
+        speed,
+        power: 0,
+        scale_power: false,
+        line_number: 0,
+        no_feed_override: false,
+        digit: 0.001,
+        tolerance: Tolerance::EXACT,
+    }
 }
 
 fn planning(motion: &mut Planner) {

@@ -14,7 +14,7 @@ mod tool_words;
 
 use super::Dialect;
 use super::checked::{Checked, Flow, Motion};
-use super::modal::{FeedMode, MotionMode, ROTATION, Units};
+use super::modal::{BLENDING, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::Interpreter;
@@ -52,7 +52,7 @@ pub(super) fn check<const N: usize>(
     check.parking_override();
     if is_extended {
         check.overrides()?;
-        check.path_control();
+        check.path_control()?;
     }
     check.dwell()?;
     check.tool_length()?;
@@ -133,14 +133,29 @@ impl<const N: usize> Check<'_, N> {
         }
     }
 
-    /// P and Q of G64 are how far a corner may be cut: an exact path cuts none.
-    fn path_control(&mut self) {
-        if let Some(path) = self.line.extended.path {
-            self.checked.modal.path = path;
-            if self.line.extended.is_path_tolerance {
-                self.unused.remove(Letters::of(b"PQ"));
-            }
+    /// G61, G61.1, G64 and the tolerances of G64. Without P, or with P0, the path is exact; Q is P if it is not there.
+    fn path_control(&mut self) -> Result<(), Error> {
+        let Some(path) = self.line.extended.path else { return Ok(()) };
+        self.checked.modal.path = path;
+        if !self.line.extended.is_path_tolerance {
+            return Ok(());
         }
+        self.unused.remove(Letters::of(b"PQ"));
+        let values = &self.line.values;
+        let (path, merging) = (self.line.value.p, self.line.value.q);
+        if values.has(b'Q') && merging < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
+        let within = |value| u32::try_from(self.length(value).0).unwrap_or(u32::MAX);
+        let path = if values.has(b'P') { within(path) } else { 0 };
+        if path > 0 {
+            if !BLENDING {
+                return Err(Error::BlendingLeftOut);
+            }
+            let merging = if values.has(b'Q') { within(merging) } else { path };
+            self.checked.modal.path = PathControl::Within(PathTolerance { path, merging });
+        }
+        Ok(())
     }
 
     fn dwell(&mut self) -> Result<(), Error> {

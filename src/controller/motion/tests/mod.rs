@@ -3,6 +3,7 @@
 #![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
 
 mod arcs;
+mod blends;
 mod bounds;
 mod jobs;
 mod joins;

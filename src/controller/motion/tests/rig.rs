@@ -1,6 +1,6 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
-use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper};
+use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper, Tolerance};
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
@@ -90,6 +90,7 @@ pub fn to<const N: usize>(target: [f64; N], speed: Speed) -> Move<N> {
         line_number: 0,
         no_feed_override: false,
         digit: 0.001,
+        tolerance: Tolerance::EXACT,
     }
 }
 

@@ -1,0 +1,71 @@
+//! Moves that are held back within a tolerance: what is queued of them, and when.
+
+use super::super::{Move, Speed, Tolerance};
+use super::rig::{Rig, settings, to};
+
+fn within(path: f32, target: [f64; 3], speed: Speed) -> Move<3> {
+    Move { tolerance: Tolerance { path, merging: path }, ..to(target, speed) }
+}
+
+const FEED: Speed = Speed::Feed(50.0);
+
+/// Steps of the blocks that a job becomes.
+fn blocks(moves: &[Move<3>]) -> Vec<[i64; 3]> {
+    let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
+    rig.moves.extend(moves);
+    rig.run();
+    assert_eq!(rig.motion.planned_position(), moves[moves.len() - 1].target);
+    rig.blocks.iter().map(|block| block.steps.map(i64::from)).collect()
+}
+
+#[test]
+fn a_square_corner_is_cut_off() {
+    let job = |path| blocks(&[within(path, [10.0, 0.0, 0.0], FEED), within(path, [10.0, 10.0, 0.0], FEED)]);
+    assert_eq!(job(0.0), [[1000, 0, 0], [0, 1000, 0]]);
+    // 0.05 mm are 0.0707 mm of either move, which are seven steps.
+    assert_eq!(job(0.05), [[993, 0, 0], [7, 7, 0], [0, 993, 0]]);
+    // More than the acceleration needs is not made use of: four vertices.
+    let far = job(1.0);
+    assert!(far.len() == 5 && far[0][0] > 900, "{far:?}");
+}
+
+#[test]
+fn what_is_not_alike_or_turns_back_keeps_its_corner() {
+    let first = within(0.05, [10.0, 0.0, 0.0], FEED);
+    let up = [10.0, 10.0, 0.0];
+    let whole = |second: Move<3>| blocks(&[first, second])[0] == [1000, 0, 0];
+    assert!(!whole(within(0.05, up, Speed::Feed(20.0))), "another feed");
+    assert!(whole(within(0.05, up, Speed::Rapid)) && whole(within(0.0, up, FEED)));
+    assert!(whole(Move { power: 1, ..within(0.05, up, FEED) }));
+    assert!(whole(Move { no_feed_override: true, ..within(0.05, up, FEED) }));
+    assert!(whole(within(0.05, [0.0, 0.0, 0.0], FEED)) && whole(within(0.05, [5.0, 3.0, 0.0], FEED)));
+}
+
+#[test]
+fn chords_become_fewer_within_the_tolerance() {
+    let wave = |k: i32| within(0.02, [0.1 * f64::from(k), 0.006 * f64::from(k % 2), 0.0], FEED);
+    let points: Vec<Move<3>> = (1..=200).map(wave).collect();
+    assert!(blocks(&points).len() < 10);
+    let lines: Vec<Move<3>> = points.iter().enumerate().map(|(k, m)| Move { line_number: k as u32, ..*m }).collect();
+    assert!(blocks(&lines).len() >= 200, "reports tell N words");
+    let exact: Vec<Move<3>> =
+        points.iter().map(|m| Move { tolerance: Tolerance { path: 0.02, merging: 0.0 }, ..*m }).collect();
+    assert!(blocks(&exact).len() >= 200, "Q0");
+}
+
+/// Both moves of a corner count as queued before they are.
+#[test]
+fn what_is_held_back_is_part_of_the_queue() {
+    let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
+    let motion = &mut rig.motion;
+    for (number, target) in [(7, [10.0, 0.0, 0.0]), (8, [10.0, 10.0, 0.0])] {
+        assert!(motion.line(&Move { line_number: number, ..within(0.05, target, FEED) }));
+    }
+    assert!(motion.queued_blocks() == 0 && !motion.is_idle() && motion.free_blocks() < 64);
+    assert_eq!(motion.running_power(), Some(1000));
+    assert_eq!(motion.queued_line_numbers().collect::<Vec<_>>(), [0, 7, 8]);
+    assert_eq!(motion.planned_position(), to([10.0, 10.0, 0.0], FEED).target);
+    motion.discard();
+    assert!(motion.is_idle() && motion.free_blocks() == 64);
+    assert_eq!(motion.planned_position(), to([0.0; 3], FEED).target);
+}

@@ -1,0 +1,352 @@
+//! G64 P: rounded corners and merged moves. How far the tool is from the programmed path is measured on the steps, geometrically
+//! and both ways: every place that a step leads to is near the path, and every point of the path has the tool come near. Nothing
+//! here is taken from the planner.
+
+use super::axis_speeds::{Course, greatest_change};
+use super::estimator::Limits;
+use super::oracle::{AXES, Pulse};
+use super::rig::{HZ, Rig};
+use super::turns::{Style, program, run, seconds, settings};
+use oxmill_controller::messages::Realtime;
+
+type Point = [f64; AXES];
+
+/// Steps lie beside the path that is driven: half a step of each motor, and a fourteenth for its ends (docs/motion.md); or as
+/// far as without a tolerance.
+const STEP: f64 = 0.5 + 1.0 / 14.0;
+/// A job has become slower that takes this share more, and more than what jobs of fractions of a second differ by anyway.
+const SLOWER: f64 = 1.005;
+const NOTICEABLE_S: f64 = 0.012;
+/// The change of speed that [`super::axis_speeds`] reads, against what is allowed on the programmed path: the corner that the
+/// tool drives lies beside it.
+const CHANGE: f64 = 1.1;
+/// Path between the points at which the tool has to come near, mm.
+const SPACING: f64 = 0.02;
+
+fn limits(steps_per_mm: f64) -> Limits {
+    Limits {
+        steps_per_mm: [steps_per_mm; AXES],
+        rate: [100.0; AXES],
+        acceleration: [500.0; AXES],
+        junction_deviation: 0.01,
+    }
+}
+
+fn from_line(point: Point, [from, to]: [Point; 2]) -> f64 {
+    let way: Point = std::array::from_fn(|axis| to[axis] - from[axis]);
+    let off: Point = std::array::from_fn(|axis| point[axis] - from[axis]);
+    let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let square = dot(&way, &way);
+    let share = if square > 0.0 { (dot(&way, &off) / square).clamp(0.0, 1.0) } else { 0.0 };
+    let rest: Point = std::array::from_fn(|axis| off[axis] - share * way[axis]);
+    dot(&rest, &rest).sqrt()
+}
+
+/// The greatest distance of any of the points from a line through others, mm.
+fn farthest(points: &[Point], line: &[Point]) -> f64 {
+    let pieces: Vec<[Point; 2]> = line.windows(2).map(|pair| [pair[0], pair[1]]).collect();
+    let (mut nearest, mut most) = (0, 0.0_f64);
+    for point in points {
+        // The neighbours of the last one first: what is nearer to them than others have been changes nothing.
+        let mut least = f64::INFINITY;
+        for (index, piece) in pieces.iter().enumerate().take(nearest + 4).skip(nearest.saturating_sub(3)) {
+            let distance = from_line(*point, *piece);
+            if distance < least {
+                (least, nearest) = (distance, index);
+            }
+        }
+        if least <= most {
+            continue;
+        }
+        for (index, piece) in pieces.iter().enumerate() {
+            let beyond = |axis: usize| {
+                let (low, high) = (piece[0][axis].min(piece[1][axis]), piece[0][axis].max(piece[1][axis]));
+                (low - point[axis]).max(point[axis] - high)
+            };
+            if (0..AXES).all(|axis| beyond(axis) < least) {
+                let distance = from_line(*point, *piece);
+                if distance < least {
+                    (least, nearest) = (distance, index);
+                }
+            }
+        }
+        most = most.max(least);
+    }
+    most
+}
+
+fn places(trace: &[Pulse], steps_per_mm: f64) -> Vec<Point> {
+    let mut place = [0; AXES];
+    let mut places = vec![[0.0; AXES]];
+    for pulse in trace {
+        place = pulse.moved(place);
+        places.push(place.map(|steps| steps as f64 / steps_per_mm));
+    }
+    places
+}
+
+/// Points along a path.
+fn along(path: &[Point]) -> Vec<Point> {
+    let mut points = Vec::new();
+    for pair in path.windows(2) {
+        let length = from_line(pair[1], [pair[0], pair[0]]);
+        let pieces = (length / SPACING).ceil().max(1.0);
+        points.extend((0..=pieces as u32).map(|k| -> Point {
+            std::array::from_fn(|axis| pair[0][axis] + (pair[1][axis] - pair[0][axis]) * f64::from(k) / pieces)
+        }));
+    }
+    points
+}
+
+/// What a tolerance makes of a job.
+#[derive(Debug)]
+struct Outcome {
+    /// Of the steps from the path, and of the path from the steps, mm.
+    steps: f64,
+    path: f64,
+    /// Time, and as a share of that of the exact path.
+    seconds: f64,
+    share: f64,
+    /// The greatest change of speed of an axis against what is allowed.
+    change: f64,
+}
+
+/// One job in words, with the tolerance in mm.
+struct Job<'a> {
+    points: &'a [Point],
+    style: Style,
+    feed: f64,
+    steps_per_mm: f64,
+    jerk: f64,
+    words: &'a str,
+    tolerance: f64,
+}
+
+impl Job<'_> {
+    fn outcome(&self) -> Result<Outcome, String> {
+        let limits = limits(self.steps_per_mm);
+        let settings = settings(&limits, self.jerk);
+        let (text, course): (String, Course) = program(self.points, self.style, self.feed);
+        let exact = run(&settings, &text);
+        let (first, rest) = text.split_once('\n').unwrap();
+        let rig = run(&settings, &format!("{first}\n{}\n{rest}", self.words));
+        if rig.place != exact.place {
+            return Err(format!("ends at {:?} instead of {:?}", rig.place, exact.place));
+        }
+        let places = places(&rig.trace, self.steps_per_mm);
+        let used = (0..AXES).filter(|axis| course.written.iter().any(|point| point[*axis] != 0.0)).count();
+        let places_exact = self::places(&exact.trace, self.steps_per_mm);
+        let of_exact = farthest(&places_exact, &course.written).max(farthest(&along(&course.written), &places_exact));
+        let beside = (STEP / self.steps_per_mm * (used as f64).sqrt()).max(of_exact) + 1e-6;
+        let outcome = Outcome {
+            steps: farthest(&places, &course.written),
+            path: farthest(&along(&course.written), &places),
+            seconds: seconds(&rig),
+            share: seconds(&rig) / seconds(&exact),
+            change: if self.jerk == 0.0 {
+                let of = |window| greatest_change(&rig.trace, HZ as f64, &course, &limits, window);
+                let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
+                changes.map_or(0.0, |changes| changes.iter().map(|change| change.ratio).fold(0.0, f64::max))
+            } else {
+                0.0
+            },
+        };
+        let far = outcome.steps.max(outcome.path);
+        if far > self.tolerance + beside {
+            return Err(format!("{far} mm off, {} mm beside the steps' {beside}: {outcome:?}", far - beside));
+        }
+        if outcome.change > CHANGE {
+            return Err(format!("too fast: {outcome:?}"));
+        }
+        if outcome.share > SLOWER && outcome.seconds > seconds(&exact) + NOTICEABLE_S {
+            return Err(format!("slower: {outcome:?}"));
+        }
+        Ok(outcome)
+    }
+}
+
+/// Runs a job with some tolerances.
+fn check(name: &str, points: &[Point], style: Style) -> Vec<String> {
+    let mut faults = Vec::new();
+    for (steps_per_mm, feed, jerk) in [(80.0, 100.0, 0.0), (250.0, 33.0, 0.0), (250.0, 100.0, 20_000.0)] {
+        for p in [0.02, 0.1] {
+            let words = format!("G64 P{:.6}", p / style.unit());
+            let job = Job { points, style, feed, steps_per_mm, jerk, words: &words, tolerance: p };
+            let outcome = job.outcome();
+            println!("{name}, {steps_per_mm} steps/mm, {feed} mm/s, jerk {jerk}, P{p}: {outcome:.4?}");
+            if let Err(fault) = outcome {
+                faults.push(format!("{name}, {steps_per_mm} steps/mm, {feed} mm/s, jerk {jerk}, P{p}: {fault}"));
+            }
+        }
+    }
+    faults
+}
+
+fn in_plane(points: &[[f64; 2]]) -> Vec<Point> {
+    points.iter().map(|[x, y]| [*x, *y, 0.0]).collect()
+}
+
+#[test]
+fn corners_are_rounded_within_the_tolerance() {
+    let square = in_plane(&[[20.0, 0.0], [20.0, 20.0], [0.0, 20.0], [0.0, 0.0], [20.0, 0.0]]);
+    let zigzag: Vec<[f64; 2]> = (1..20).map(|k| [f64::from(k), if k % 2 == 0 { 0.0 } else { 10.0 }]).collect();
+    let rows: Vec<[f64; 2]> = (0..10)
+        .flat_map(|k| {
+            let (y, x) = (0.3 * f64::from(k), if k % 2 == 0 { 20.0 } else { 0.0 });
+            [[x, y], [x, y + 0.3]]
+        })
+        .collect();
+    let back = in_plane(&[[10.0, 0.0], [0.0, 0.0], [10.0, 0.0], [2.0, 0.0]]);
+    let mut faults = check("square", &square, Style::mm(3));
+    faults.extend(check("square in inches", &square, Style::inches(4)));
+    faults.extend(check("zigzag", &in_plane(&zigzag), Style::mm(3)));
+    faults.extend(check("rows", &in_plane(&rows), Style::mm(3)));
+    faults.extend(check("back and forth", &back, Style::mm(3)));
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn curves_in_chords_are_merged_within_the_tolerance() {
+    let mut faults = Vec::new();
+    for chord in [0.03, 0.1, 0.5] {
+        let spiral: Vec<Point> = (1..(60.0 / chord) as u32)
+            .scan(0.0_f64, |angle, _| {
+                *angle += chord / (0.3 + 0.2 * *angle);
+                let radius = 0.3 + 0.2 * *angle;
+                Some([radius * angle.cos() - 0.3, radius * angle.sin(), 0.0])
+            })
+            .collect();
+        faults.extend(check(&format!("spiral, {chord} mm"), &spiral, Style::mm(4)));
+        faults.extend(check(&format!("spiral, {chord} mm, coarse"), &spiral, Style::mm(2)));
+        let relief: Vec<Point> = (1..(60.0 / chord) as u32)
+            .map(|k| {
+                let x = chord * f64::from(k);
+                [x, 0.0, 0.4 * (1.7 * x).sin() + 0.05 * (9.0 * x).sin().abs() + if x % 10.0 < 3.0 { 0.5 } else { 0.0 }]
+            })
+            .collect();
+        faults.extend(check(&format!("relief, {chord} mm"), &relief, Style::mm(3)));
+        faults.extend(check(&format!("relief, {chord} mm, inches"), &relief, Style::inches(4)));
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// A generator of random numbers, the same ones at each run.
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        low * (high / low).powf(self.unit())
+    }
+}
+
+/// A walk: bends in chords, straight runs of chords, corners, turns back, in the plane or in space.
+fn walk(random: &mut Random) -> Vec<Point> {
+    let (mut at, mut heading, mut points) = ([0.0; AXES], random.unit() * 6.3, Vec::new());
+    let (rise, chord) = (if random.unit() < 0.5 { 0.0 } else { random.unit() - 0.5 }, random.within(0.01, 2.0));
+    while points.len() < 150 {
+        let (turn, moves, length) = match (random.unit() * 5.0) as u32 {
+            0 => (random.unit() * 6.0 - 3.0, 1, random.within(0.05, 10.0)),
+            1 => (0.0, (random.unit() * 30.0) as u32, chord),
+            2 => (random.unit() * 2.0 - 1.0, (random.unit() * 10.0) as u32, chord),
+            _ => (chord / random.within(0.1, 30.0), (random.unit() * 60.0) as u32, chord),
+        };
+        for _ in 0..moves {
+            heading += turn;
+            at =
+                [at[0] + length * heading.cos(), at[1] + length * heading.sin(), at[2] + rise * length * heading.sin()];
+            points.push(at);
+        }
+    }
+    points
+}
+
+#[test]
+fn whatever_the_job_it_stays_within_the_tolerance_and_is_no_slower() {
+    let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);
+    let (mut random, mut faults, mut times) = (Random(7), Vec::new(), (0.0, 0.0));
+    for case in 0..cases {
+        let points = walk(&mut random);
+        let p = random.within(0.004, 0.4);
+        let style = [Style::mm(3), Style::mm(2), Style::mm(5), Style::inches(4)][(random.unit() * 4.0) as usize];
+        let q = [None, Some(0.0), Some(random.within(0.001, 1.0))][(random.unit() * 3.0) as usize];
+        let words = format!("G64 P{:.6}{}", p / style.unit(), q.map_or(String::new(), |q| format!(" Q{q:.4}")));
+        let jerk = [0.0, 0.0, random.within(2000.0, 100_000.0)][(random.unit() * 3.0) as usize];
+        let steps_per_mm = [80.0, 250.0, 640.0][(random.unit() * 3.0) as usize];
+        let feed = random.within(2.0, 100.0);
+        let job = Job { points: &points, style, feed, steps_per_mm, jerk, words: &words, tolerance: p };
+        match job.outcome() {
+            Ok(outcome) => {
+                times = (times.0 + outcome.seconds / outcome.share, times.1 + outcome.seconds);
+            }
+            Err(fault) => {
+                faults.push(format!("case {case}, {words}, {feed} mm/s, {steps_per_mm}, jerk {jerk}: {fault}"))
+            }
+        }
+    }
+    println!("{cases} jobs: {:.2} s, exact {:.2} s", times.1, times.0);
+    assert!(faults.is_empty(), "{} of {cases}:\n{}", faults.len(), faults.join("\n"));
+    assert!(times.1 < times.0, "{} s in all, {} s without a tolerance", times.1, times.0);
+}
+
+/// Holds, resumes and overrides in mid-job change neither the path nor its end; and what takes up slack ends where it does
+/// without a tolerance.
+#[test]
+fn holds_overrides_and_slack_leave_the_path_as_it_is() {
+    let mut points = walk(&mut Random(11));
+    points.iter_mut().for_each(|point| point[2] = 0.0);
+    let limits = limits(250.0);
+    let (text, course) = program(&points, Style::mm(3), 50.0);
+    let blended = format!("G64 P0.05\n{text}");
+    let exact = run(&settings(&limits, 0.0), &text);
+    let mut rig = Rig::with(&settings(&limits, 0.0));
+    rig.send(blended.as_bytes());
+    let commands = [
+        Realtime::FeedHold,
+        Realtime::CycleStart,
+        Realtime::FeedUp10,
+        Realtime::FeedHold,
+        Realtime::CycleStart,
+        Realtime::FeedDown10,
+    ];
+    for command in commands.iter().cycle().take(60) {
+        rig.run_for(0.09);
+        rig.press(*command);
+    }
+    rig.press(Realtime::CycleStart);
+    assert!(rig.run_until(600.0, |rig| rig.is_idle()));
+    assert_eq!(rig.place, exact.place);
+    let places = places(&rig.trace, 250.0);
+    let off = farthest(&places, &course.written).max(farthest(&along(&course.written), &places));
+    assert!(off <= 0.05 + 1.5 / 250.0 * 2.0_f64.sqrt(), "{off} mm");
+    let slack = format!("{}$160=0.05\n$161=0.03\n", settings(&limits, 0.0));
+    assert_eq!(run(&slack, &blended).place, run(&slack, &text).place);
+}
+
+/// A reset in mid-job leaves the machine where its steps have brought it, and the next job begins there.
+#[test]
+fn after_a_reset_nothing_is_left_of_what_was_held_back() {
+    let points = walk(&mut Random(5));
+    let (text, _) = program(&points, Style::mm(3), 50.0);
+    let mut rig = Rig::with(&settings(&limits(250.0), 0.0));
+    rig.send(format!("G64 P0.05\n{text}").as_bytes());
+    rig.run_for(0.3);
+    rig.press(Realtime::FeedHold);
+    rig.run_for(0.5);
+    rig.press(Realtime::Reset);
+    rig.run_for(0.5);
+    let place = rig.place;
+    rig.take_output();
+    let reported = rig.reported("MPos");
+    for axis in 0..AXES {
+        assert!((reported[axis] - place[axis] as f64 / 250.0).abs() < 0.001, "{reported:?}, {place:?} steps");
+    }
+    rig.run_for(1.0);
+    assert_eq!(rig.place, place);
+    rig.run_clean("G91 G1 X1 F600\n");
+    assert_eq!(rig.place[0] - place[0], 250);
+}
