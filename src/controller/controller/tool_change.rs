@@ -6,7 +6,7 @@ use super::task::Stage;
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
-use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
+use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset, TOOL_SETTER};
 use crate::machine::state::Mode;
 use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
 use crate::messages::{Coolant, SpindleDirection};
@@ -23,7 +23,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether a tool setter measures what M6 has put into the spindle.
     pub(super) fn measures_tools(&self) -> bool {
+        TOOL_SETTER && self.wants_measured_tools()
+    }
+
+    /// Whether one is asked for (`$918=2`).
+    fn wants_measured_tools(&self) -> bool {
         EXTENDED && self.settings.whole(Key::ToolChange) == 2
+    }
+
+    /// Whether one is asked for that this board has no room for.
+    pub(super) fn lacks_tool_setter(&self) -> bool {
+        !TOOL_SETTER && self.line.checked.tool_change && self.wants_measured_tools()
     }
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.

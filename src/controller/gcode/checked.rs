@@ -1,7 +1,7 @@
 //! The result of a check: what a line asks for, as data that the controller carries out.
 
 use super::cycle::Cycle;
-use super::modal::{Modal, PlaneAxes};
+use super::modal::{Modal, PROGRAM_PINS, PlaneAxes};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
@@ -78,7 +78,7 @@ impl<const N: usize> Checked<N> {
             || self.coolant.is_some()
             || self.speed_changed
             || self.store.is_some()
-            || self.after.pins.is_some()
+            || self.pins().is_some()
     }
 
     /// The spindle has been stopped for another tool: it turns again only if the line says so.
@@ -126,13 +126,13 @@ impl<const N: usize> Checked<N> {
     /// What it does with the outputs and inputs of programs (M62 to M68).
     #[inline]
     pub fn pins(&self) -> Option<ProgramPins> {
-        self.after.pins
+        if PROGRAM_PINS { self.after.pins } else { None }
     }
 
     /// Whether the machine may have something against the line that programs cannot know.
     #[inline]
     pub fn needs_machine(&self) -> bool {
-        self.tool_change || self.after.pins.is_some()
+        self.tool_change || self.pins().is_some()
     }
 
     /// The tool that the spindle holds afterwards.

@@ -141,6 +141,12 @@ impl<const N: usize> Interpreter<N> {
             self.tangent = NO_TANGENT;
             self.computed.end_program();
         }
+        self.remember_motion(checked);
+    }
+
+    /// What a spline or cycle leaves for the line behind it.
+    #[inline]
+    fn remember_motion(&mut self, checked: &Checked<N>) {
         match &checked.motion {
             Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
                 self.tangent.fill(Some(Tangent::behind(&spline.target, spline.arriving)));

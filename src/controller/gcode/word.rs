@@ -3,8 +3,8 @@
 use super::Dialect;
 use super::code::Code;
 use super::modal::{
-    ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
-    ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS, PathControl,
+    Plane, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
@@ -492,6 +492,7 @@ impl MWord {
             56 if more => MWord::ParkingOverride,
             60 if more => MWord::Pause,
             61 if more => MWord::ToolNumber,
+            62..=68 if more && !PROGRAM_PINS => return Err(Error::NoSuchPin),
             62..=68 if more => MWord::Pins(code.whole),
             70..=72 if more => MWord::Keep(code.whole),
             19 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
