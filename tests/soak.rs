@@ -247,7 +247,8 @@ impl Soak {
 
     /// One `~` may come while the machine still brakes; and it has braked for want of a host (`$928`) without being asked.
     fn go_on(&mut self) {
-        if self.mill.controller().is_paused() {
+        let rests = !self.mill.is_stepping() && self.mill.is_active();
+        if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
             self.mill.send("~");
         }
     }
@@ -286,8 +287,13 @@ impl Soak {
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
+        // Lines that were received are void; the one in work is answered, which a spindle that comes up again may delay.
         self.mill.run_for(Duration::from_millis(500));
-        // Lines that were received are void, and those of them that were carried out have been answered.
+        self.half.push_str(&self.mill.take_output());
+        while byte != 0x18 && !self.mill.is_idle() {
+            self.go_on();
+            self.mill.run_for(Duration::from_millis(20));
+        }
         self.half.push_str(&self.mill.take_output());
         let heard = std::mem::take(&mut self.half);
         assert!(!heard.contains("error:"), "{heard} {}", self.told());

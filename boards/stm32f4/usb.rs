@@ -233,8 +233,15 @@ impl Port for UsbPort {
             let packet = self.class.read_packet(&mut received.packet);
             received.may_wait = packet.is_ok();
             received.length = packet.unwrap_or(0);
-            if received.length > 0 && !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
-                received.length = 0;
+            if received.length > 0 {
+                let is_known = self.host.is_listening();
+                if !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
+                    received.length = 0;
+                } else if !is_known {
+                    // It is seen to come before its bytes are read: behind them it would cut its own line in two.
+                    crate::call_serial();
+                    return Incoming::Nothing;
+                }
             }
         }
         let Some(byte) = received.packet.get(received.next).filter(|_| received.next < received.length) else {

@@ -78,6 +78,16 @@ pub struct Board {
     book: Book,
 }
 
+/// Whether it answers a line: in plain text, or, while lines are checked, behind a number and a check.
+fn is_answer(line: &[u8]) -> bool {
+    match line.strip_prefix(b":") {
+        None => line == b"ok" || line.starts_with(b"error:"),
+        Some(checked) => {
+            checked.ends_with(b"ok") || checked.ends_with(b"known") || checked.windows(6).any(|part| part == b"error:")
+        }
+    }
+}
+
 /// Which answers are owed.
 #[derive(Clone, Debug, Default)]
 struct Book {
@@ -119,7 +129,7 @@ impl Book {
             let line = std::mem::take(&mut self.text);
             let line = line.strip_suffix(b"\r").unwrap_or(&line);
             assert!(line.is_ascii(), "{:?}", String::from_utf8_lossy(line));
-            self.come += usize::from(line == b"ok" || line.starts_with(b"error:"));
+            self.come += usize::from(is_answer(line));
             self.reports += usize::from(line.starts_with(b"<") && line.ends_with(b">"));
         }
     }
@@ -231,9 +241,6 @@ impl Board {
     pub fn inputs(&mut self, word: u16) {
         let risen = word & !self.signals.word();
         self.signals = Signals::of_word(word);
-        if risen & 1 << input::RESET != 0 || risen & 1 << input::EMERGENCY_STOP != 0 {
-            self.forget_lines();
-        }
         let tripped = risen & self.armed;
         if tripped != 0 {
             self.sensed.trips = self.sensed.trips.wrapping_add(1);
@@ -255,8 +262,6 @@ impl Board {
         self.hosts_gone = self.hosts_gone.wrapping_add(1);
         self.hosts.push_back(Event::Disconnected(self.hosts_gone));
         self.forget_lines();
-        // Nor is the line in work answered.
-        self.book.least = self.book.come;
         let cut = LineByte { byte: HOST_CHANGED, epoch: self.hosts_gone, damaged: false };
         self.lines.push_back((cut, false));
     }
@@ -370,7 +375,9 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                assert!(wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
+                // While a stop is owed nothing else is looked at: on a board it comes before the next instruction.
+                let is_owed = self.late & late::STEP != 0 && !self.reports.is_empty();
+                assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
@@ -442,9 +449,21 @@ impl Pump<AXES, BLOCKS> for Board {
             Source::Inputs if !is_late(late::INPUTS) => {
                 let sensed = self.levels.pop_front()?;
                 self.sensed.tripped = 0;
+                if sensed.signals.reset || sensed.signals.emergency_stop || sensed.tripped != 0 {
+                    // What has been received by now is dropped.
+                    self.forget_lines();
+                }
                 Some(Event::Signals(sensed))
             }
-            Source::Hosts => self.hosts.pop_front(),
+            Source::Hosts => {
+                let event = self.hosts.pop_front()?;
+                if matches!(event, Event::Disconnected(_)) {
+                    self.forget_lines();
+                    // Nor is the line in work answered.
+                    self.book.least = self.book.come;
+                }
+                Some(event)
+            }
             Source::Pins => std::mem::take(&mut self.pins_asked).then_some(Event::Pins(PinView {
                 fitted: u16::MAX,
                 low: 0,

@@ -223,7 +223,9 @@ impl Machine {
         let mut listed = Vec::new();
         for listing in LISTINGS {
             let said = self.board.ask(listing);
-            listed.extend(said.lines().filter(|line| *line != "ok").map(str::to_owned));
+            // The letters of the options follow from settings.
+            let kept = said.lines().filter(|line| *line != "ok" && !line.starts_with("[OPT:"));
+            listed.extend(kept.map(str::to_owned));
         }
         listed
     }

@@ -3,9 +3,10 @@
 //! (`boards/usb_host.rs`) and the link behind it. What of the port belongs to registers and to the driver's library runs on the
 //! virtual board.
 //!
-//! Promises: a line that is read is of one host; what a host still sends after its end is not read; what a host has sent that
-//! stays is read, byte by byte; in the end a host that opens the port is heard.
+//! Promises: a line that is read is one that a host has sent, whole; what a host still sends after its end is not read; in the
+//! end a host that opens the port is heard.
 
+use super::board::shows;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_boards::usb_host::{LATE_BYTES_US, UsbHost};
 use oxmill_controller::messages::{HOST_CHANGED, LineByte, Realtime};
@@ -15,7 +16,7 @@ use std::collections::VecDeque;
 const PACKET: usize = 64;
 const MOST_LINES: usize = 255;
 
-#[derive(Arbitrary)]
+#[derive(Arbitrary, Debug)]
 enum Action {
     Open,
     Close,
@@ -68,12 +69,15 @@ struct Bus {
     /// The letter of the host that is there or comes next.
     letter: u8,
     closed_at: Option<u32>,
+    /// Letters of its line that has no end yet.
+    begun: usize,
     /// What has arrived and was not fetched.
     packets: VecDeque<Vec<u8>>,
 }
 
 impl Bus {
     fn next_host(&mut self) {
+        self.begun = 0;
         self.letter = if self.letter == b'y' { b'b' } else { self.letter + 1 };
     }
 
@@ -93,6 +97,8 @@ struct Board {
     arbiter: HostArbiter,
     queues: ToControl,
     half: Vec<u8>,
+    /// Lines that were sent whole and have not been read, as letter and length.
+    sent: VecDeque<(u8, usize)>,
     /// Lines that have been read whole.
     read: Vec<Vec<u8>>,
 }
@@ -110,6 +116,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         plugged: true,
         letter: b'b',
         closed_at: None,
+        begun: 0,
         packets: VecDeque::new(),
     };
     let mut board = Board {
@@ -122,11 +129,16 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         arbiter: HostArbiter::new(),
         queues: ToControl::default(),
         half: Vec::new(),
+        sent: VecDeque::new(),
         read: Vec::new(),
     };
     board.task();
     while !input.is_empty() {
-        board.act(&input.arbitrary()?);
+        let action = input.arbitrary()?;
+        if shows() {
+            println!("{action:?}");
+        }
+        board.act(&action);
         board.task();
     }
     board.queues.busy = false;
@@ -148,7 +160,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
 impl Board {
     fn act(&mut self, action: &Action) {
         let is_late = self.bus.is_late();
-        let Bus { now, dtr, plugged, closed_at, .. } = &mut self.bus;
+        let Bus { now, dtr, plugged, closed_at, packets, .. } = &mut self.bus;
         match *action {
             Action::Open if *plugged && !*dtr => {
                 *dtr = true;
@@ -156,7 +168,7 @@ impl Board {
                 // Whoever opens is another than one that has spoken without.
                 self.bus.next_host();
             }
-            Action::Close if *dtr => {
+            Action::Close if *plugged && *dtr => {
                 *dtr = false;
                 *closed_at = Some(*now);
             }
@@ -170,11 +182,16 @@ impl Board {
                 }
                 self.send(bytes, end);
             }
-            Action::LatePacket(bytes) if *plugged && !*dtr && is_late => self.send(bytes, false),
+            Action::LatePacket(bytes) if *plugged && !*dtr && is_late && packets.is_empty() => {
+                self.bus.packets.push_back(vec![self.bus.letter; usize::from(bytes) % PACKET]);
+            }
             Action::Plugged(now_plugged) if now_plugged != *plugged => {
                 *plugged = now_plugged;
-                if !now_plugged {
+                if now_plugged {
+                    // The driver takes DTR back with the reset of the bus, and not before.
+                    *closed_at = dtr.then_some(*now);
                     *dtr = false;
+                } else {
                     *closed_at = None;
                     self.bus.packets.clear();
                     self.bus.next_host();
@@ -198,17 +215,26 @@ impl Board {
         // The host is told to wait while two are here.
         if self.bus.packets.len() < 2 {
             let mut packet = vec![self.bus.letter; usize::from(bytes) % PACKET];
-            packet.extend(end.then_some(b'\n'));
+            self.bus.begun += packet.len();
+            if end {
+                packet.push(b'\n');
+                self.sent.push_back((self.bus.letter, std::mem::take(&mut self.bus.begun)));
+            }
             self.bus.packets.push_back(packet);
         }
     }
 
     /// The serial task, as `src/firmware/serial.rs` has it, on the port of `boards/stm32f4/usb.rs`.
     fn task(&mut self) {
+        // It calls itself where a host that has not opened the port begins to speak.
+        while self.run() {}
+    }
+
+    fn run(&mut self) -> bool {
         self.uart.pass_on(&mut self.arbiter, &mut self.queues);
         for _ in 0..2 {
             let now = self.bus.now;
-            let look = self.host.look(self.bus.dtr && self.bus.plugged, self.bus.plugged, || now);
+            let look = self.host.look(self.bus.dtr, self.bus.plugged, || now);
             if look.gone {
                 self.packet.clear();
                 self.bus.packets.clear();
@@ -230,10 +256,14 @@ impl Board {
                 let now = self.bus.now;
                 let late = self.bus.is_late();
                 if !packet.is_empty() {
+                    let is_known = self.host.is_listening();
                     let counts = self.host.speaks(LATE_BYTES_US, || now);
                     assert_eq!(counts, !late, "bytes of a host that has gone");
                     if counts {
                         self.packet.extend(packet);
+                    }
+                    if counts && !is_known {
+                        return true;
                     }
                 }
                 continue;
@@ -243,6 +273,7 @@ impl Board {
         }
         self.usb.refuse(|_| true);
         self.uart.refuse(|_| true);
+        false
     }
 
     fn read(&mut self, most: usize) {
@@ -253,6 +284,11 @@ impl Board {
                     let line = std::mem::take(&mut self.half);
                     let hosts = line.iter().filter(|letter| **letter != line[0]).count();
                     assert_eq!(hosts, 0, "a line of two hosts: {:?}", String::from_utf8_lossy(&line));
+                    if let Some(letter) = line.first().filter(|letter| **letter != b'a') {
+                        let at = self.sent.iter().position(|sent| *sent == (*letter, line.len()));
+                        let at = at.unwrap_or_else(|| panic!("{} letters of {line:?} are no line that was sent", line.len()));
+                        self.sent.drain(..=at);
+                    }
                     self.read.push(line);
                 }
                 b'\n' => self.half.clear(),
