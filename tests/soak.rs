@@ -106,7 +106,9 @@ impl Program {
                 let sense = 2 + random.below(2);
                 lines.push_back(format!("G17 G{sense} I0.{} J-0.{} F3000", 1 + random.below(9), random.below(9)));
             }
-            14 => lines.push_back(random.of(&["M3 S500", "M5", "M8", "M9", "(a remark)", "G4 P0.01", "", "F900"]).into()),
+            14 => {
+                lines.push_back(random.of(&["M3 S500", "M5", "M8", "M9", "(a remark)", "G4 P0.01", "", "F900"]).into())
+            }
             15 => {
                 lines.push_back("G1 F2400".into());
                 for _ in 0..5 + random.below(20) {
@@ -136,7 +138,8 @@ impl Program {
                 }
                 let words = self.target(random, 3);
                 let z = self.place[2];
-                let mm = |steps: i64| format!("{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
+                let mm =
+                    |steps: i64| format!("{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
                 lines.push_back(format!("G98 G81 {words} Z{} R{} F2000", mm(z - 50), mm(z)));
                 lines.push_back("G80".into());
             }
@@ -241,7 +244,8 @@ impl Soak {
     /// The reported position is that of the motors.
     fn agree(&mut self) {
         let report = self.report();
-        let reported = numbers::<AXES>(&report, "MPos").expect("a position").map(|mm| (mm * STEPS_PER_MM).round() as i64);
+        let reported =
+            numbers::<AXES>(&report, "MPos").expect("a position").map(|mm| (mm * STEPS_PER_MM).round() as i64);
         assert_eq!(reported, self.place(), "{report} {}", self.told());
     }
 
@@ -276,7 +280,8 @@ impl Soak {
             // Jog cancel: there is no jog.
             6 => self.mill.send([0x85]),
             _ => {
-                let byte = [0x90, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99, 0x9A, 0x9B][self.random.below(11) as usize];
+                let byte =
+                    [0x90, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99, 0x9A, 0x9B][self.random.below(11) as usize];
                 self.mill.send([byte]);
                 self.counts.overrides += 1;
             }

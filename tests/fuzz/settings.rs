@@ -40,8 +40,8 @@ enum Value {
 
 /// Settings with a meaning beyond their value, or with neighbours.
 const KNOWN: [u16; 48] = [
-    0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 20, 21, 22, 23, 24, 25, 26, 27, 29, 30, 31, 32, 33, 37, 40, 41, 43, 44, 56, 57, 58,
-    59, 100, 101, 110, 112, 120, 122, 130, 132, 140, 900, 901, 904, 905, 924, 928,
+    0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 20, 21, 22, 23, 24, 25, 26, 27, 29, 30, 31, 32, 33, 37, 40, 41, 43, 44, 56,
+    57, 58, 59, 100, 101, 110, 112, 120, 122, 130, 132, 140, 900, 901, 904, 905, 924, 928,
 ];
 const LINES: [&str; 10] =
     ["O1SUB", "O1ENDSUB", "G0X1", "O2IF[#1]", "O2ENDIF", "O1RETURN", "(a)", "G91", "#1=2", "O1CALL"];
@@ -197,7 +197,11 @@ impl Machine {
             // Whole numbers are cut, of switches anything but 0 is 1, others are shown with three decimals.
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
-            let near = if whole { (set.trunc() - listed).abs() < 1.0 || switched } else { (set - listed).abs() <= 0.0011 + set * 1e-6 };
+            let near = if whole {
+                (set.trunc() - listed).abs() < 1.0 || switched
+            } else {
+                (set - listed).abs() <= 0.0011 + set * 1e-6
+            };
             assert!(near || set.is_nan(), "${number}={text} is {entry}");
         }
     }
@@ -208,7 +212,9 @@ impl Machine {
         let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
         let accepted = self.line(&format!("{name}{text}"), |before, after| {
             // The listing of macros has those alone that there are: all behind one that comes or goes are elsewhere.
-            let of = |line: &str| line.is_empty() || line.starts_with(listing) || listing == "$I" && line.starts_with("[VER");
+            let of = |line: &str| {
+                line.is_empty() || line.starts_with(listing) || listing == "$I" && line.starts_with("[VER")
+            };
             // A startup line is carried out when it is set.
             let carried_out = |line: &str| listing == "$N" && line.starts_with("[");
             of(before) || of(after) || carried_out(before) || carried_out(after)

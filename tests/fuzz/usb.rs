@@ -286,7 +286,8 @@ impl Board {
                     assert_eq!(hosts, 0, "a line of two hosts: {:?}", String::from_utf8_lossy(&line));
                     if let Some(letter) = line.first().filter(|letter| **letter != b'a') {
                         let at = self.sent.iter().position(|sent| *sent == (*letter, line.len()));
-                        let at = at.unwrap_or_else(|| panic!("{} letters of {line:?} are no line that was sent", line.len()));
+                        let at = at
+                            .unwrap_or_else(|| panic!("{} letters of {line:?} are no line that was sent", line.len()));
                         self.sent.drain(..=at);
                     }
                     self.read.push(line);
