@@ -36,7 +36,7 @@ impl Default for UsbHost {
 }
 
 impl UsbHost {
-    /// Nobody.
+    /// No host.
     pub const fn new() -> Self {
         Self { spoken: false, closing: None, dtr: false, configured: false }
     }

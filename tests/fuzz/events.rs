@@ -1,7 +1,7 @@
 //! All that a controller can be told, in any order: bytes of lines, realtime commands, inputs, contacts, stops, segments
 //! that come too late, miscounted steps, answers of a store that works or does not, hosts that come and go, time that leaps;
 //! each source as late as it likes. The first byte chooses whether the step task and the inputs may lie, too: stops of
-//! any number and place that nobody has ordered, answers to nothing.
+//! any number and place that were not ordered, answers to nothing.
 //!
 //! Promises, beside those that the board watches: `?` is answered by one report; the position at rest is that of the
 //! motors; a machine that has miscounted does not claim to know it; after a reset, with its settings restored, it is idle

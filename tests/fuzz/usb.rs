@@ -27,7 +27,7 @@ enum Action {
     Plugged(bool),
     Time(u8),
     Read(u8),
-    /// The machine works: nobody else gets the floor.
+    /// The machine works: no other host gets the floor.
     Busy(bool),
     Uart(u8, bool),
 }
