@@ -344,6 +344,7 @@ impl Soak {
         if self.random.below(8) == 0 {
             while self.answered < self.sent {
                 self.wait(10);
+                self.go_on();
             }
             self.mill.disconnect();
             let time = self.random.below(100);
