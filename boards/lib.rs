@@ -4,6 +4,9 @@
 #![no_std]
 
 pub mod profiles;
+// On a host for its tests.
+#[cfg(any(not(feature = "board"), feature = "usb"))]
+pub mod usb_host;
 
 #[cfg(feature = "board")]
 pub mod contract;

@@ -24,6 +24,7 @@ use usb_device::prelude::*;
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
 use super::clock_ticks;
+use crate::usb_host::{LATE_BYTES_US, UsbHost};
 use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
@@ -79,8 +80,8 @@ fn write(offset: usize, word: u32) {
     unsafe { address.write_volatile(word) }
 }
 
-/// How long after its end a host's bytes may still come: much longer than an operating system takes to call them back.
-const LATE_BYTES_TICKS: u32 = 200_000 * crate::CLOCK_TICKS_PER_US;
+/// How long after its end a host's bytes may still come.
+const LATE_BYTES_TICKS: u32 = LATE_BYTES_US * crate::CLOCK_TICKS_PER_US;
 
 /// The receiving half: what has been fetched of the last packet.
 struct Received {
@@ -100,14 +101,7 @@ pub struct UsbPort {
     class: CdcAcmClass<'static, UsbBusType>,
     received: Received,
     outgoing: heapless::Vec<u8, SENT>,
-    /// The host has sent something since it set the device up or closed its port: some never raise DTR.
-    spoken: bool,
-    /// When DTR fell, while what comes may still be of the host that has gone: it closes its port first and calls back what
-    /// it was about to send afterwards.
-    closing: Option<u32>,
-    /// As they were at the last look.
-    dtr: bool,
-    configured: bool,
+    host: UsbHost,
     /// The bus is being reset: until its end the driver takes the device for set up, but what is written to an endpoint
     /// meanwhile is never sent and keeps it busy for ever.
     resetting: bool,
@@ -147,10 +141,7 @@ impl UsbPort {
             class,
             received,
             outgoing: heapless::Vec::new(),
-            spoken: false,
-            closing: None,
-            dtr: false,
-            configured: false,
+            host: UsbHost::new(),
             resetting: false,
             masked: false,
         }
@@ -224,27 +215,12 @@ impl Port for UsbPort {
             self.resetting = false;
             self.received.ended = false;
         }
-        let dtr = self.class.dtr();
-        // DTR falls when the port is closed, the bus goes idle when the cable is pulled.
-        let configured = self.is_configured();
-        let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
-        // Whoever opens the port is another host than one that has spoken without.
-        let opened = !self.dtr && dtr;
-        let changes_hands = opened && self.spoken;
-        if closed || unplugged || changes_hands {
-            self.spoken = false;
+        let look = self.host.look(self.class.dtr(), self.is_configured(), clock_ticks);
+        if look.gone {
             self.outgoing.clear();
             self.forget_received();
         }
-        if closed {
-            self.closing = Some(clock_ticks());
-        } else if opened || unplugged {
-            self.closing = None;
-        }
-        // One that has gone for a moment is seen to go: the next look finds the other.
-        self.dtr = dtr && !changes_hands;
-        self.configured = configured;
-        configured && (self.dtr || self.spoken)
+        look.there
     }
 
     fn receive(&mut self) -> Incoming {
@@ -257,16 +233,16 @@ impl Port for UsbPort {
             let packet = self.class.read_packet(&mut received.packet);
             received.may_wait = packet.is_ok();
             received.length = packet.unwrap_or(0);
-            if received.length > 0
-                && let Some(since) = self.closing
-            {
-                if clock_ticks().wrapping_sub(since) < LATE_BYTES_TICKS {
+            if received.length > 0 {
+                let is_known = self.host.is_listening();
+                if !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
                     received.length = 0;
-                } else {
-                    self.closing = None;
+                } else if !is_known {
+                    // It is seen to come before its bytes are read: behind them it would cut its own line in two.
+                    crate::call_serial();
+                    return Incoming::Nothing;
                 }
             }
-            self.spoken |= received.length > 0;
         }
         let Some(byte) = received.packet.get(received.next).filter(|_| received.next < received.length) else {
             return Incoming::Nothing;
@@ -285,7 +261,7 @@ impl Port for UsbPort {
     }
 
     fn send(&mut self, byte: u8) -> bool {
-        if !self.is_configured() || !(self.dtr || self.spoken) {
+        if !self.is_configured() || !self.host.is_listening() {
             // No host reads: as on a UART whose cable is not plugged in.
             return true;
         }

@@ -7,7 +7,7 @@ use oxmill_images::BOARDS;
 use oxmill_simulator::command_line::CommandLine;
 
 /// Commands of cargo itself that pages use.
-const OF_CARGO: [&str; 8] = ["bench", "binstall", "build", "clippy", "deny", "install", "package", "test"];
+const OF_CARGO: [&str; 9] = ["bench", "binstall", "build", "clippy", "deny", "install", "mutants", "package", "test"];
 /// Programs of others that pages use.
 const OF_OTHERS: [&str; 6] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup"];
 

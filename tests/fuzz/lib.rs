@@ -3,22 +3,29 @@
 //! A target panics when a promise is broken. `cargo xtask fuzz` lets libFuzzer look for such bytes, led by the code that
 //! they reach; `corpus/` has a small set that reaches most of it (an input a line, escaped). `cargo test` runs all of it.
 
+mod board;
+pub mod events;
 pub mod hosts;
 pub mod lines;
 pub mod session;
+pub mod settings;
 pub mod steps;
 pub mod stored;
+pub mod usb;
 
 /// A target: its name, and what it does with its bytes.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 5] = [
+pub const TARGETS: [Target; 8] = [
     ("lines", lines::run),
     ("session", session::run),
     ("stored", stored::run),
     ("steps", steps::run),
     ("hosts", hosts::run),
+    ("events", events::run),
+    ("settings", settings::run),
+    ("usb", usb::run),
 ];
 
 /// The target of this name.
@@ -57,5 +64,5 @@ mod tests {
             }
         };
     }
-    replays!(lines, session, stored, steps, hosts);
+    replays!(lines, session, stored, steps, hosts, events, settings, usb);
 }

@@ -1,4 +1,4 @@
-//! G-code as a host sends it, in each dialect: lines, remarks, expressions, parameters, O words. The first byte chooses the
+//! G-code as a host sends it, in each dialect: lines, remarks, expressions, parameters, O words, lines of macros. The first byte chooses the
 //! dialect and whether block delete is on.
 //!
 //! Promises: a refused line changes nothing; every position stays within reach; what a line gives is a number; text that
@@ -55,6 +55,10 @@ pub fn run(data: &[u8]) {
 impl Program {
     fn line(&mut self, text: &[u8], remark: &[u8]) {
         self.lines += 1;
+        if let Some((number, words)) = macro_line(text).filter(|_| self.dialect != Dialect::Grbl) {
+            let _ = self.interpreter.set_macro_line(number, words);
+            return;
+        }
         if text.is_empty() && remark.is_empty() || text.starts_with(b"$") && !text.starts_with(b"$J=") {
             return;
         }
@@ -134,4 +138,12 @@ impl Program {
     fn look(&self) {
         assert!(self.interpreter.position().iter().all(|place| place.in_range()), "a position out of reach");
     }
+}
+
+/// The number and the words of a `$Mn=` line.
+fn macro_line(text: &[u8]) -> Option<(usize, &[u8])> {
+    let text = text.strip_prefix(b"$M")?;
+    let end = text.iter().position(|byte| *byte == b'=')?;
+    let number = std::str::from_utf8(&text[..end]).ok()?.parse().ok()?;
+    Some((number, &text[end + 1..]))
 }

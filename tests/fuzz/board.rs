@@ -1,0 +1,536 @@
+//! A board without a simulator: a controller with its queues, the step generator, a store and a clock, each of which a
+//! target may hold back, starve or have lie. It follows [`oxmill_controller::pump`], as every board does.
+//!
+//! It watches what must hold whatever comes: a round makes a bounded number of outputs, a controller that wants lines comes
+//! to an end of its work, no wake-up is past, nothing is sent to the step task or stepped in an alarm, and each line is
+//! answered once.
+
+use oxmill_controller::messages::{
+    Event, HOST_CHANGED, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH, Realtime,
+    Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
+};
+use oxmill_controller::pump::{Pump, Source, round};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile, StepRates, Stepper};
+use std::collections::{BTreeMap, VecDeque};
+
+pub const AXES: usize = 3;
+const BLOCKS: usize = 16;
+/// Outputs of a round that are not answers: each but the last changes a pin or its wiring.
+const MOST_QUIET_OUTPUTS: usize = 8;
+/// Rounds without time in between. A program can loop without moving: it is left to it then.
+const MOST_ROUNDS: usize = 3_000;
+/// Ticks and wake-ups that a session has: beyond, time stands still.
+const MOST_MOMENTS: u32 = 60_000;
+
+/// Sources that may be held back, as bits.
+pub mod late {
+    pub const STEP: u8 = 1;
+    pub const COMMANDS: u8 = 2;
+    pub const STORE: u8 = 4;
+    pub const INPUTS: u8 = 8;
+    /// The host does not read.
+    pub const REPLIES: u8 = 16;
+    pub const ALL: u8 = 31;
+}
+
+/// Whether what an input does is printed (`OXMILL_FUZZ_SHOW`).
+pub fn shows() -> bool {
+    static SHOWS: std::sync::LazyLock<bool> =
+        std::sync::LazyLock::new(|| std::env::var_os("OXMILL_FUZZ_SHOW").is_some());
+    *SHOWS
+}
+
+/// A byte of a line, and whether the line that it ends must be answered, as far as the board knows.
+type Queued = (LineByte, bool);
+
+#[derive(Clone)]
+pub struct Board {
+    pub controller: Box<Controller<AXES, BLOCKS>>,
+    pub stepper: Box<Stepper<AXES>>,
+    /// Microseconds, and ticks of the step clock.
+    now: u64,
+    queue: VecDeque<ToStep>,
+    due: Option<u64>,
+    directions: u8,
+    /// Net steps of the motors.
+    pub motors: [i32; AXES],
+    pub reports: VecDeque<StepEvent<AXES>>,
+    commands: VecDeque<Realtime>,
+    lines: VecDeque<Queued>,
+    levels: VecDeque<Sensed>,
+    pub hosts: VecDeque<Event<AXES>>,
+    pub answers: VecDeque<Event<AXES>>,
+    pins_asked: bool,
+    pub late: u8,
+    epoch: u16,
+    hosts_gone: u16,
+    signals: Signals,
+    sensed: Sensed,
+    armed: u16,
+    /// Changes are refused.
+    pub store_fails: bool,
+    pub records: BTreeMap<u16, Vec<u8>>,
+    said: Vec<u8>,
+    round_replies: usize,
+    moments: u32,
+    /// The events are what a board can tell: else of what is told only that the controller stands it is asked.
+    pub is_true: bool,
+    book: Book,
+}
+
+/// Whether it answers a line: in plain text, or, while lines are checked, behind a number and a check.
+fn is_answer(line: &[u8]) -> bool {
+    match line.strip_prefix(b":") {
+        None => line == b"ok" || line.starts_with(b"error:"),
+        Some(checked) => {
+            checked.ends_with(b"ok") || checked.ends_with(b"known") || checked.windows(6).any(|part| part == b"error:")
+        }
+    }
+}
+
+/// Which answers are owed.
+#[derive(Clone, Debug, Default)]
+struct Book {
+    /// What has been given of a line: whether it counts for sure.
+    is_sure: bool,
+    last_byte: u8,
+    /// Answers that must have come and that may, and those that have.
+    least: usize,
+    most: usize,
+    come: usize,
+    /// Text that has not come to the end of its line.
+    text: Vec<u8>,
+    reports: usize,
+}
+
+impl Book {
+    fn given(&mut self, byte: LineByte, sure: bool) {
+        self.is_sure &= sure && !byte.damaged;
+        match byte.byte {
+            HOST_CHANGED => self.is_sure = true,
+            b'\n' | b'\r' => {
+                // One end of a line may be two bytes.
+                let merged = byte.byte == b'\n' && self.last_byte == b'\r';
+                self.most += 1;
+                self.least += usize::from(self.is_sure && !merged);
+                self.is_sure = true;
+            }
+            _ => {}
+        }
+        self.last_byte = byte.byte;
+    }
+
+    fn told(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            if *byte != b'\n' {
+                self.text.push(*byte);
+                continue;
+            }
+            let line = std::mem::take(&mut self.text);
+            let line = line.strip_suffix(b"\r").unwrap_or(&line);
+            assert!(line.is_ascii(), "{:?}", String::from_utf8_lossy(line));
+            self.come += usize::from(is_answer(line));
+            self.reports += usize::from(line.starts_with(b"<") && line.ends_with(b">"));
+        }
+    }
+
+    /// All lines that were given have been carried out.
+    fn settle(&mut self) {
+        assert!(
+            (self.least..=self.most).contains(&self.come),
+            "{} answers to {} lines, {} of which count for sure",
+            self.come,
+            self.most,
+            self.least
+        );
+        (self.least, self.most, self.come) = (0, 0, 0);
+    }
+}
+
+impl Board {
+    /// Powered up, with what its store has.
+    pub fn new(records: BTreeMap<u16, Vec<u8>>) -> Board {
+        let mut controller = Box::new(Controller::new(Profile {
+            name: "test",
+            step_clock_hz: 1_000_000,
+            rates: StepRates { safe_hz: 100_000 },
+            has_second_motor: false,
+            has_store: true,
+        }));
+        for (key, value) in &records {
+            let value = heapless::Vec::from_slice(value).expect("a value that was stored");
+            controller.restore(&oxmill_controller::messages::Record { key: *key, value });
+        }
+        controller.start(Instant::from_ticks(0));
+        let mut board = Board {
+            controller,
+            stepper: Box::new(Stepper::new()),
+            now: 0,
+            queue: VecDeque::new(),
+            due: None,
+            directions: 0,
+            motors: [0; AXES],
+            reports: VecDeque::new(),
+            commands: VecDeque::new(),
+            lines: VecDeque::new(),
+            levels: VecDeque::from([Sensed::default()]),
+            hosts: VecDeque::new(),
+            answers: VecDeque::new(),
+            pins_asked: false,
+            late: 0,
+            epoch: 0,
+            hosts_gone: 0,
+            signals: Signals::NONE,
+            sensed: Sensed::default(),
+            armed: 0,
+            store_fails: false,
+            records,
+            said: Vec::new(),
+            round_replies: 0,
+            moments: 0,
+            is_true: true,
+            book: Book { is_sure: true, ..Book::default() },
+        };
+        board.settle();
+        board
+    }
+
+    // What comes in
+
+    /// Whether there is room for a line of this length.
+    pub fn has_room(&self, bytes: usize) -> bool {
+        self.lines.len() + bytes <= LINES_DEPTH
+    }
+
+    pub fn send(&mut self, bytes: &[u8]) {
+        if self.has_room(bytes.len()) {
+            // The link takes every 0x18 for a reset.
+            let bytes = bytes.iter().filter(|byte| **byte != HOST_CHANGED);
+            self.lines.extend(bytes.map(|byte| (LineByte { byte: *byte, epoch: self.epoch, damaged: false }, true)));
+        }
+    }
+
+    /// Bytes were lost: the last that came says so.
+    pub fn damage(&mut self) {
+        if let Some((byte, _)) = self.lines.back_mut().filter(|(byte, _)| byte.byte != HOST_CHANGED) {
+            byte.damaged = true;
+        }
+    }
+
+    pub fn command(&mut self, command: Realtime) {
+        if self.commands.len() >= REALTIME_DEPTH {
+            return;
+        }
+        self.commands.push_back(command);
+        if command.opens_epoch() {
+            self.epoch = self.epoch.wrapping_add(1);
+            self.forget_lines();
+        }
+        if command == Realtime::Reset {
+            self.stop();
+        }
+    }
+
+    /// What is queued may be dropped.
+    fn forget_lines(&mut self) {
+        self.lines.iter_mut().for_each(|(_, sure)| *sure = false);
+        self.book.is_sure = false;
+    }
+
+    /// Levels of the inputs; armed ones stop the step task.
+    pub fn inputs(&mut self, word: u16) {
+        let risen = word & !self.signals.word();
+        self.signals = Signals::of_word(word);
+        let tripped = risen & self.armed;
+        if tripped != 0 {
+            self.sensed.trips = self.sensed.trips.wrapping_add(1);
+            self.sensed.tripped |= tripped;
+            self.stop();
+        }
+        self.sensed.signals = self.signals;
+        self.levels.clear();
+        self.levels.push_back(self.sensed);
+    }
+
+    /// Something of its own is told of the inputs.
+    pub fn pretend_inputs(&mut self, sensed: Sensed) {
+        self.levels.push_back(sensed);
+        self.forget_lines();
+    }
+
+    pub fn host_goes(&mut self) {
+        self.hosts_gone = self.hosts_gone.wrapping_add(1);
+        self.hosts.push_back(Event::Disconnected(self.hosts_gone));
+        self.forget_lines();
+        let cut = LineByte { byte: HOST_CHANGED, epoch: self.hosts_gone, damaged: false };
+        self.lines.push_back((cut, false));
+    }
+
+    /// The step task stops at once.
+    pub fn stop(&mut self) {
+        let event = self.stepper.stop([0; AXES]);
+        self.stopped(event);
+    }
+
+    fn stopped(&mut self, event: StepEvent<AXES>) {
+        self.reports.push_back(event);
+        self.due = None;
+        self.load();
+    }
+
+    /// The outputs of a motor have failed while it moved.
+    pub fn miscount(&mut self, axis: usize, steps: i32) {
+        if self.due.is_some()
+            && let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; AXES])
+        {
+            self.motors[axis % AXES] += steps;
+            self.stopped(StepEvent::Miscounted { stops, position });
+        }
+    }
+
+    // Time
+
+    /// Whether there is time left.
+    pub fn has_time(&self) -> bool {
+        self.moments < MOST_MOMENTS
+    }
+
+    pub fn now(&self) -> Instant {
+        Instant::from_ticks(self.now)
+    }
+
+    fn load(&mut self) {
+        while self.stepper.wants()
+            && let Some(message) = self.queue.pop_front()
+        {
+            self.stepper.load(message);
+        }
+        if self.due.is_none() && !self.stepper.is_idle() {
+            self.due = Some(self.now);
+        }
+    }
+
+    /// A tick; whether the controller should look.
+    fn tick(&mut self) -> bool {
+        let tick = self.stepper.tick();
+        if tick.steps != 0 && self.is_true && self.reports.is_empty() {
+            assert!(self.controller.alarm().is_none(), "a step in {:?}", self.controller.alarm());
+        }
+        for (axis, motor) in self.motors.iter_mut().enumerate() {
+            if tick.steps >> axis & 1 != 0 {
+                *motor += if self.directions >> axis & 1 != 0 { -1 } else { 1 };
+            }
+        }
+        self.directions = tick.directions;
+        self.due = (tick.interval != 0).then(|| self.now + u64::from(tick.interval));
+        if self.stepper.is_watching() && self.stepper.probe(self.signals.probe) {
+            self.reports.push_back(self.stepper.probed_event());
+        }
+        if tick.underrun {
+            let event = self.stepper.underrun_event();
+            self.stopped(event);
+            return true;
+        }
+        self.load();
+        self.due.is_none() || !self.reports.is_empty()
+    }
+
+    /// Time passes; the controller is called when it wants to be, or not at all (`stalled`).
+    pub fn pass(&mut self, time: u64, stalled: bool) {
+        let end = self.now.saturating_add(time);
+        while self.has_time() {
+            let wakeup = self.controller.next_wakeup().map(|at| at.ticks()).filter(|_| !stalled);
+            let next = [self.due, wakeup].into_iter().flatten().min().filter(|next| *next < end);
+            let Some(next) = next else { break };
+            self.now = self.now.max(next);
+            self.moments += 1;
+            let look = self.due.is_some_and(|due| due <= self.now) && self.tick();
+            if !stalled && (look || wakeup.is_some_and(|at| at <= self.now)) {
+                self.settle();
+            }
+        }
+        if self.has_time() {
+            self.now = end;
+        }
+        self.settle();
+    }
+
+    /// A leap of time, in which a machine at rest is not looked at.
+    pub fn leap(&mut self, time: u64) {
+        if self.due.is_none() {
+            self.now += time;
+            self.settle();
+        }
+    }
+
+    // What the controller does
+
+    /// Rounds until there is nothing to do.
+    pub fn settle(&mut self) {
+        for _ in 0..MOST_ROUNDS {
+            self.round_replies = 0;
+            let begun = self.stepper.segments_begun();
+            if !round(self) {
+                if self.late & late::REPLIES == 0 && self.controller.wants_line() {
+                    self.book.settle();
+                }
+                let wakeup = self.controller.next_wakeup();
+                // While a stop is owed nothing else is looked at: on a board it comes before the next instruction. One that was
+                // made up never comes.
+                let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
+                assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
+                return;
+            }
+            assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
+        }
+        // A loop of a program has no end of its own; nothing else has none.
+        assert!(!self.controller.wants_line(), "rounds without end");
+    }
+
+    /// What has been said since the last time.
+    pub fn take_said(&mut self) -> String {
+        String::from_utf8(std::mem::take(&mut self.said)).expect("ASCII")
+    }
+
+    /// Sends a line and gives what is said until it is answered, at the latest after some time.
+    pub fn ask(&mut self, line: &str) -> String {
+        self.take_said();
+        self.send(line.as_bytes());
+        self.send(b"\n");
+        self.settle();
+        for _ in 0..40 {
+            if self.controller.is_idle() && self.lines.is_empty() {
+                break;
+            }
+            self.pass(25_000, false);
+        }
+        self.take_said()
+    }
+
+    /// Asks for a report, and gets just one.
+    pub fn look(&mut self) {
+        self.settle();
+        if self.late & (late::REPLIES | late::COMMANDS) == 0 && self.commands.is_empty() {
+            self.book.reports = 0;
+            self.command(Realtime::Status);
+            self.settle();
+            assert_eq!(self.book.reports, 1, "reports to a question");
+        }
+    }
+}
+
+impl Pump<AXES, BLOCKS> for Board {
+    const IS_WOKEN: bool = false;
+
+    fn controller(&mut self) -> &mut Controller<AXES, BLOCKS> {
+        &mut self.controller
+    }
+
+    fn begin(&mut self) -> Instant {
+        self.now()
+    }
+
+    fn observed(&mut self) -> Observed {
+        let received = self.lines.len() as u16;
+        Observed {
+            segments_begun: self.stepper.segments_begun(),
+            step_idle: self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle(),
+            rx_free: (LINES_DEPTH as u16).saturating_sub(received),
+            received,
+            heard: 0,
+        }
+    }
+
+    fn next_event(&mut self, source: Source) -> Option<Event<AXES>> {
+        let is_late = |bit| self.late & bit != 0;
+        match source {
+            Source::Step if !is_late(late::STEP) => self.reports.pop_front().map(Event::Step),
+            Source::Commands if !is_late(late::COMMANDS) => self.commands.pop_front().map(Event::Realtime),
+            Source::Store if !is_late(late::STORE) => self.answers.pop_front(),
+            Source::Inputs if !is_late(late::INPUTS) => {
+                let sensed = self.levels.pop_front()?;
+                self.sensed.tripped = 0;
+                if sensed.signals.reset || sensed.signals.emergency_stop || sensed.tripped != 0 {
+                    // What has been received by now is dropped.
+                    self.forget_lines();
+                }
+                Some(Event::Signals(sensed))
+            }
+            Source::Hosts => {
+                let event = self.hosts.pop_front()?;
+                if matches!(event, Event::Disconnected(_)) {
+                    self.forget_lines();
+                    // Nor is the line in work answered.
+                    self.book.least = self.book.come;
+                }
+                Some(event)
+            }
+            Source::Pins => std::mem::take(&mut self.pins_asked).then_some(Event::Pins(PinView {
+                fitted: u16::MAX,
+                low: 0,
+                noise: [0; input::COUNT],
+            })),
+            _ => None,
+        }
+    }
+
+    fn next_line_byte(&mut self) -> Option<LineByte> {
+        let (byte, sure) = self.lines.pop_front()?;
+        self.book.given(byte, sure);
+        Some(byte)
+    }
+
+    fn make_room(&mut self, _took: bool) -> bool {
+        false
+    }
+
+    fn room(&mut self) -> Room {
+        Room {
+            step: self.queue.len() < SEGMENTS_DEPTH,
+            reply: self.late & late::REPLIES == 0 && self.round_replies < REPLIES_DEPTH,
+        }
+    }
+
+    fn carry(&mut self, output: Output) {
+        self.round_replies += 1;
+        assert!(self.round_replies <= REPLIES_DEPTH + MOST_QUIET_OUTPUTS, "outputs of a round");
+        match output {
+            Output::Step(message) => {
+                if matches!(message, ToStep::Segment(_)) {
+                    assert!(self.controller.alarm().is_none(), "a segment in {:?}", self.controller.alarm());
+                }
+                self.queue.push_back(message);
+                self.load();
+            }
+            Output::Reply(chunk) => {
+                self.said.extend_from_slice(chunk.as_bytes());
+                self.book.told(chunk.as_bytes());
+            }
+            Output::Stop => self.stop(),
+            Output::Wiring(wiring) => self.armed = wiring.armed,
+            Output::ReadPins { clear_noise } => self.pins_asked |= !clear_noise,
+            Output::Store(change) => {
+                let answer = self.store(&change);
+                self.answers.push_back(answer);
+            }
+            Output::Pins(_) | Output::Worked => {}
+        }
+    }
+}
+
+impl Board {
+    fn store(&mut self, change: &Store) -> Event<AXES> {
+        if self.store_fails {
+            return Event::StoreFailed;
+        }
+        match change {
+            Store::Put(record) => {
+                assert_ne!(record.key, STORE_DAMAGED, "only a store tells of damage");
+                self.records.insert(record.key, record.value.to_vec());
+            }
+            Store::Remove { from, until } => self.records.retain(|key, _| !(*from..*until).contains(key)),
+        }
+        Event::Stored
+    }
+}

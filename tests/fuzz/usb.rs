@@ -1,0 +1,300 @@
+//! Programs that open and close the USB port, with DTR or without, a cable that is pulled, packets that come after their
+//! sender has closed, and a controller that reads when it likes: the boards' own account of who is there
+//! (`boards/usb_host.rs`) and the link behind it. What of the port belongs to registers and to the driver's library runs on the
+//! virtual board.
+//!
+//! Promises: a line that is read is one that a host has sent, whole; what a host still sends after its end is not read; in the
+//! end a host that opens the port is heard.
+
+use super::board::shows;
+use arbitrary::{Arbitrary, Unstructured};
+use oxmill_boards::usb_host::{LATE_BYTES_US, UsbHost};
+use oxmill_controller::messages::{HOST_CHANGED, LineByte, Realtime};
+use oxmill_controller::{HostArbiter, Link, Queues};
+use std::collections::VecDeque;
+
+const PACKET: usize = 64;
+const MOST_LINES: usize = 255;
+
+#[derive(Arbitrary, Debug)]
+enum Action {
+    Open,
+    Close,
+    /// Bytes of whoever is there, and whether they end a line.
+    Packet(u8, bool),
+    /// So many that were on the way when the port was closed.
+    LatePacket(u8),
+    Plugged(bool),
+    Time(u8),
+    Read(u8),
+    /// The machine works: no other host gets the floor.
+    Busy(bool),
+    Uart(u8, bool),
+}
+
+#[derive(Default)]
+struct ToControl {
+    lines: VecDeque<LineByte>,
+    busy: bool,
+}
+
+impl Queues for ToControl {
+    fn realtime(&mut self, _: Realtime) -> bool {
+        true
+    }
+
+    fn line(&mut self, byte: LineByte) -> bool {
+        let room = self.lines.len() < MOST_LINES;
+        if room {
+            self.lines.push_back(byte);
+        }
+        room
+    }
+
+    fn waits(&self) -> bool {
+        true
+    }
+
+    fn is_free(&self) -> bool {
+        !self.busy
+    }
+
+    fn stop(&mut self) {}
+}
+
+struct Bus {
+    now: u32,
+    dtr: bool,
+    plugged: bool,
+    /// The letter of the host that is there or comes next.
+    letter: u8,
+    closed_at: Option<u32>,
+    /// Letters of its line that has no end yet.
+    begun: usize,
+    /// What has arrived and was not fetched.
+    packets: VecDeque<Vec<u8>>,
+}
+
+impl Bus {
+    fn next_host(&mut self) {
+        self.begun = 0;
+        self.letter = if self.letter == b'y' { b'b' } else { self.letter + 1 };
+    }
+
+    /// Whether the bytes that come are still taken for those of the host that has closed the port.
+    fn is_late(&self) -> bool {
+        self.closed_at.is_some_and(|at| self.now - at < LATE_BYTES_US)
+    }
+}
+
+struct Board {
+    bus: Bus,
+    host: UsbHost,
+    packet: VecDeque<u8>,
+    is_open: bool,
+    usb: Link<{ 3 * PACKET }>,
+    uart: Link<1>,
+    arbiter: HostArbiter,
+    queues: ToControl,
+    half: Vec<u8>,
+    /// Lines that were sent whole and have not been read, as letter and length.
+    sent: VecDeque<(u8, usize)>,
+    /// Lines that have been read whole.
+    read: Vec<Vec<u8>>,
+}
+
+/// The target.
+pub fn run(data: &[u8]) {
+    let _ = all(&mut Unstructured::new(data));
+}
+
+fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
+    let bus = Bus {
+        // The clock of a board wraps after 71 minutes.
+        now: 0,
+        dtr: false,
+        plugged: true,
+        letter: b'b',
+        closed_at: None,
+        begun: 0,
+        packets: VecDeque::new(),
+    };
+    let mut board = Board {
+        bus,
+        host: UsbHost::new(),
+        packet: VecDeque::new(),
+        is_open: false,
+        usb: Link::new(1),
+        uart: Link::new(0),
+        arbiter: HostArbiter::new(),
+        queues: ToControl::default(),
+        half: Vec::new(),
+        sent: VecDeque::new(),
+        read: Vec::new(),
+    };
+    board.task();
+    while !input.is_empty() {
+        let action = input.arbitrary()?;
+        if shows() {
+            println!("{action:?}");
+        }
+        board.act(&action);
+        board.task();
+    }
+    board.queues.busy = false;
+    for action in [Action::Plugged(true), Action::Close, Action::Time(255), Action::Read(255), Action::Open] {
+        board.act(&action);
+        board.task();
+    }
+    board.act(&Action::Read(255));
+    board.task();
+    board.read.clear();
+    board.act(&Action::Packet(3, true));
+    board.task();
+    board.act(&Action::Read(255));
+    let wanted = [board.bus.letter; 3];
+    assert!(board.read.iter().any(|line| *line == wanted), "a host that opens the port is not heard: {:?}", board.read);
+    Ok(())
+}
+
+impl Board {
+    fn act(&mut self, action: &Action) {
+        let is_late = self.bus.is_late();
+        let Bus { now, dtr, plugged, closed_at, packets, .. } = &mut self.bus;
+        match *action {
+            Action::Open if *plugged && !*dtr => {
+                *dtr = true;
+                *closed_at = None;
+                // Whoever opens is another than one that has spoken without.
+                self.bus.next_host();
+            }
+            Action::Close if *plugged && *dtr => {
+                *dtr = false;
+                *closed_at = Some(*now);
+            }
+            Action::Packet(bytes, end) if *plugged => {
+                // One that speaks without opening the port is heard when the last is sure to have gone.
+                if !*dtr && is_late {
+                    return;
+                }
+                if !*dtr && closed_at.take().is_some() {
+                    self.bus.next_host();
+                }
+                self.send(bytes, end);
+            }
+            Action::LatePacket(bytes) if *plugged && !*dtr && is_late && packets.is_empty() => {
+                self.bus.packets.push_back(vec![self.bus.letter; usize::from(bytes) % PACKET]);
+            }
+            Action::Plugged(now_plugged) if now_plugged != *plugged => {
+                *plugged = now_plugged;
+                if now_plugged {
+                    // The driver takes DTR back with the reset of the bus, and not before.
+                    *closed_at = dtr.then_some(*now);
+                    *dtr = false;
+                } else {
+                    *closed_at = None;
+                    self.bus.packets.clear();
+                    self.bus.next_host();
+                }
+            }
+            Action::Time(ms) => *now += u32::from(ms) * 1000,
+            Action::Read(bytes) => self.read(bytes.into()),
+            Action::Busy(busy) => self.queues.busy = busy,
+            Action::Uart(bytes, end) => {
+                let mut line = vec![b'a'; usize::from(bytes % 8)];
+                line.extend(end.then_some(b'\n'));
+                for byte in line {
+                    self.uart.take(byte, &mut self.arbiter, &mut self.usb, &mut self.queues);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn send(&mut self, bytes: u8, end: bool) {
+        // The host is told to wait while two are here.
+        if self.bus.packets.len() < 2 {
+            let mut packet = vec![self.bus.letter; usize::from(bytes) % PACKET];
+            self.bus.begun += packet.len();
+            if end {
+                packet.push(b'\n');
+                self.sent.push_back((self.bus.letter, std::mem::take(&mut self.bus.begun)));
+            }
+            self.bus.packets.push_back(packet);
+        }
+    }
+
+    /// The serial task, as `src/firmware/serial.rs` has it, on the port of `boards/stm32f4/usb.rs`.
+    fn task(&mut self) {
+        // It calls itself where a host that has not opened the port begins to speak.
+        while self.run() {}
+    }
+
+    fn run(&mut self) -> bool {
+        self.uart.pass_on(&mut self.arbiter, &mut self.queues);
+        for _ in 0..2 {
+            let now = self.bus.now;
+            let look = self.host.look(self.bus.dtr, self.bus.plugged, || now);
+            if look.gone {
+                self.packet.clear();
+                self.bus.packets.clear();
+            }
+            assert_eq!(look.there, self.bus.plugged && self.host.is_listening());
+            if look.there == std::mem::replace(&mut self.is_open, look.there) {
+                break;
+            }
+            if look.there {
+                self.usb.came(&mut self.arbiter, &mut self.uart, &self.queues);
+            } else {
+                self.usb.went(&mut self.arbiter);
+            }
+        }
+        self.usb.pass_on(&mut self.arbiter, &mut self.queues);
+        while self.usb.room() > 0 {
+            if self.packet.is_empty() {
+                let Some(packet) = self.bus.packets.pop_front() else { break };
+                let now = self.bus.now;
+                let late = self.bus.is_late();
+                if !packet.is_empty() {
+                    let is_known = self.host.is_listening();
+                    let counts = self.host.speaks(LATE_BYTES_US, || now);
+                    assert_eq!(counts, !late, "bytes of a host that has gone");
+                    if counts {
+                        self.packet.extend(packet);
+                    }
+                    if counts && !is_known {
+                        return true;
+                    }
+                }
+                continue;
+            }
+            let Some(byte) = self.packet.pop_front() else { break };
+            self.usb.take(byte, &mut self.arbiter, &mut self.uart, &mut self.queues);
+        }
+        self.usb.refuse(|_| true);
+        self.uart.refuse(|_| true);
+        false
+    }
+
+    fn read(&mut self, most: usize) {
+        for byte in self.queues.lines.drain(..most.min(self.queues.lines.len())) {
+            match byte.byte {
+                HOST_CHANGED => self.half.clear(),
+                b'\n' if !byte.damaged => {
+                    let line = std::mem::take(&mut self.half);
+                    let hosts = line.iter().filter(|letter| **letter != line[0]).count();
+                    assert_eq!(hosts, 0, "a line of two hosts: {:?}", String::from_utf8_lossy(&line));
+                    if let Some(letter) = line.first().filter(|letter| **letter != b'a') {
+                        let at = self.sent.iter().position(|sent| *sent == (*letter, line.len()));
+                        let at = at
+                            .unwrap_or_else(|| panic!("{} letters of {line:?} are no line that was sent", line.len()));
+                        self.sent.drain(..=at);
+                    }
+                    self.read.push(line);
+                }
+                b'\n' => self.half.clear(),
+                letter => self.half.push(letter),
+            }
+        }
+    }
+}

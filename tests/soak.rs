@@ -1,0 +1,392 @@
+//! A long job with all that a day at the machine brings: lines of every kind as fast as the receive buffer takes them, held,
+//! resumed, overridden, asked for reports, stopped, reset in mid-motion, by hosts that close the port and come again.
+//!
+//! Promises: each line is answered once; wherever the machine comes to rest, the motors have made the steps that the
+//! program asked for and no other, to the last one; after a stop or a reset the reported position is that of the motors, and
+//! the program goes on from there; memory does not grow.
+//!
+//! `OXMILL_SOAK=N` plays N lines instead of the few of every run; `OXMILL_SOAK_SEED` begins elsewhere.
+
+use oxmill_simulator::{Options, Simulator};
+use oxmill_test_support::{Random, numbers};
+use std::collections::VecDeque;
+use std::fmt::Write;
+use std::time::{Duration, Instant};
+
+const AXES: usize = 3;
+/// A step is 0.004 mm: a program of three decimals can name each.
+const SETTINGS: [&str; 11] = [
+    "$100=250",
+    "$101=250",
+    "$102=250",
+    "$110=6000",
+    "$111=5000",
+    "$112=3000",
+    "$120=900",
+    "$121=700",
+    "$122=500",
+    "$24=300",
+    "$25=2000",
+];
+const STEPS_PER_MM: f64 = 250.0;
+/// Places lie within so many steps of the origin.
+const REACH: i64 = 2_500;
+/// What a host may still be owed at the end of a chunk, in virtual time.
+const PATIENCE: Duration = Duration::from_secs(600);
+/// Growth of the process that is not one, KiB: what the allocator keeps.
+const GROWTH: u64 = 4_096;
+
+/// What the lines have asked for: the place in steps, and what of the modal state the next line depends on.
+#[derive(Clone)]
+struct Program {
+    place: [i64; AXES],
+    relative: bool,
+}
+
+/// Counts for the record.
+#[derive(Default, Debug)]
+struct Counts {
+    lines: u64,
+    rests: u64,
+    reports: u64,
+    holds: u64,
+    overrides: u64,
+    stops: u64,
+    resets: u64,
+    resets_in_motion: u64,
+    hosts: u64,
+}
+
+struct Soak {
+    mill: Simulator,
+    random: Random,
+    program: Program,
+    /// Lines that are to be sent.
+    waiting: VecDeque<String>,
+    sent: u64,
+    answered: u64,
+    half: String,
+    counts: Counts,
+}
+
+impl Program {
+    /// A target and the words for it.
+    fn target(&mut self, random: &mut Random, axes: u64) -> String {
+        let mut words = String::new();
+        for (axis, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
+            if axes >> axis & 1 == 0 {
+                continue;
+            }
+            let farthest = [4, 40, 400, 1_200][random.below(4) as usize];
+            let by = random.below(2 * farthest + 1) as i64 - farthest as i64;
+            let to = (self.place[axis] + by).clamp(-REACH, REACH);
+            let steps = if self.relative { to - self.place[axis] } else { to };
+            self.place[axis] = to;
+            // To the third decimal, exactly.
+            let _ = write!(words, "{letter}{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
+        }
+        words
+    }
+
+    /// The next lines.
+    fn lines(&mut self, random: &mut Random, lines: &mut VecDeque<String>) {
+        let axes = 1 + random.below(7);
+        match random.below(20) {
+            0 => {
+                self.relative = !self.relative;
+                lines.push_back(if self.relative { "G91".into() } else { "G90".into() });
+            }
+            1..=4 => lines.push_back(format!("G0 {}", self.target(random, axes))),
+            5..=11 => {
+                let feed = 200 + random.below(5_000);
+                lines.push_back(format!("G1 {} F{feed}", self.target(random, axes)));
+            }
+            12 | 13 => {
+                // Ends where it began.
+                let sense = 2 + random.below(2);
+                lines.push_back(format!("G17 G{sense} I0.{} J-0.{} F3000", 1 + random.below(9), random.below(9)));
+            }
+            14 => {
+                lines.push_back(random.of(&["M3 S500", "M5", "M8", "M9", "(a remark)", "G4 P0.01", "", "F900"]).into())
+            }
+            15 => {
+                lines.push_back("G1 F2400".into());
+                for _ in 0..5 + random.below(20) {
+                    lines.push_back(self.target(random, axes));
+                }
+            }
+            16 => {
+                // A loop: as far as so many of its turns.
+                let turns = 1 + random.below(4);
+                let by = random.below(9) as i64 - 4;
+                let mode = if self.relative { "G91" } else { "G90" };
+                let to = (self.place[0] + by * turns as i64).clamp(-REACH, REACH);
+                let by = (to - self.place[0]) / turns as i64;
+                self.place[0] += by * turns as i64;
+                let mm = format!("{}0.{:03}", sign(by), by.abs() * 4);
+                for line in [format!("#1={turns}"), "O1 WHILE [#1 GT 0]".into(), format!("G91 G1 X{mm} F1500")] {
+                    lines.push_back(line);
+                }
+                for line in ["#1=[#1-1]", "O1 ENDWHILE", mode] {
+                    lines.push_back(line.into());
+                }
+            }
+            17 => {
+                // There and back, by a cycle that ends where it began but for X and Y.
+                if self.relative {
+                    return;
+                }
+                let words = self.target(random, 3);
+                let z = self.place[2];
+                let mm =
+                    |steps: i64| format!("{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
+                lines.push_back(format!("G98 G81 {words} Z{} R{} F2000", mm(z - 50), mm(z)));
+                lines.push_back("G80".into());
+            }
+            _ => {
+                let axis = 1 << random.below(3);
+                lines.push_back(format!("G1 {} F1800", self.target(random, axis)));
+            }
+        }
+    }
+}
+
+fn sign(steps: i64) -> &'static str {
+    if steps < 0 { "-" } else { "" }
+}
+
+impl Soak {
+    fn new(seed: u64) -> Soak {
+        let mut soak = Soak {
+            mill: Simulator::new(Options::default()),
+            random: Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
+            program: Program { place: [0; AXES], relative: false },
+            waiting: VecDeque::new(),
+            sent: 0,
+            answered: 0,
+            half: String::new(),
+            counts: Counts::default(),
+        };
+        soak.hear();
+        for line in SETTINGS {
+            soak.waiting.push_back(line.into());
+        }
+        soak.finish();
+        soak.counts = Counts::default();
+        soak
+    }
+
+    /// Sends what has room, as a sender that counts characters.
+    fn send(&mut self) {
+        while let Some(line) = self.waiting.front() {
+            if self.mill.unread() + line.len() + 1 > self.mill.board().received_bytes {
+                return;
+            }
+            self.mill.send(format!("{line}\n"));
+            self.waiting.pop_front();
+            self.sent += 1;
+            self.counts.lines += 1;
+        }
+    }
+
+    /// What has been said.
+    fn hear(&mut self) -> Vec<String> {
+        self.half.push_str(&self.mill.take_output());
+        let mut heard = Vec::new();
+        while let Some((line, rest)) = self.half.split_once("\r\n") {
+            assert!(!line.starts_with("error:") && !line.starts_with("ALARM"), "{line} {}", self.told());
+            self.answered += u64::from(line == "ok");
+            heard.push(line.to_owned());
+            self.half = rest.to_owned();
+        }
+        heard
+    }
+
+    fn told(&self) -> String {
+        format!("after {} lines, {:?}", self.counts.lines, self.counts)
+    }
+
+    fn wait(&mut self, milliseconds: u64) {
+        self.mill.run_for(Duration::from_millis(milliseconds));
+        self.hear();
+    }
+
+    fn report(&mut self) -> String {
+        self.hear();
+        self.mill.send("?");
+        let heard = self.hear();
+        self.counts.reports += 1;
+        let report = heard.iter().find(|line| line.starts_with('<')).cloned();
+        report.unwrap_or_else(|| panic!("no report but {heard:?} {}", self.told()))
+    }
+
+    fn place(&self) -> [i64; AXES] {
+        self.mill.machine().position().map(i64::from)
+    }
+
+    /// Carries all out, and compares the motors with the program.
+    fn finish(&mut self) {
+        let begun = self.mill.clock().now();
+        let patience = PATIENCE.as_secs() * u64::from(self.mill.board().step_clock_hz);
+        while !self.waiting.is_empty() || self.answered < self.sent || !self.mill.is_idle() {
+            self.send();
+            self.wait(20);
+            self.go_on();
+            let waited = self.mill.clock().now() - begun;
+            assert!(waited < patience, "no end: {} {}", self.report(), self.told());
+        }
+        assert_eq!(self.answered, self.sent, "answers {}", self.told());
+        assert_eq!(self.place(), self.program.place, "steps {}", self.told());
+        self.agree();
+        self.counts.rests += 1;
+    }
+
+    /// The reported position is that of the motors.
+    fn agree(&mut self) {
+        let report = self.report();
+        let reported =
+            numbers::<AXES>(&report, "MPos").expect("a position").map(|mm| (mm * STEPS_PER_MM).round() as i64);
+        assert_eq!(reported, self.place(), "{report} {}", self.told());
+    }
+
+    /// One `~` may come while the machine still brakes; and it has braked for want of a host (`$928`) without being asked.
+    fn go_on(&mut self) {
+        let rests = !self.mill.is_stepping() && self.mill.is_active();
+        if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
+            self.mill.send("~");
+        }
+    }
+
+    /// Something that happens to a running job.
+    fn disturb(&mut self) {
+        match self.random.below(12) {
+            0 | 1 => {
+                let report = self.report();
+                assert!(report.ends_with('>'), "{report}");
+            }
+            2..=4 => {
+                self.mill.send("!");
+                self.counts.holds += 1;
+                let time = self.random.below(150);
+                self.wait(time);
+                self.mill.send("~");
+            }
+            5 => {
+                self.mill.send([0x84]);
+                self.counts.holds += 1;
+                self.wait(300);
+                self.mill.send("~");
+            }
+            // Jog cancel: there is no jog.
+            6 => self.mill.send([0x85]),
+            _ => {
+                let byte =
+                    [0x90, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99, 0x9A, 0x9B][self.random.below(11) as usize];
+                self.mill.send([byte]);
+                self.counts.overrides += 1;
+            }
+        }
+    }
+
+    /// Ends what is under way, and goes on from where it ended.
+    fn interrupt(&mut self, byte: u8) {
+        let moving = self.mill.is_stepping();
+        self.mill.send([byte]);
+        // Lines that were received are void; the one in work is answered, which a spindle that comes up again may delay.
+        self.mill.run_for(Duration::from_millis(500));
+        self.half.push_str(&self.mill.take_output());
+        while byte != 0x18 && !self.mill.is_idle() {
+            self.go_on();
+            self.mill.run_for(Duration::from_millis(20));
+        }
+        self.half.push_str(&self.mill.take_output());
+        let heard = std::mem::take(&mut self.half);
+        assert!(!heard.contains("error:"), "{heard} {}", self.told());
+        if byte == 0x18 {
+            self.counts.resets += 1;
+            let alarm = heard.contains("ALARM:3");
+            assert!(!alarm || moving, "{heard} {}", self.told());
+            self.counts.resets_in_motion += u64::from(alarm);
+            self.mill.send("$X\n");
+            self.wait(50);
+        } else {
+            self.counts.stops += 1;
+        }
+        self.waiting.clear();
+        (self.sent, self.answered) = (0, 0);
+        let place = self.place();
+        self.mill.run_for(Duration::from_millis(100));
+        assert_eq!(place, self.place(), "it moves after {byte:#x} {}", self.told());
+        self.program = Program { place, relative: false };
+        self.waiting.push_back("G90".into());
+        self.agree();
+    }
+
+    /// Some lines, and what happens meanwhile.
+    fn chunk(&mut self) {
+        for _ in 0..1 + self.random.below(60) {
+            self.program.lines(&mut self.random, &mut self.waiting);
+        }
+        while !self.waiting.is_empty() {
+            self.send();
+            let time = 1 + self.random.below(60);
+            self.wait(time);
+            self.go_on();
+            if self.random.below(12) == 0 {
+                self.disturb();
+            }
+            if self.random.below(900) == 0 {
+                let byte = if self.random.below(3) == 0 { 0x19 } else { 0x18 };
+                self.interrupt(byte);
+            }
+        }
+        // A host that has its answers closes the port while the machine still moves.
+        if self.random.below(8) == 0 {
+            while self.answered < self.sent {
+                self.wait(10);
+                self.go_on();
+            }
+            self.mill.disconnect();
+            let time = self.random.below(100);
+            self.wait(time);
+            self.mill.connect();
+            self.counts.hosts += 1;
+        }
+        self.finish();
+    }
+}
+
+/// Memory of this process, KiB: now, and at most. Where the system does not say it, nothing.
+fn memory() -> Option<[u64; 2]> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let field = |name: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next()?.parse().ok()
+    };
+    Some([field("VmRSS:")?, field("VmHWM:")?])
+}
+
+#[test]
+fn a_long_job_keeps_every_step() {
+    let number = |name: &str, default: u64| {
+        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+    };
+    let (lines, seed) = (number("OXMILL_SOAK", 3_000), number("OXMILL_SOAK_SEED", 1));
+    let mut soak = Soak::new(seed);
+    let (begun, mut early) = (Instant::now(), None);
+    while soak.counts.lines < lines {
+        soak.chunk();
+        if early.is_none() && soak.counts.lines >= lines / 10 {
+            early = memory();
+        }
+    }
+    let late = memory();
+    let seconds = soak.mill.clock().now() / u64::from(soak.mill.board().step_clock_hz);
+    println!("{:?} in {:.1} s; the machine: {seconds} s", soak.counts, begun.elapsed().as_secs_f64());
+    println!("memory, KiB now and at most: after a tenth {early:?}, at the end {late:?}");
+    if let (Some([early, _]), Some([_, most])) = (early, late) {
+        assert!(most <= early + GROWTH, "memory grows from {early} to {most} KiB");
+    }
+    let Counts { rests, reports, holds, overrides, hosts, resets, .. } = soak.counts;
+    assert!([rests, reports, holds, overrides, hosts, resets].iter().all(|count| *count > 0), "{:?}", soak.counts);
+}
