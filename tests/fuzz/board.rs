@@ -156,6 +156,7 @@ impl Board {
             step_clock_hz: 1_000_000,
             rates: StepRates { safe_hz: 100_000 },
             has_second_motor: false,
+            program_pins: [0; 2],
             has_store: true,
         }));
         for (key, value) in &records {

@@ -135,8 +135,8 @@ impl ScalingChange {
 }
 
 #[cfg(test)]
+#[cfg(feature = "rotation")]
 mod tests {
-    #![cfg(feature = "rotation")]
     use super::*;
     use proptest::prelude::*;
 

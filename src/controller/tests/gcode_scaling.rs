@@ -211,7 +211,8 @@ fn with_rotations() {
 
 #[test]
 fn what_ends_it() {
-    let ends: [(&str, fn(&mut Program)); 5] = [
+    type End = (&'static str, fn(&mut Program));
+    let ends: [End; 5] = [
         ("G50", |program| _ = program.run("G50")),
         ("M2", |program| _ = program.run("M2")),
         ("M30", |program| _ = program.run("M30")),
