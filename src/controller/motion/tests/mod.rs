@@ -3,12 +3,14 @@
 #![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
 
 mod arcs;
+#[cfg(feature = "blending")]
 mod blends;
 mod bounds;
 mod jobs;
 mod joins;
 mod ramps;
 mod rig;
+#[cfg(feature = "splines")]
 mod splines;
 mod steps;
 mod stops;
