@@ -111,6 +111,12 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (Key::ParkingFastRate, "Speed between the end of the pull-out and the parking place, both ways."),
     (
+        Key::ToolSetterDepth,
+        "How far below the height of G30 the tool setter may be ($918=2). A tool that does not touch it on that way ends with ALARM:5.",
+    ),
+    (Key::ToolSetterLocate, "Speed of the second touch of the tool setter, which is the one that counts."),
+    (Key::ToolSetterSeek, "Speed of the first touch of the tool setter, all the way down from the height of G30."),
+    (
         Key::SquaringShare,
         "How far one motor may go alone when homing squares an axis, as a share of its travel. More than that ends with ALARM:10.",
     ),
@@ -187,12 +193,6 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::ToolChange,
         "What M6 does: note which tool is in the spindle, or stop and wait until the tool is changed by hand. With 2 the tool goes to G30 for that, and is measured at a tool setter at G59.3; the machine has to be homed.",
     ),
-    (
-        Key::ToolSetterDepth,
-        "How far below the height of G30 the tool setter may be ($918=2). A tool that does not touch it on that way ends with ALARM:5.",
-    ),
-    (Key::ToolSetterLocate, "Speed of the second touch of the tool setter, which is the one that counts."),
-    (Key::ToolSetterSeek, "Speed of the first touch of the tool setter, all the way down from the height of G30."),
     (Key::OptionalStop, "M1 pauses the job. With 0 it is passed over."),
     (Key::BlockDelete, "Lines that begin with a slash are skipped. With 0 they are carried out without it."),
     (Key::PeckClearance, "How far a drill goes back in G73, and how far above the ground its rapid ends in G83."),

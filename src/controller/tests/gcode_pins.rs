@@ -1,6 +1,6 @@
 //! Outputs and inputs of programs: M62 to M68.
 
-#![cfg(feature = "extended-gcode")]
+#![cfg(feature = "program-pins")]
 
 mod program;
 
