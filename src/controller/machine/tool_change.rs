@@ -166,7 +166,7 @@ impl<const N: usize> ToolChange<N> {
         self.is_first = true;
     }
 
-    /// The way down to the work: see [`ChangePlan::way_back`]. The first tool stays up.
+    /// The way down to the work: see `ChangePlan::way_back`. The first tool stays up.
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
