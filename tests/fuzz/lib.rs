@@ -8,7 +8,6 @@ pub mod events;
 pub mod hosts;
 pub mod lines;
 pub mod session;
-pub mod settings;
 pub mod steps;
 pub mod stored;
 pub mod usb;
@@ -17,14 +16,13 @@ pub mod usb;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 8] = [
+pub const TARGETS: [Target; 7] = [
     ("lines", lines::run),
     ("session", session::run),
     ("stored", stored::run),
     ("steps", steps::run),
     ("hosts", hosts::run),
     ("events", events::run),
-    ("settings", settings::run),
     ("usb", usb::run),
 ];
 
@@ -64,5 +62,5 @@ mod tests {
             }
         };
     }
-    replays!(lines, session, stored, steps, hosts, events, settings, usb);
+    replays!(lines, session, stored, steps, hosts, events, usb);
 }

@@ -191,7 +191,7 @@ fn one(program: &Path, target: &str, seconds: u64) -> Result<Row, Failure> {
         "-use_value_profile=1",
     ]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
-    if matches!(target, "lines" | "session" | "events" | "settings") {
+    if matches!(target, "lines" | "session" | "events") {
         command.arg(format!("-dict={}", root().join("tests/fuzz/gcode.dict").display()));
     }
     let output =
