@@ -27,6 +27,8 @@ pub struct Board {
     pub safe_step_hz: u32,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
+    /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
+    pub recording_pages: usize,
 }
 
 /// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
@@ -39,6 +41,7 @@ pub const DESK: Board = Board {
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
     received_bytes: 255,
+    recording_pages: 64,
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
@@ -55,6 +58,7 @@ pub const BLACKPILL_F401: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 400_000,
     blocks: 256,
+    recording_pages: 0,
     ..DESK
 };
 
@@ -66,8 +70,14 @@ pub const NUCLEO_F446RE: Board =
 pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
-pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..DESK };
+pub const NUCLEO_F401RE: Board = Board {
+    name: "nucleo_f401re",
+    step_clock_hz: 84_000_000,
+    core_hz: 84_000_000,
+    safe_step_hz: 490_000,
+    recording_pages: 16,
+    ..DESK
+};
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board =

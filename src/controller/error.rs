@@ -97,6 +97,7 @@ codes! {
     RotationActs = 127, "the coordinates that the line sets are rotated by G68";
     RotationLeftOut = 128, "this board has no room for rotated coordinates";
     DamagedLine = 129, "the line is damaged or out of its order, or not checked: $LC=OFF ends the check of lines";
+    RecorderLeftOut = 130, "this board has no room for a recording of what comes in";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

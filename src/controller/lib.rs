@@ -38,6 +38,7 @@ pub mod protocol;
 
 mod controller;
 pub mod pump;
+pub mod recorder;
 mod step_rates;
 mod step_timing;
 pub use controller::{Controller, Profile};

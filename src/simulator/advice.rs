@@ -80,6 +80,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NothingSaved => "Save the state with M70 before M72.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::RotationActs => "End the rotation with G69 before the line.",
+        Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
         Error::ExtendedLeftOut | Error::ExpressionsLeftOut | Error::RotationLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."

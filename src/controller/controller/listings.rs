@@ -2,7 +2,7 @@
 
 use super::Controller;
 use super::records::STORED_TEXT;
-use super::task::{Listing, Task};
+use super::task::{Ask, Listing, Task};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
@@ -17,6 +17,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         let more = match listing {
+            Listing::Recording(Ask::Wanted) => {
+                self.task = Task::Listing(Listing::Recording(Ask::Due), line);
+                return true;
+            }
+            Listing::Recording(_) => return false,
             Listing::Settings => self.list_setting(line),
             Listing::Parameters => self.list_parameter(line),
             Listing::Pins => match self.inputs.view() {

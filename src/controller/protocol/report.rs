@@ -134,8 +134,8 @@ const fn crash_name(kind: CrashKind) -> &'static str {
     }
 }
 
-/// What the host is told when the machine was stopped by a failure.
-pub fn failure(out: &mut Text, restart: &Restart) {
+/// What the host is told when the machine was stopped by a failure. `grbl`: without what Grbl's dialect does not have.
+pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, b"[MSG:Restarted after a failure (");
     let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
     put(out, name.as_bytes());
@@ -148,7 +148,8 @@ pub fn failure(out: &mut Text, restart: &Restart) {
             whole(out, u64::from(crash.line));
         }
     }
-    put(out, b", $RC tells more]\r\n");
+    let both = restart.is_recorded && !grbl;
+    put(out, if both { b", $RC tells more, $REC what came in]\r\n" } else { b", $RC tells more]\r\n" });
 }
 
 /// `[RESET:cause]`, and `[CRASH:kind:text]` if there was one.
