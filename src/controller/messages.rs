@@ -683,6 +683,8 @@ pub struct Standing {
     pub inches: bool,
     /// The tool in the spindle.
     pub tool: u32,
+    /// Inputs that are active, as in [`input`].
+    pub active: u16,
     /// What stays in force, as a line of G-code.
     pub words: heapless::Vec<u8, 64>,
 }

@@ -23,7 +23,6 @@ use crate::messages::{
     Stopping, ToStep,
 };
 use crate::protocol::realtime;
-use crate::protocol::recorded::RECORDER;
 use crate::units::{Coordinate, Instant};
 use core::sync::atomic::{Ordering, compiler_fence};
 
@@ -135,7 +134,7 @@ struct Reading {
     begun: bool,
 }
 
-/// Writes the ring, and reads it.
+/// Writes the ring, and reads it. `P` holds the pages.
 #[derive(Clone, Debug)]
 pub struct Recorder<P> {
     pages: P,
@@ -145,6 +144,8 @@ pub struct Recorder<P> {
     time: u64,
     /// Resets, stops and jog cancels that the controller has been told of, as the epochs of line bytes count them.
     epoch: u16,
+    /// Bytes of older epochs are dropped.
+    reset_epoch: u16,
     /// A byte that came before its command.
     early: Option<u8>,
     /// What is there is of before the reset, and stays.
@@ -167,14 +168,14 @@ pub struct Recorder<P> {
 impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// After a reset: what the pages hold of before it is kept, if there is anything.
     pub fn begin(pages: P, restart: &Restart) -> Self {
-        let reading =
-            Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
+        let reading = Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
         let mut recorder = Recorder {
             pages,
             slot: 0,
             number: 0,
             time: 0,
             epoch: 0,
+            reset_epoch: 0,
             early: None,
             kept: false,
             in_line: false,
@@ -185,9 +186,6 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             standing_in: 0,
             reading,
         };
-        if !RECORDER {
-            return recorder;
-        }
         match recorder.newest() {
             Some(number) => recorder.keep(number, restart),
             None => {
@@ -322,9 +320,6 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         event: &Event<N>,
         controller: &Controller<N, BLOCKS>,
     ) {
-        if !RECORDER {
-            return;
-        }
         match event {
             // Nearly all events.
             Event::Line(LineByte { byte: byte @ b' '..=b'~', epoch, damaged: false })
@@ -338,7 +333,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Behind the line that has just been told more bytes wait.
     #[inline]
     pub fn more_waits(&mut self) {
-        if RECORDER && !self.kept {
+        if !self.kept {
             self.tagged(tag::MORE, &[]);
         }
     }
@@ -369,7 +364,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             self.early = Some(text);
             return;
         }
-        if damaged {
+        if (epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
+            return;
+        }
+        // A jog of before a jog cancel moves nothing, as a damaged line does not.
+        if damaged || behind > 0 && text == b'$' {
             self.entry(now, tag::DAMAGED, &[]);
         }
         self.text(now, text);
@@ -391,6 +390,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn seldom<const N: usize>(&mut self, now: Instant, event: &Event<N>) {
         let opens = matches!(event, Event::Realtime(command) if command.opens_epoch());
         self.epoch = self.epoch.wrapping_add(u16::from(opens));
+        if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
+            self.reset_epoch = self.epoch;
+        }
         if self.kept {
             return;
         }
@@ -442,7 +444,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// A message goes to the step task.
     #[inline(always)]
     pub fn handed(&mut self, message: &ToStep) {
-        if RECORDER && let ToStep::Block { steps_by_axis, directions } = message {
+        if let ToStep::Block { steps_by_axis, directions } = message {
             for word in steps_by_axis.iter().map(|axis| axis.word()).chain([u32::from(*directions)]) {
                 self.blocks = (self.blocks ^ word).wrapping_mul(PRIME);
             }
@@ -461,12 +463,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// Nothing is under way: where the motors are, and now and then the state from which a replay can begin.
     #[inline]
-    pub fn at_rest<const N: usize, const BLOCKS: usize>(
-        &mut self,
-        now: Instant,
-        controller: &Controller<N, BLOCKS>,
-    ) {
-        if RECORDER && self.news && !self.kept {
+    pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+        if self.news && !self.kept {
             self.rest(now, controller);
         }
     }
@@ -494,6 +492,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let flags = u8::from(standing.trusted) | u8::from(standing.locked) << 1 | u8::from(standing.inches) << 2;
         let _ = rest.push(flags);
         let _ = rest.extend_from_slice(&standing.tool.to_le_bytes());
+        let _ = rest.extend_from_slice(&standing.active.to_le_bytes());
         let _ = rest.extend_from_slice(&self.blocks.to_le_bytes());
         let _ = rest.push(N as u8);
         for (counter, place) in standing.counters.iter().zip(&standing.place) {
@@ -532,9 +531,6 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         mut record: impl FnMut(u16) -> Option<Record>,
         tell: impl FnOnce(&Recorded),
     ) {
-        if !RECORDER {
-            return tell(&Recorded::End);
-        }
         if first {
             self.rewind();
             return tell(&Recorded::Board { name, step_clock_hz });
@@ -577,8 +573,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 self.reading.number = None;
                 continue;
             };
-            // In front of the end of a host, what it has left.
-            if matches!(tag, tag::CUT | tag::ENDED | tag::MORE) && !self.reading.line.is_empty() {
+            // What else comes may void the part of a line that is there: a reset, the end of a host.
+            if matches!(found, Found::Entry(_)) && !self.reading.line.is_empty() {
                 return self.take_line();
             }
             self.reading.at = at + 1 + used;
@@ -690,7 +686,7 @@ fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
 
 fn standing(bytes: &mut Bytes<'_>) -> Option<Entry> {
     let flags = bytes.byte()?;
-    let (tool, blocks) = (bytes.word()?, bytes.word()?);
+    let (tool, active, blocks) = (bytes.word()?, bytes.some().map(u16::from_le_bytes)?, bytes.word()?);
     let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
     for _ in 0..bytes.byte()? {
         counters.push(bytes.word()? as i32).ok()?;
@@ -702,5 +698,8 @@ fn standing(bytes: &mut Bytes<'_>) -> Option<Entry> {
     }
     let bit = |n: u8| flags >> n & 1 != 0;
     let (trusted, locked, inches) = (bit(0), bit(1), bit(2));
-    Some(Entry::Standing { standing: Standing { counters, place, trusted, locked, inches, tool, words }, blocks })
+    Some(Entry::Standing {
+        standing: Standing { counters, place, trusted, locked, inches, tool, active, words },
+        blocks,
+    })
 }

@@ -8,12 +8,12 @@
 //!
 //! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
 
+use crate::boards;
 use crate::shared::CONTROL;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
 use core::sync::atomic::Ordering;
-use crate::boards;
 use oxmill_controller::messages::{Crash, CrashKind, Restart};
 use oxmill_controller::recorder::{Page, Recorder};
 
@@ -111,7 +111,13 @@ pub fn take() -> Option<Crash> {
     }
     let text = kept.text.get(..kept.length as usize)?;
     let kind = *CrashKind::ALL.get(kept.kind as usize)?;
-    Some(Crash { kind, text: heapless::Vec::from_slice(text).ok()?, place: kept.place, line: kept.line, moment: kept.moment })
+    Some(Crash {
+        kind,
+        text: heapless::Vec::from_slice(text).ok()?,
+        place: kept.place,
+        line: kept.line,
+        moment: kept.moment,
+    })
 }
 
 /// The recorder, with what it had recorded before this start. Called once.

@@ -8,6 +8,7 @@
 use crate::recording::{Input, Recording, Told};
 use crate::simulator::Simulator;
 use oxmill_controller::messages::{Entry, Signals, Standing, Stopping};
+use oxmill_controller::protocol::realtime;
 
 /// How much earlier or later than the board the simulator may be, in parts of a second.
 const SLACK_PARTS: u64 = 20;
@@ -33,7 +34,8 @@ pub fn play(
     if !recording.is_whole() {
         arrival.notes.push("the listing breaks off: what came later is not known".into());
     }
-    let begin = match begin_of(recording.inputs()) {
+    let inputs = in_order(recording.inputs());
+    let begin = match begin_of(&inputs) {
         Ok(begin) => begin,
         Err(why) => {
             arrival.parted = Some(why);
@@ -41,14 +43,79 @@ pub fn play(
         }
     };
     let mut replay = Replay { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1 };
-    let played = replay.play(recording.inputs(), begin, &mut arrival.notes);
+    let played = replay.play(&inputs, begin, &mut arrival.notes);
     arrival.parted = played.err();
     arrival
 }
 
+/// What a reset has stopped may be told before the reset itself, as they come through two queues: it is put behind.
+fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
+    let mut ordered = inputs.to_vec();
+    // Stops that were ordered and are not told yet.
+    let mut ordered_stops = 0_u32;
+    for at in 0..ordered.len() {
+        if stops(&ordered[at].1) {
+            ordered_stops += 1;
+        } else if is_stop(&ordered[at].1) && ordered_stops > 0 {
+            ordered_stops -= 1;
+        } else if is_stop(&ordered[at].1)
+            && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
+        {
+            ordered[at..=behind].rotate_left(1);
+            // The one that now stands here is another.
+            ordered_stops += u32::from(stops(&ordered[at].1));
+            if let Some((time, _)) = ordered.get(behind - 1).cloned() {
+                ordered[behind].0 = time;
+            }
+        }
+    }
+    // Lines of a host that has gone were in the queue before it went: up to the cut.
+    let mut since = 0;
+    for cut in 0..ordered.len() {
+        if !matches!(ordered[cut].1, Input::Told(Told::Entry(Entry::Cut))) {
+            continue;
+        }
+        let gone = (since..cut).find(|at| matches!(ordered[*at].1, Input::Connect | Input::Disconnect));
+        if let Some(gone) = gone {
+            let time = ordered[gone].0;
+            let (mut before, behind): (Vec<_>, Vec<_>) =
+                ordered.drain(gone..cut).partition(|(_, input)| is_of_line(input));
+            before.iter_mut().for_each(|(of_line, _)| *of_line = time);
+            before.extend(behind);
+            ordered.splice(gone..gone, before);
+        }
+        since = cut + 1;
+    }
+    ordered
+}
+
+/// Whether it is of a line of the host, and no command.
+fn is_of_line(input: &Input) -> bool {
+    match input {
+        Input::Host(bytes) => bytes.len() != 1 || realtime::command(bytes[0]).is_none(),
+        Input::Told(Told::Entry(Entry::More)) => true,
+        _ => false,
+    }
+}
+
+/// Whether it stops the step task.
+fn stops(input: &Input) -> bool {
+    match input {
+        Input::Host(bytes) => bytes[..] == [0x18],
+        Input::Told(Told::Entry(Entry::Inputs { tripped, .. })) => *tripped != 0,
+        _ => false,
+    }
+}
+
+/// Whether it tells of a stop.
+fn is_stop(input: &Input) -> bool {
+    matches!(input, Input::Told(Told::Entry(Entry::Step(Stopping::AtRest | Stopping::Moving, _))))
+}
+
 /// The number of the input behind which a replay can begin.
 fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
-    let told = |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
+    let told =
+        |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
     // Stored records are those of the end: before the last change the machine had others.
     let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Entry(Entry::Stored(true)))));
     if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Entry(Entry::PowerUp))))) {
@@ -98,7 +165,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
                     if *input == Input::Connect { self.simulator.connect() } else { self.simulator.disconnect() }
                 }
                 Input::Told(told) => self.told(time, told, later, notes)?,
-                Input::Pin(_) | Input::At(_) | Input::Job => return Err("lines of a board and of a simulator are mixed".into()),
+                Input::Pin(_) | Input::At(_) | Input::Job => {
+                    return Err("lines of a board and of a simulator are mixed".into());
+                }
             }
             self.listen();
         }
@@ -130,6 +199,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
     }
 
     fn stand(&mut self, standing: &Standing) -> Result<(), String> {
+        let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
+        self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
         self.simulator.stand(standing, false);
         self.simulator.take_output();
         let mut words = [standing.words.as_slice(), b"\n"].concat();
@@ -220,13 +291,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    fn told(
-        &mut self,
-        time: u64,
-        told: &Told,
-        later: &[(u64, Input)],
-        notes: &mut Vec<String>,
-    ) -> Result<(), String> {
+    fn told(&mut self, time: u64, told: &Told, later: &[(u64, Input)], notes: &mut Vec<String>) -> Result<(), String> {
         let entry = match told {
             Told::Entry(entry) => entry,
             Told::Ended { crash: false, text, .. } => {
@@ -238,7 +303,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
         };
         match entry {
             Entry::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
-            Entry::Step(stopping, counters) => self.stopped(time, *stopping, counters),
+            Entry::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
             Entry::Rest { counters, blocks } => self.rest(time, counters, *blocks),
             Entry::Standing { standing, .. } => self.compare_state(time, standing),
             Entry::Stored(true) | Entry::More => Ok(()),
@@ -250,7 +315,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
             }
             Entry::Cut => {
                 let known = self.cuts > 0;
-                self.cuts = 0;
+                self.cuts = self.cuts.saturating_sub(1);
                 if known {
                     return Ok(());
                 }
@@ -274,12 +339,26 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
         Ok(())
     }
 
-    fn stopped(&mut self, time: u64, stopping: Stopping, counters: &[i32]) -> Result<(), String> {
+    fn stopped(
+        &mut self,
+        time: u64,
+        stopping: Stopping,
+        counters: &[i32],
+        later: &[(u64, Input)],
+    ) -> Result<(), String> {
         match stopping {
             Stopping::Probed => {
                 if self.meet_place(time, counters) {
+                    // The step task sees the contact before the filter does, but for one that was there when it began to look.
                     let mut pins = self.simulator.pins();
-                    pins.probe = !pins.probe;
+                    let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
+                    let told = later.iter().find_map(|(_, input)| match input {
+                        Input::Told(Told::Entry(Entry::Inputs { active, .. })) => {
+                            Some(Signals::of_word(active ^ inverted).probe)
+                        }
+                        _ => None,
+                    });
+                    pins.probe = told.unwrap_or(!pins.probe);
                     self.simulator.set_pins(pins);
                     return Ok(());
                 }
@@ -340,7 +419,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
         if self.meet(time, self.hz() / 20_000, is_there) {
             let late = self.simulator.clock().now() as f64 - time as f64;
             let milliseconds = late / self.hz() as f64 * 1e3;
-            notes.push(format!("arrives at the place and line of the failure ({text}), {milliseconds:+.1} ms from its time"));
+            notes.push(format!(
+                "arrives at the place and line of the failure ({text}), {milliseconds:+.1} ms from its time"
+            ));
             return Ok(());
         }
         let here = self.simulator.machine_position();

@@ -2,12 +2,12 @@
 
 use crate::check::Check;
 use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZero};
+use crate::field;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
 use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
-use crate::field;
 use crate::recording::{Input, RecordedJob, Recorder, Recording};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};

@@ -503,7 +503,7 @@ fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String
 }
 
 fn state(words: &[&str]) -> Result<Entry, String> {
-    let [flags, blocks, tool, axes @ .., words] = words else { return Err("a state has more words".into()) };
+    let [flags, blocks, tool, active, axes @ .., words] = words else { return Err("a state has more words".into()) };
     let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
     for pair in axes.chunks(2) {
         let [counter, coordinate] = pair else { return Err("an axis has a counter and a place".into()) };
@@ -518,6 +518,7 @@ fn state(words: &[&str]) -> Result<Entry, String> {
         locked: has('l'),
         inches: has('i'),
         tool: number(tool)?,
+        active: u16::from_str_radix(active, 16).map_err(|_| format!("`{active}` are no inputs"))?,
         words: heapless::Vec::from_slice(words.as_bytes()).map_err(|_| "the words of the state are too long")?,
     };
     Ok(Entry::Standing { standing, blocks: number(blocks)? })
@@ -526,7 +527,9 @@ fn state(words: &[&str]) -> Result<Entry, String> {
 /// `panic N12 1.000 2.000 0.000`, or `reset`.
 fn ended(text: &str, words: &[&str]) -> Result<Told, String> {
     let text = text.to_owned();
-    let [_, line, place @ ..] = words else { return Ok(Told::Ended { text, crash: false, place: Vec::new(), line: 0 }) };
+    let [_, line, place @ ..] = words else {
+        return Ok(Told::Ended { text, crash: false, place: Vec::new(), line: 0 });
+    };
     let line = number(line.trim_start_matches('N'))?;
     let micrometres = |word: &&str| Ok((number::<f64>(word)? * 1e3).round() as i64);
     let place = place.iter().map(micrometres).collect::<Result<_, String>>()?;

@@ -6,6 +6,7 @@ use super::task::{Ask, Listing, Task};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
+use crate::protocol::recorded::RECORDER;
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::Key;
@@ -17,7 +18,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         let more = match listing {
-            Listing::Recording(Ask::Wanted) => {
+            Listing::Recording(Ask::Wanted) if RECORDER => {
                 self.task = Task::Listing(Listing::Recording(Ask::Due), line);
                 return true;
             }

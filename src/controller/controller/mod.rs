@@ -68,6 +68,7 @@ use crate::machine::stops::Stops;
 use crate::messages::{Event, Observed, Output, Record, Restart, Room, ToStep};
 use crate::motion::Motion;
 use crate::protocol::line_intake::LineIntake;
+use crate::protocol::recorded::RECORDER;
 use crate::protocol::replies::Replies;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
@@ -360,7 +361,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(clear_noise) = self.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
         }
-        if let Some(first) = self.take_ask() {
+        if RECORDER && let Some(first) = self.take_ask() {
             return Some(Output::ReadRecording { first });
         }
         if self.only_moves() {

@@ -6,7 +6,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::gcode::{Distance, FeedMode, Modal, MotionMode, Units};
 use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
-use crate::messages::{Recorded, Standing};
+use crate::messages::{Recorded, Standing, input};
 use crate::protocol::recorded;
 use crate::protocol::report;
 use crate::protocol::text::{Text, put, real, whole};
@@ -24,7 +24,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The state at rest, if it is one that [`Controller::stand`] brings about in a machine with the same stored records:
-    /// no offset but the stored ones, nothing open, nothing on, no override.
+    /// no offset but the stored ones, nothing open, nothing on, no override, no switch or button active.
     pub fn standing(&self) -> Option<Standing> {
         let locked = match self.mode {
             Mode::Normal => false,
@@ -32,9 +32,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => return None,
         };
         let (place, counters) = self.motion.standing()?;
-        let rests = self.motion.is_idle() && self.door.motion().is_idle() && self.task.is_none() && self.stops.is_idle();
+        let rests =
+            self.motion.is_idle() && self.door.motion().is_idle() && self.task.is_none() && self.stops.is_idle();
         let plain = self.interpreter.is_plain(&place) && !self.line.is_single_block();
-        let off = !self.accessories.is_on() && self.accessories.overrides() == Overrides::NONE;
+        // Whatever else is active has done something when it became so.
+        let active = self.inputs.pins().word();
+        let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
+        let off = quiet && !self.accessories.is_on() && self.accessories.overrides() == Overrides::NONE;
         let words = words(self.interpreter.modal()).filter(|_| rests && plain && off)?;
         Some(Standing {
             counters: counters.iter().copied().collect(),
@@ -43,6 +47,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             locked,
             inches: self.interpreter.modal().units == Units::Inch,
             tool: self.interpreter.spindle_tool(),
+            active,
             words,
         })
     }
@@ -50,9 +55,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// For a replay: the machine, at rest and unlocked, stands so, but for the words, which it is then sent; and it is locked
     /// only with `lock`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
-        let place = PerAxis::from_axis(|axis: Axis| {
-            standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO)
-        });
+        let place =
+            PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
         self.motion.set_machine_position(&place);
         self.interpreter.set_position(place);
         self.interpreter.hold_tool(standing.tool);

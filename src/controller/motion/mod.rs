@@ -453,7 +453,8 @@ impl<const N: usize> AnyMotion<N> {
     /// it, or lead their tool because of backlash.
     pub fn standing(&self) -> Option<(PerAxis<Coordinate, N>, PerAxis<i32, N>)> {
         let (motors, place) = (self.prepared(), self.queue.planned_position());
-        let stands = self.is_idle() && self.queue.kinematics.steps(&place) == motors.steps && motors.tool() == motors.steps;
+        let stands =
+            self.is_idle() && self.queue.kinematics.steps(&place) == motors.steps && motors.tool() == motors.steps;
         stands.then(|| (place, self.step_counters()))
     }
 

@@ -1,7 +1,7 @@
 //! A recording as text: the lines that `oxmill replay` reads, each in brackets, so that a sender shows it and goes on.
 
 use super::text::{END, Text, length, put, whole};
-use crate::messages::{CrashKind, Entry, Recorded, Record, Standing, Stopping};
+use crate::messages::{CrashKind, Entry, Record, Recorded, Standing, Stopping};
 use crate::units::Coordinate;
 
 /// Whether there is a recorder: boards whose RAM is too small leave it out.
@@ -145,7 +145,7 @@ fn entry(out: &mut Text, entry: &Entry) {
     }
 }
 
-/// Flags, blocks, tool, then counter and place of each axis, then the words.
+/// Flags, blocks, tool, inputs, then counter and place of each axis, then the words.
 fn state(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];
@@ -156,6 +156,8 @@ fn state(out: &mut Text, standing: &Standing, blocks: u32) {
     whole(out, u64::from(blocks));
     put(out, b" ");
     whole(out, u64::from(standing.tool));
+    put(out, b" ");
+    hex_word(out, standing.active);
     for (counter, place) in standing.counters.iter().zip(&standing.place) {
         integers(out, [i64::from(*counter), place.0].into_iter());
     }

@@ -86,10 +86,10 @@ fn an_ordinary_start_says_nothing_of_it() {
 
 #[test]
 fn a_failure_locks_and_is_told_until_the_host_has_asked() {
-    let message =
-        "[MSG:Restarted after a failure (stuck task) at machine 1.250,-3.000,0.000, line 12, $RC tells more, \
+    let message = "[MSG:Restarted after a failure (stuck task) at machine 1.250,-3.000,0.000, line 12, $RC tells more, \
          $REC what came in]\r\n";
-    let restart = Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control"), is_recorded: true };
+    let restart =
+        Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control"), is_recorded: true };
     let (mut board, said) = Board::started(Some(restart));
     assert_eq!(said, format!("\r\nGrbl 1.1h ['$' for help]\r\n{message}[MSG:'$H'|'$X' to unlock]\r\n"));
     assert_eq!(board.line("G1X5F100"), "error:9\r\n", "a job that goes on streaming moves nothing");
