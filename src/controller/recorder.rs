@@ -74,6 +74,30 @@ impl Page {
     /// Nothing in it.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
+    /// Pages as the bytes that lie in RAM (little-endian): for tests of what a reset, or no power, leaves.
+    pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
+        pages.iter().flat_map(|page| {
+            let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
+            head.chain(page.time.to_le_bytes()).chain(page.state.to_le_bytes()).chain(page.bytes)
+        })
+    }
+
+    /// The page of 256 bytes.
+    pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
+        let mut rest = Bytes(bytes);
+        let (mark, number) = (rest.word()?, rest.word()?);
+        let time = rest.some().map(u64::from_le_bytes)?;
+        Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
+    }
+
+    /// Whatever is in it passes for what was written.
+    pub fn seal(&mut self, number: u32) {
+        (self.mark, self.number) = (OPEN, number);
+        let used = self.used().min(ROOM);
+        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add(sum, u16::from(*byte)));
+        self.state = u32::from(sum) << 16 | used as u32;
+    }
+
     fn used(&self) -> usize {
         (self.state & 0xFFFF) as usize
     }
@@ -194,6 +218,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             }
         }
         recorder
+    }
+
+    /// The pages.
+    pub fn pages(&self) -> &[Page] {
+        self.pages.as_ref()
     }
 
     /// Whether there is a recording of before the reset.

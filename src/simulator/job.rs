@@ -178,8 +178,10 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     progress.finish_and_clear();
     let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
     print(&summary, if options.json { Form::Json } else { Form::Whole })?;
-    for note in notes {
-        eprintln!("oxmill: {path}: {note}");
+    if !options.json {
+        for note in notes {
+            println!("  replay        {note}");
+        }
     }
     if let Err(why) = &same {
         eprintln!("oxmill: {path}: {why}");

@@ -175,9 +175,8 @@ fn played(name: &str, log: &str) -> Result<String, Failure> {
     let mut replay = cargo();
     replay.args(["run", "--quiet", "--locked", "--package", "oxmill", "--", "replay"]).arg(&file);
     let output = replay.output().map_err(|error| error.to_string())?;
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    hold_on(output.status.success(), || format!("the replay parts: {said}"))?;
-    Ok(said)
+    hold_on(output.status.success(), || format!("the replay parts: {}", String::from_utf8_lossy(&output.stderr)))?;
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
 /// A failure in mid-job: the recording leads the simulator to the same line and place.

@@ -3,6 +3,7 @@
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::descriptions::DESCRIPTIONS;
+use super::recorded::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::messages::{
@@ -227,7 +228,8 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $Mx=line $RST= $RC $PINS ");
+        put(out, if RECORDER { b"$HX $Mx=line $RST= $RC $REC " } else { b"$HX $Mx=line $RST= $RC " });
+        put(out, b"$PINS ");
         if DESCRIPTIONS {
             put(out, b"$ES $ESG $ESH $EG $EE $EA ");
         }
