@@ -285,10 +285,24 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
             ([0x18], Some(counters)) => {
                 self.meet_place(time, counters);
             }
+            (b"~", _) => self.resume(time),
             _ => self.advance(time),
         }
         let more = matches!(later.first(), Some((_, Input::Told(Told::Entry(Entry::More)))));
         self.simulator.send_followed(bytes, more);
+    }
+
+    /// A host says `~` as soon as it hears that the machine rests in a hold, and here that may be a little later.
+    fn resume(&mut self, time: u64) {
+        self.advance(time);
+        let mut ahead = self.simulator.clone();
+        let step = self.hz() / 10_000;
+        while ahead.clock().now() < time + self.hz() / SLACK_PARTS {
+            if ahead.controller().is_paused() {
+                return self.advance(ahead.clock().now());
+            }
+            ahead.advance_to(ahead.clock().now() + step);
+        }
     }
 
     fn told(&mut self, time: u64, told: &Told, later: &[(u64, Input)], notes: &mut Vec<String>) -> Result<(), String> {

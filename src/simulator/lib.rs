@@ -24,6 +24,7 @@ pub mod explain;
 #[cfg(feature = "program")]
 #[cfg(feature = "program")]
 pub mod field;
+#[cfg(feature = "program")]
 pub mod files;
 pub mod fittings;
 #[cfg(feature = "program")]
