@@ -714,11 +714,11 @@ impl Stopping {
 /// An entry of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
-pub enum Entry {
+pub enum Noted {
     /// Power came on.
     PowerUp,
     /// Bytes of lines, at the end of the last of them.
-    Host(heapless::Vec<u8, { Entry::HOST_BYTES }>),
+    Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
     /// More bytes waited behind the line before.
     More,
     /// A realtime command, by its byte.
@@ -753,12 +753,12 @@ pub enum Entry {
     Standing {
         /// The state.
         standing: Standing,
-        /// As in [`Entry::Rest`].
+        /// As in [`Noted::Rest`].
         blocks: u32,
     },
     /// The program has ended.
     Ended {
-        /// How; nothing if nobody knows.
+        /// How; nothing if that is not known.
         crash: Option<CrashKind>,
         /// See [`Crash::place`].
         place: [i32; 3],
@@ -767,7 +767,7 @@ pub enum Entry {
     },
 }
 
-impl Entry {
+impl Noted {
     /// Bytes of the host in an entry. A longer line has several.
     pub const HOST_BYTES: usize = 60;
     /// In place of the number of a [`CrashKind`].
@@ -790,7 +790,7 @@ pub enum Recorded {
     /// Where it begins, microseconds since power-up.
     Begin(u64),
     /// An entry and its time.
-    Entry(u64, Entry),
+    Noted(u64, Noted),
     /// There is no more.
     End,
 }

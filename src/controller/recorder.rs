@@ -19,7 +19,7 @@
 
 use crate::controller::Controller;
 use crate::messages::{
-    CrashKind, Entry, Event, HOST_CHANGED, LineByte, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
+    CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,
 };
 use crate::protocol::realtime;
@@ -152,7 +152,7 @@ struct Reading {
     at: usize,
     time: u64,
     /// The line that is being put together.
-    line: heapless::Vec<u8, { Entry::HOST_BYTES }>,
+    line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
     /// Stored records that have been told; `None` before the first of what is listed.
     records: Option<u16>,
     begun: bool,
@@ -242,7 +242,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         while self.next_entry().is_some() {}
         self.time = self.reading.time;
         let mut text = heapless::Vec::<u8, 24>::new();
-        let (mut place, mut line, mut kind) = ([0; 3], 0, Entry::NO_CRASH);
+        let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             self.time_to(self.time + u64::from(crash.moment.wrapping_sub(self.time as u32)));
             (place, line) = (crash.place, crash.line);
@@ -309,7 +309,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.pages.as_mut().get_mut(slot).is_some_and(|page| page.put(byte))
     }
 
-    /// An entry stands in one page.
+    /// An entry lies in one page.
     fn tagged(&mut self, tag: u8, rest: &[u8]) {
         let used = self.pages.as_ref().get(self.slot).map_or(ROOM, Page::used);
         if ROOM - used.min(ROOM) < 1 + rest.len() {
@@ -575,13 +575,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             return tell(&Recorded::Begin(self.reading.time));
         }
         match self.next_entry() {
-            Some(entry) => tell(&Recorded::Entry(self.reading.time, entry)),
+            Some(entry) => tell(&Recorded::Noted(self.reading.time, entry)),
             None => tell(&Recorded::End),
         }
     }
 
     /// The next entry; its time is that of the reading.
-    fn next_entry(&mut self) -> Option<Entry> {
+    fn next_entry(&mut self) -> Option<Noted> {
         loop {
             let Some(number) = self.reading.number else { return self.take_line() };
             let at = self.reading.at;
@@ -603,7 +603,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 continue;
             };
             // What else comes may void the part of a line that is there: a reset, the end of a host.
-            if matches!(found, Found::Entry(_)) && !self.reading.line.is_empty() {
+            if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
                 return self.take_line();
             }
             self.reading.at = at + 1 + used;
@@ -615,14 +615,14 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                         return self.take_line();
                     }
                 }
-                Found::Entry(entry) => return Some(entry),
+                Found::Noted(entry) => return Some(entry),
             }
         }
     }
 
-    fn take_line(&mut self) -> Option<Entry> {
+    fn take_line(&mut self) -> Option<Noted> {
         let line = core::mem::take(&mut self.reading.line);
-        (!line.is_empty()).then_some(Entry::Host(line))
+        (!line.is_empty()).then_some(Noted::Host(line))
     }
 }
 
@@ -636,7 +636,7 @@ fn put_axes<const SIZE: usize>(out: &mut heapless::Vec<u8, SIZE>, axes: &[i32]) 
 enum Found {
     Time(u64),
     Text(u8),
-    Entry(Entry),
+    Noted(Noted),
 }
 
 /// Bytes of an entry, one after the other.
@@ -684,36 +684,36 @@ fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
             }
             Found::Time(passed)
         }
-        tag::COMMAND => Found::Entry(Entry::Command(bytes.byte()?)),
+        tag::COMMAND => Found::Noted(Noted::Command(bytes.byte()?)),
         tag::INPUTS => {
             let mut word = || bytes.some().map(u16::from_le_bytes);
-            Found::Entry(Entry::Inputs { active: word()?, tripped: word()? })
+            Found::Noted(Noted::Inputs { active: word()?, tripped: word()? })
         }
         tag::STEP => {
             let stopping = *Stopping::ALL.get(usize::from(bytes.byte()?))?;
-            Found::Entry(Entry::Step(stopping, bytes.axes()?))
+            Found::Noted(Noted::Step(stopping, bytes.axes()?))
         }
-        tag::STORED | tag::STORE_FAILED => Found::Entry(Entry::Stored(tag == tag::STORED)),
-        tag::CONNECTED => Found::Entry(Entry::Connected),
-        tag::DISCONNECTED => Found::Entry(Entry::Disconnected),
-        tag::MORE => Found::Entry(Entry::More),
-        tag::DAMAGED => Found::Entry(Entry::Damaged),
-        tag::CUT => Found::Entry(Entry::Cut),
-        tag::REST => Found::Entry(Entry::Rest { counters: bytes.axes()?, blocks: bytes.word()? }),
-        tag::STANDING => Found::Entry(standing(&mut bytes)?),
-        tag::POWER_UP => Found::Entry(Entry::PowerUp),
+        tag::STORED | tag::STORE_FAILED => Found::Noted(Noted::Stored(tag == tag::STORED)),
+        tag::CONNECTED => Found::Noted(Noted::Connected),
+        tag::DISCONNECTED => Found::Noted(Noted::Disconnected),
+        tag::MORE => Found::Noted(Noted::More),
+        tag::DAMAGED => Found::Noted(Noted::Damaged),
+        tag::CUT => Found::Noted(Noted::Cut),
+        tag::REST => Found::Noted(Noted::Rest { counters: bytes.axes()?, blocks: bytes.word()? }),
+        tag::STANDING => Found::Noted(standing(&mut bytes)?),
+        tag::POWER_UP => Found::Noted(Noted::PowerUp),
         tag::ENDED => {
             let kind = bytes.byte()?;
             let mut word = || bytes.word();
             let place = [word()? as i32, word()? as i32, word()? as i32];
-            Found::Entry(Entry::Ended { crash: CrashKind::ALL.get(usize::from(kind)).copied(), place, line: word()? })
+            Found::Noted(Noted::Ended { crash: CrashKind::ALL.get(usize::from(kind)).copied(), place, line: word()? })
         }
         _ => return None,
     };
     Some((rest.len() - bytes.0.len(), found))
 }
 
-fn standing(bytes: &mut Bytes<'_>) -> Option<Entry> {
+fn standing(bytes: &mut Bytes<'_>) -> Option<Noted> {
     let flags = bytes.byte()?;
     let (tool, active, blocks) = (bytes.word()?, bytes.some().map(u16::from_le_bytes)?, bytes.word()?);
     let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
@@ -727,7 +727,7 @@ fn standing(bytes: &mut Bytes<'_>) -> Option<Entry> {
     }
     let bit = |n: u8| flags >> n & 1 != 0;
     let (trusted, locked, inches) = (bit(0), bit(1), bit(2));
-    Some(Entry::Standing {
+    Some(Noted::Standing {
         standing: Standing { counters, place, trusted, locked, inches, tool, active, words },
         blocks,
     })

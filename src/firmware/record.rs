@@ -125,6 +125,6 @@ pub fn recorder(restart: &Restart) -> Recorder<&'static mut [Page]> {
     // What lies there is not known to the compiler, which must not take it for nothing.
     let pages = core::hint::black_box(addr_of_mut!(RECORDING)).cast::<[Page; boards::RECORDING_PAGES]>();
     // SAFETY: unsafe because memory is read that may never have been written, and a static is lent for ever; safe because pages
-    // are plain numbers, any of which is allowed, and nobody else has them.
+    // are plain numbers, any of which is allowed, and are lent once.
     Recorder::begin(unsafe { &mut *pages }, restart)
 }

@@ -7,7 +7,7 @@
 
 use crate::recording::{Input, Recording, Told};
 use crate::simulator::Simulator;
-use oxmill_controller::messages::{Entry, Signals, Standing, Stopping};
+use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
 
 /// How much earlier or later than the board the simulator may be, in parts of a second.
@@ -42,7 +42,7 @@ pub fn play(
             return arrival;
         }
     };
-    let mut replay = Replay { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1 };
+    let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
     arrival.parted = played.err();
     arrival
@@ -62,7 +62,7 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
         {
             ordered[at..=behind].rotate_left(1);
-            // The one that now stands here is another.
+            // The one that is here now is another.
             ordered_stops += u32::from(stops(&ordered[at].1));
             if let Some((time, _)) = ordered.get(behind - 1).cloned() {
                 ordered[behind].0 = time;
@@ -72,7 +72,7 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     // Lines of a host that has gone were in the queue before it went: up to the cut.
     let mut since = 0;
     for cut in 0..ordered.len() {
-        if !matches!(ordered[cut].1, Input::Told(Told::Entry(Entry::Cut))) {
+        if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
             continue;
         }
         let gone = (since..cut).find(|at| matches!(ordered[*at].1, Input::Connect | Input::Disconnect));
@@ -93,7 +93,7 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
 fn is_of_line(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes.len() != 1 || realtime::command(bytes[0]).is_none(),
-        Input::Told(Told::Entry(Entry::More)) => true,
+        Input::Told(Told::Noted(Noted::More)) => true,
         _ => false,
     }
 }
@@ -102,14 +102,14 @@ fn is_of_line(input: &Input) -> bool {
 fn stops(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes[..] == [0x18],
-        Input::Told(Told::Entry(Entry::Inputs { tripped, .. })) => *tripped != 0,
+        Input::Told(Told::Noted(Noted::Inputs { tripped, .. })) => *tripped != 0,
         _ => false,
     }
 }
 
 /// Whether it tells of a stop.
 fn is_stop(input: &Input) -> bool {
-    matches!(input, Input::Told(Told::Entry(Entry::Step(Stopping::AtRest | Stopping::Moving, _))))
+    matches!(input, Input::Told(Told::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
 }
 
 /// The number of the input behind which a replay can begin.
@@ -117,12 +117,12 @@ fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     let told =
         |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
     // Stored records are those of the end: before the last change the machine had others.
-    let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Entry(Entry::Stored(true)))));
-    if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Entry(Entry::PowerUp))))) {
+    let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Noted(Noted::Stored(true)))));
+    if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Noted(Noted::PowerUp))))) {
         return Ok(0);
     }
     let from = stored.map_or(0, |at| at + 1);
-    let state = inputs[from..].iter().position(told(|told| matches!(told, Told::Entry(Entry::Standing { .. }))));
+    let state = inputs[from..].iter().position(told(|told| matches!(told, Told::Noted(Noted::Standing { .. }))));
     state.map(|at| from + at).ok_or_else(|| {
         let why = if stored.is_some() { "no state behind the last stored setting" } else { "no state at rest" };
         let last = inputs.iter().rev().find_map(|(_, input)| match input {
@@ -137,7 +137,7 @@ fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     })
 }
 
-struct Replay<'a, H, P> {
+struct Playing<'a, H, P> {
     simulator: &'a mut Simulator,
     hear: H,
     pass: P,
@@ -150,7 +150,7 @@ struct Replay<'a, H, P> {
     cuts: u32,
 }
 
-impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
+impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn play(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
         self.simulator.hear_always();
         self.start(inputs, begin, notes)?;
@@ -178,7 +178,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
     fn start(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
         let Some((time, input)) = inputs.get(begin) else { return Err("nothing is recorded".into()) };
         let mut counters = Vec::new();
-        if let Input::Told(Told::Entry(Entry::Standing { standing, blocks })) = input {
+        if let Input::Told(Told::Noted(Noted::Standing { standing, blocks })) = input {
             if begin > 0 {
                 notes.push(format!("begins at a state at rest; {begin} lines of the recording before it are left out"));
             }
@@ -288,7 +288,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
             (b"~", _) => self.resume(time),
             _ => self.advance(time),
         }
-        let more = matches!(later.first(), Some((_, Input::Told(Told::Entry(Entry::More)))));
+        let more = matches!(later.first(), Some((_, Input::Told(Told::Noted(Noted::More)))));
         self.simulator.send_followed(bytes, more);
     }
 
@@ -307,7 +307,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
 
     fn told(&mut self, time: u64, told: &Told, later: &[(u64, Input)], notes: &mut Vec<String>) -> Result<(), String> {
         let entry = match told {
-            Told::Entry(entry) => entry,
+            Told::Noted(entry) => entry,
             Told::Ended { crash: false, text, .. } => {
                 self.advance(time);
                 notes.push(format!("ends as the recording: {text}"));
@@ -316,18 +316,18 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
             Told::Ended { text, place, line, .. } => return self.ended(time, text, place, *line, notes),
         };
         match entry {
-            Entry::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
-            Entry::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
-            Entry::Rest { counters, blocks } => self.rest(time, counters, *blocks),
-            Entry::Standing { standing, .. } => self.compare_state(time, standing),
-            Entry::Stored(true) | Entry::More => Ok(()),
-            Entry::Stored(false) => Err(format!("{}: the board could not store a setting", self.seconds(time))),
-            Entry::Damaged => {
+            Noted::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
+            Noted::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
+            Noted::Rest { counters, blocks } => self.rest(time, counters, *blocks),
+            Noted::Standing { standing, .. } => self.compare_state(time, standing),
+            Noted::Stored(true) | Noted::More => Ok(()),
+            Noted::Stored(false) => Err(format!("{}: the board could not store a setting", self.seconds(time))),
+            Noted::Damaged => {
                 self.advance(time);
                 self.simulator.lose_bytes();
                 Ok(())
             }
-            Entry::Cut => {
+            Noted::Cut => {
                 let known = self.cuts > 0;
                 self.cuts = self.cuts.saturating_sub(1);
                 if known {
@@ -367,7 +367,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
                     let told = later.iter().find_map(|(_, input)| match input {
-                        Input::Told(Told::Entry(Entry::Inputs { active, .. })) => {
+                        Input::Told(Told::Noted(Noted::Inputs { active, .. })) => {
                             Some(Signals::of_word(active ^ inverted).probe)
                         }
                         _ => None,
@@ -447,7 +447,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Replay<'_, H, P> {
 /// Where the board was cut off by what comes in now: its report follows at once.
 fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
     later.iter().take(3).find_map(|(_, input)| match input {
-        Input::Told(Told::Entry(Entry::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),
+        Input::Told(Told::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),
         _ => None,
     })
 }

@@ -23,7 +23,7 @@ use crate::fittings::Fittings;
 use crate::power_up::board_named;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
-use oxmill_controller::messages::{Entry, Record, Standing, Stopping, Store as Change};
+use oxmill_controller::messages::{Noted, Record, Standing, Stopping, Store as Change};
 use oxmill_controller::units::Coordinate;
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -57,7 +57,7 @@ pub enum Input {
 #[allow(clippy::large_enum_variant, reason = "few of them, and read once")]
 pub enum Told {
     /// An entry of its ring.
-    Entry(Entry),
+    Noted(Noted),
     /// How it ended.
     Ended {
         /// As it is written.
@@ -470,31 +470,31 @@ fn listed(log: &str) -> Option<String> {
 fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
     let words: Vec<&str> = rest.split_whitespace().collect();
     let entry = match word {
-        "power" => Entry::PowerUp,
-        "more" => Entry::More,
-        "stored" => Entry::Stored(true),
-        "unstored" => Entry::Stored(false),
-        "damaged" => Entry::Damaged,
-        "cut" => Entry::Cut,
+        "power" => Noted::PowerUp,
+        "more" => Noted::More,
+        "stored" => Noted::Stored(true),
+        "unstored" => Noted::Stored(false),
+        "damaged" => Noted::Damaged,
+        "cut" => Noted::Cut,
         "inputs" => {
             let word = |at: usize| words.get(at).and_then(|word| u16::from_str_radix(word, 16).ok());
             let (active, tripped) = word(0).zip(word(1)).ok_or_else(|| format!("`{rest}` are no inputs"))?;
-            Entry::Inputs { active, tripped }
+            Noted::Inputs { active, tripped }
         }
-        "stopped" => Entry::Step(Stopping::AtRest, axes(&words)?),
-        "cut-off" => Entry::Step(Stopping::Moving, axes(&words)?),
-        "probed" => Entry::Step(Stopping::Probed, axes(&words)?),
-        "underrun" => Entry::Step(Stopping::Underrun, axes(&words)?),
-        "miscounted" => Entry::Step(Stopping::Miscounted, axes(&words)?),
+        "stopped" => Noted::Step(Stopping::AtRest, axes(&words)?),
+        "cut-off" => Noted::Step(Stopping::Moving, axes(&words)?),
+        "probed" => Noted::Step(Stopping::Probed, axes(&words)?),
+        "underrun" => Noted::Step(Stopping::Underrun, axes(&words)?),
+        "miscounted" => Noted::Step(Stopping::Miscounted, axes(&words)?),
         "rest" => {
             let (blocks, counters) = words.split_first().ok_or("where is it at rest?")?;
-            Entry::Rest { blocks: number(blocks)?, counters: axes(counters)? }
+            Noted::Rest { blocks: number(blocks)?, counters: axes(counters)? }
         }
         "state" => state(&words)?,
         "ended" => return ended(rest, &words).map(Some),
         _ => return Ok(None),
     };
-    Ok(Some(Told::Entry(entry)))
+    Ok(Some(Told::Noted(entry)))
 }
 
 fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String> {
@@ -502,7 +502,7 @@ fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String
     heapless::Vec::from_slice(&axes).map_err(|_| "these are too many axes".into())
 }
 
-fn state(words: &[&str]) -> Result<Entry, String> {
+fn state(words: &[&str]) -> Result<Noted, String> {
     let [flags, blocks, tool, active, axes @ .., words] = words else { return Err("a state has more words".into()) };
     let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
     for pair in axes.chunks(2) {
@@ -521,7 +521,7 @@ fn state(words: &[&str]) -> Result<Entry, String> {
         active: u16::from_str_radix(active, 16).map_err(|_| format!("`{active}` are no inputs"))?,
         words: heapless::Vec::from_slice(words.as_bytes()).map_err(|_| "the words of the state are too long")?,
     };
-    Ok(Entry::Standing { standing, blocks: number(blocks)? })
+    Ok(Noted::Standing { standing, blocks: number(blocks)? })
 }
 
 /// `panic N12 1.000 2.000 0.000`, or `reset`.

@@ -153,7 +153,7 @@ impl Simulator {
         self.host.lose();
     }
 
-    /// For a replay: the machine stands so. See `Controller::stand`.
+    /// For a replay: the machine takes this state. See `Controller::stand`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         self.controller.stand(standing, lock);
         self.turn();

@@ -67,8 +67,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(|out| report::restart(out, &restart));
                 self.say(report::ok);
             }
-            System::Recording if !RECORDER => return Err(Error::RecorderLeftOut),
-            System::Recording => self.task = Task::Listing(Listing::Recording(Ask::Wanted), 0),
+            System::Recording => self.list_recording()?,
             System::Pins => {
                 self.inputs.ask_view(false);
                 self.task = Task::Listing(Listing::Pins, 0);
@@ -92,6 +91,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.lines.end_check();
         }
         self.say(report::ok);
+    }
+
+    fn list_recording(&mut self) -> Result<(), Error> {
+        if !RECORDER {
+            return Err(Error::RecorderLeftOut);
+        }
+        self.task = Task::Listing(Listing::Recording(Ask::Wanted), 0);
+        Ok(())
     }
 
     fn sleep(&mut self) {

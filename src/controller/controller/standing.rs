@@ -52,7 +52,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         })
     }
 
-    /// For a replay: the machine, at rest and unlocked, stands so, but for the words, which it is then sent; and it is locked
+    /// For a replay: the machine, at rest and unlocked, takes this state, but for the words, which it is then sent; and it is locked
     /// only with `lock`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =

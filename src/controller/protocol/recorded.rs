@@ -1,7 +1,7 @@
-//! A recording as text: the lines that `oxmill replay` reads, each in brackets, so that a sender shows it and goes on.
+//! A recording as text: the lines that `oxmill replay` reads, each in brackets, so that a sender shows it and continues.
 
 use super::text::{END, Text, length, put, whole};
-use crate::messages::{CrashKind, Entry, Record, Recorded, Standing, Stopping};
+use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};
 use crate::units::Coordinate;
 
 /// Whether there is a recorder: boards whose RAM is too small leave it out.
@@ -28,7 +28,7 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
             put(out, b"begin ");
             whole(out, ticks(*time, hz));
         }
-        Recorded::Entry(time, told) => {
+        Recorded::Noted(time, told) => {
             whole(out, ticks(*time, hz));
             put(out, b" ");
             entry(out, told);
@@ -96,41 +96,41 @@ fn integers(out: &mut Text, values: impl Iterator<Item = i64>) {
     }
 }
 
-fn entry(out: &mut Text, entry: &Entry) {
+fn entry(out: &mut Text, entry: &Noted) {
     match entry {
-        Entry::PowerUp => put(out, b"power"),
-        Entry::Host(bytes) => {
+        Noted::PowerUp => put(out, b"power"),
+        Noted::Host(bytes) => {
             put(out, b"host ");
             escaped(out, bytes);
         }
-        Entry::More => put(out, b"more"),
-        Entry::Command(byte) => {
+        Noted::More => put(out, b"more"),
+        Noted::Command(byte) => {
             put(out, b"host ");
             escaped(out, &[*byte]);
         }
-        Entry::Inputs { active, tripped } => {
+        Noted::Inputs { active, tripped } => {
             put(out, b"inputs ");
             hex_word(out, *active);
             put(out, b" ");
             hex_word(out, *tripped);
         }
-        Entry::Step(stopping, counters) => {
+        Noted::Step(stopping, counters) => {
             put(out, stopping_name(*stopping));
             integers(out, counters.iter().map(|axis| i64::from(*axis)));
         }
-        Entry::Stored(true) => put(out, b"stored"),
-        Entry::Stored(false) => put(out, b"unstored"),
-        Entry::Connected => put(out, b"connect"),
-        Entry::Disconnected => put(out, b"disconnect"),
-        Entry::Damaged => put(out, b"damaged"),
-        Entry::Cut => put(out, b"cut"),
-        Entry::Rest { counters, blocks } => {
+        Noted::Stored(true) => put(out, b"stored"),
+        Noted::Stored(false) => put(out, b"unstored"),
+        Noted::Connected => put(out, b"connect"),
+        Noted::Disconnected => put(out, b"disconnect"),
+        Noted::Damaged => put(out, b"damaged"),
+        Noted::Cut => put(out, b"cut"),
+        Noted::Rest { counters, blocks } => {
             put(out, b"rest ");
             whole(out, u64::from(*blocks));
             integers(out, counters.iter().map(|axis| i64::from(*axis)));
         }
-        Entry::Standing { standing, blocks } => state(out, standing, *blocks),
-        Entry::Ended { crash, place, line } => {
+        Noted::Standing { standing, blocks } => state(out, standing, *blocks),
+        Noted::Ended { crash, place, line } => {
             put(out, b"ended ");
             put(out, crash.map_or(b"reset", crash_name));
             if crash.is_some() {

@@ -3,7 +3,7 @@
 #![cfg(feature = "recorder")]
 
 use oxmill_controller::messages::{
-    Crash, CrashKind, Entry, Event, LineByte, Realtime, Recorded, ResetCause, Restart, Room, Sensed, Signals,
+    Crash, CrashKind, Event, LineByte, Noted, Realtime, Recorded, ResetCause, Restart, Room, Sensed, Signals,
 };
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::Instant;
@@ -33,7 +33,7 @@ fn line(ring: &mut Ring, board: &Board, time: u64, epoch: u16, text: &str) {
 }
 
 /// What is listed, without what comes in front of the entries.
-fn entries(ring: &mut Ring) -> Vec<(u64, Entry)> {
+fn entries(ring: &mut Ring) -> Vec<(u64, Noted)> {
     let mut found = Vec::new();
     let mut more = true;
     let mut first = true;
@@ -43,7 +43,7 @@ fn entries(ring: &mut Ring) -> Vec<(u64, Entry)> {
             ("test", 1_000_000),
             |_| None,
             |piece| match piece {
-                Recorded::Entry(time, entry) => found.push((*time, entry.clone())),
+                Recorded::Noted(time, entry) => found.push((*time, entry.clone())),
                 Recorded::End => more = false,
                 _ => {}
             },
@@ -53,8 +53,8 @@ fn entries(ring: &mut Ring) -> Vec<(u64, Entry)> {
     found
 }
 
-fn host(text: &str) -> Entry {
-    Entry::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
+fn host(text: &str) -> Noted {
+    Noted::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
 }
 
 /// The pages outlive a reset: taken out of one recorder and given to the next.
@@ -78,12 +78,12 @@ fn what_came_in_is_listed_with_its_time() {
     ring.record(Instant::from_ticks(70_000), &Event::<3>::Realtime(Realtime::FeedHold), &board);
     let door = Sensed { signals: Signals { door: true, ..Signals::NONE }, ..Sensed::default() };
     ring.record(Instant::from_ticks(70_000), &Event::<3>::Signals(door), &board);
-    let inputs = Entry::Inputs { active: 1 << 9, tripped: 0 };
+    let inputs = Noted::Inputs { active: 1 << 9, tripped: 0 };
     let expected = [
-        (0, Entry::PowerUp),
+        (0, Noted::PowerUp),
         (1_000, host("G1X10\n")),
-        (1_000, Entry::More),
-        (70_000, Entry::Command(b'!')),
+        (1_000, Noted::More),
+        (70_000, Noted::Command(b'!')),
         (70_000, inputs),
     ];
     assert_eq!(entries(&mut ring), expected);
@@ -98,7 +98,7 @@ fn bytes_of_before_a_reset_are_left_out_and_those_behind_it_are_not() {
     ring.record(Instant::from_ticks(20), &Event::<3>::Realtime(Realtime::Reset), &board);
     line(&mut ring, &board, 30, 0, "G1X10\n");
     line(&mut ring, &board, 40, 1, "2\n");
-    assert_eq!(entries(&mut ring)[1..], [(20, Entry::Command(0x18)), (40, host("Y2\n"))]);
+    assert_eq!(entries(&mut ring)[1..], [(20, Noted::Command(0x18)), (40, host("Y2\n"))]);
 }
 
 #[test]
@@ -129,10 +129,10 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     let restart = Restart { crash: Some(crash), ..SOFTWARE };
     let mut ring = Ring::begin(before, &restart);
     assert!(ring.is_kept());
-    let ended = Entry::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
+    let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
     let found = entries(&mut ring);
     assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
-    // Locked: a job that goes on is refused and leaves it alone. So do `$` lines, and another reset.
+    // Locked: a job that continues is refused and leaves it alone. So do `$` lines, and another reset.
     board.restarted(restart);
     line(&mut ring, &board, 10, 0, "G1X5\n");
     let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
@@ -144,7 +144,7 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     line(&mut ring, &unlocked, 40, 0, "G4P1\n");
     assert!(!ring.is_kept());
     let found = entries(&mut ring);
-    assert!(matches!(found[0], (40, Entry::Standing { .. })), "{found:?}");
+    assert!(matches!(found[0], (40, Noted::Standing { .. })), "{found:?}");
     assert_eq!(found[1..], [(40, host("G4P1\n"))]);
 }
 
@@ -204,7 +204,7 @@ proptest! {
         line(&mut ring, &board, 9, 0, &text[..count]);
         let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
         let said: Vec<u8> = entries(&mut ring).iter().flat_map(|(_, entry)| match entry {
-            Entry::Host(bytes) => bytes.to_vec(),
+            Noted::Host(bytes) => bytes.to_vec(),
             _ => Vec::new(),
         }).collect();
         prop_assert!(text[..count].as_bytes().ends_with(&said));
