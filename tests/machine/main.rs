@@ -20,6 +20,7 @@ mod programs;
 mod reactions;
 mod resets;
 mod rig;
+mod rotary;
 mod seed;
 mod stream;
 mod turns;

@@ -2,12 +2,12 @@
 
 use super::Controller;
 use super::task::{Job, Stage};
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::Feed;
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed};
+use crate::motion::{Arc, ArcGeometry, Move, Speed};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -58,6 +58,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed) -> Stage {
         let length = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
         let feed = match feed {
+            Feed::PerMinute(feed) if N > LINEAR => feed * self.line.arc().map_or(1.0, Arc::rotary_stretch),
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
             Feed::Rapid => f32::MAX,

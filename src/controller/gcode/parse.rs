@@ -121,12 +121,13 @@ impl<const N: usize> Parsed<N> {
 
     /// Adds the words of a line. What it sets waits in the state for the commit.
     pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        let axes = state.axes();
         for word in Words::of(line, dialect, state) {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value, places, dialect)?,
+                _ => self.take_value(letter, value, places, (dialect, axes))?,
             }
         }
         Ok(())
@@ -196,12 +197,18 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    fn take_value(&mut self, letter: u8, value: Decimal, places: u8, dialect: Dialect) -> Result<(), Error> {
+    fn take_value(
+        &mut self,
+        letter: u8,
+        value: Decimal,
+        places: u8,
+        (dialect, axes): (Dialect, usize),
+    ) -> Result<(), Error> {
         let (values, tool_max) = match dialect {
             Dialect::Grbl => (VALUES_OF_GRBL, TOOL_MAX_OF_GRBL),
             _ => (VALUES, TOOL_MAX),
         };
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < axes);
         if axis.is_none() && !values.has(letter) {
             return if letter == ASSIGNMENT { Ok(()) } else { Err(Error::UnsupportedCommand) };
         }
