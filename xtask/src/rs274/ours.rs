@@ -1,6 +1,6 @@
 //! What Oxmill's interpreter makes of a line.
 
-use super::{Event, NO_MOVE};
+use super::{AXES, Event, NO_MOVE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Angle, CoordinateSystem, CycleStep, Dialect, Feed, Interpreter, Motion};
@@ -12,22 +12,22 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 /// A machine that is only thought.
 #[derive(Clone)]
 pub struct Mill {
-    interpreter: Interpreter<3>,
+    interpreter: Interpreter<AXES>,
     /// Where the last event has led, machine coordinates.
-    place: [f64; 3],
+    place: [f64; AXES],
 }
 
-fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
 }
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; 3] }
+        Mill { interpreter: Interpreter::new(), place: [0.0; AXES] }
     }
 
     /// Where the program is, in the active system, mm.
-    pub fn work(&self) -> [f64; 3] {
+    pub fn work(&self) -> [f64; AXES] {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
@@ -83,11 +83,11 @@ impl Mill {
         Ok(events)
     }
 
-    fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+    fn relative(&self, place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
         mm(&self.interpreter.to_program(place))
     }
 
-    fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {
+    fn go(&mut self, to: &PerAxis<Coordinate, AXES>, rapid: bool, events: &mut Vec<Event>) {
         let machine = mm(to);
         if machine.iter().zip(self.place).any(|(a, b)| (a - b).abs() > NO_MOVE) {
             let work = self.relative(to);
