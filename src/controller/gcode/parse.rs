@@ -5,7 +5,7 @@ use super::code::Code;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, Units};
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
-use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
@@ -126,8 +126,12 @@ impl<const N: usize> Parsed<N> {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
+                // An axis that this machine does not have.
+                _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
+                    return Err(Error::UnsupportedCommand);
+                }
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value, places, (dialect, axes))?,
+                _ => self.take_value(letter, value, places, dialect)?,
             }
         }
         Ok(())
@@ -197,18 +201,12 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    fn take_value(
-        &mut self,
-        letter: u8,
-        value: Decimal,
-        places: u8,
-        (dialect, axes): (Dialect, usize),
-    ) -> Result<(), Error> {
+    fn take_value(&mut self, letter: u8, value: Decimal, places: u8, dialect: Dialect) -> Result<(), Error> {
         let (values, tool_max) = match dialect {
             Dialect::Grbl => (VALUES_OF_GRBL, TOOL_MAX_OF_GRBL),
             _ => (VALUES, TOOL_MAX),
         };
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < axes);
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
         if axis.is_none() && !values.has(letter) {
             return if letter == ASSIGNMENT { Ok(()) } else { Err(Error::UnsupportedCommand) };
         }
