@@ -25,6 +25,8 @@ pub struct Board {
     pub blocks: usize,
     /// Greatest step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
+    /// Shortest step pulse (`$0`), tenths of a microsecond.
+    pub least_pulse_tenths: u16,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
 }
@@ -38,14 +40,21 @@ pub const DESK: Board = Board {
     axes: AXES,
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
     received_bytes: 255,
 };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
 /// (docs/how-it-works.md, "Step rates").
-pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..DESK };
+pub const BLACKPILL_F411: Board = Board {
+    name: "blackpill_f411",
+    step_clock_hz: 96_000_000,
+    core_hz: 96_000_000,
+    safe_step_hz: 490_000,
+    least_pulse_tenths: 10,
+    ..DESK
+};
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task:
 /// the control task takes longer, and so has more of the processor left.
@@ -54,24 +63,43 @@ pub const BLACKPILL_F401: Board = Board {
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
     safe_step_hz: 400_000,
+    least_pulse_tenths: 10,
     blocks: 256,
     ..DESK
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock.
-pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..DESK };
+pub const NUCLEO_F446RE: Board = Board {
+    name: "nucleo_f446re",
+    step_clock_hz: 90_000_000,
+    core_hz: 180_000_000,
+    safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
+    ..DESK
+};
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
-pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..DESK };
+pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, least_pulse_tenths: 10, ..DESK };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
-pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..DESK };
+pub const NUCLEO_F401RE: Board = Board {
+    name: "nucleo_f401re",
+    step_clock_hz: 84_000_000,
+    core_hz: 84_000_000,
+    safe_step_hz: 490_000,
+    least_pulse_tenths: 10,
+    ..DESK
+};
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
-pub const QEMU_MPS2: Board =
-    Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..DESK };
+pub const QEMU_MPS2: Board = Board {
+    name: "qemu_mps2",
+    step_clock_hz: 25_000_000,
+    core_hz: 25_000_000,
+    safe_step_hz: 100_000,
+    least_pulse_tenths: 10,
+    ..DESK
+};
 
 /// All boards.
 pub const ALL: [Board; 7] =

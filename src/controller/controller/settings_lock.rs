@@ -7,6 +7,7 @@
 
 use crate::settings::Settings;
 use crate::step_rates::StepRates;
+use crate::units::{DECIMAL_ONE, Decimal};
 
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +29,11 @@ impl SettingsLock {
     /// For a board of these rates. Nothing has been looked at.
     pub(super) const fn new(rates: StepRates, has_second_motor: bool) -> Self {
         Self { rates, has_second_motor, revision: None, setting: None, named: None, refused: false }
+    }
+
+    /// The shortest step pulse (`$0`) that the board makes, microseconds.
+    pub(super) fn least_pulse(&self) -> Decimal {
+        Decimal(i64::from(self.rates.least_pulse_tenths) * (DECIMAL_ONE / 10))
     }
 
     /// The setting that locks motion.
@@ -74,7 +80,7 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false);
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, least_pulse_tenths: 5 }, false);
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }
