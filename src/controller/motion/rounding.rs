@@ -2,7 +2,8 @@
 //! when they are queued.
 //!
 //! What is held back costs nothing while the machine does not need it: as long as some entry ahead is as fast as it can ever
-//! be, all speeds before it are what they are with any number of moves behind. Once none is, or the queue is empty, the
+//! be, all speeds before it are what they are with any number of moves behind, but for a tight bend among those, for which the
+//! machine brakes as for any that is seen late. Once none is, or the queue is empty, the
 //! moves are queued as they are; so a link that is late costs a rounded corner, and no time. A move that is queued is never
 //! taken back, so nothing that the machine counts on changes.
 
