@@ -37,7 +37,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
                 || self.speed_needs_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
-        self.task = Task::Job(Job { answer, stage, jog, spindle_delay: Duration::from_ticks(0) });
+        self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
@@ -115,9 +115,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let mut progressed = false;
         loop {
             let next = match job.stage {
-                Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change()),
+                Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
                 Stage::ToolChange => Some(Stage::Apply),
-                Stage::SpinningDown(until) => (self.now >= until).then(|| self.leave_for_tool()),
+                Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
                 Stage::Measuring => self.advance_tool_change(),
                 Stage::Drain => {
                     self.start_queued();
@@ -129,12 +129,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     Some(Stage::Storing)
                 }
                 Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_waiting(job.spindle_delay, checking)),
-                Stage::Input(until, before) => {
-                    self.has_read_input(until, before, job).then(|| self.begin_dwell(job.spindle_delay, false))
-                }
-                Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
-                Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
+                Stage::Storing => Some(self.begin_waiting(job, checking)),
+                Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
+                Stage::Dwell => (self.now >= job.until).then_some(Stage::Via),
+                Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
                 Stage::Via => match self.line.checked.motion {
                     gcode::Motion::Line { via: Some(via), .. } if !checking => {
                         self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
@@ -143,7 +141,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 },
                 Stage::Target if checking => Some(self.check_target()),
                 Stage::Target => self.begin_motion(job),
-                Stage::Chords(feed) => self.next_chord(feed, job),
+                Stage::Chords => self.next_chord(job),
                 Stage::Probing => {
                     let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
                     // A failed probe has locked the machine: no M0 may open it again.
@@ -152,7 +150,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Flow => self.flow(job, checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::CyclePaused => Some(Stage::Target),
-                Stage::DwellSuspended(_) | Stage::InputSuspended(..) => None,
+                Stage::DwellSuspended | Stage::InputSuspended => None,
                 Stage::Done => return true,
             };
             let Some(next) = next else { break };
@@ -174,7 +172,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Stage::Via => matches!(self.line.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
             Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
             // One chord a call.
-            Stage::Chords(_) => matches!(next, Stage::Chords(_)),
+            Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
         }
@@ -191,21 +189,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// M66, then what [`Controller::begin_dwell`] waits for.
-    fn begin_waiting(&self, spindle_delay: Duration, checking: bool) -> Stage {
-        let input = if checking { None } else { self.begin_wait() };
-        input.unwrap_or_else(|| self.begin_dwell(spindle_delay, checking))
+    fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
+        let input = if checking { None } else { self.begin_wait(job) };
+        input.unwrap_or_else(|| self.begin_dwell(job, checking))
     }
 
     /// G4 and the time of the spindle, if there is any to wait for.
-    fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
+    fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
-        let wait = dwell + spindle_delay;
+        let wait = dwell + job.spindle_delay;
         if self.accessories.must_tell_speed(&self.settings) && self.line.checked.spindle.is_some() && !checking {
-            Stage::SpinningUp(self.now + wait)
+            job.wait(Stage::SpinningUp, self.now + wait)
         } else if wait.is_zero() {
             Stage::Via
         } else {
-            Stage::Dwell(self.now + wait)
+            job.wait(Stage::Dwell, self.now + wait)
         }
     }
 
@@ -216,11 +214,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
             gcode::Motion::Arc(ref arc) => {
                 let (geometry, feed) = (geometry(arc), arc.feed);
-                Some(self.begin_arc(&geometry, feed))
+                Some(self.begin_arc(&geometry, feed, job))
             }
             gcode::Motion::Spline(ref spline) if SPLINES => {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
-                Some(self.begin_spline(&geometry, feed))
+                Some(self.begin_spline(&geometry, feed, job))
             }
             gcode::Motion::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);

@@ -44,10 +44,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop_at_error();
             }
             Pushed::Complete => {
-                // Filled where it is: a returned value would be copied with its whole capacity.
-                let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+                // Filled where they are: a returned value would be copied with its whole capacity.
+                let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
                 let _ = text.extend_from_slice(self.lines.text());
-                let remark = self.remark();
+                self.read_remark(&mut remark);
                 if self.must_wait(&text) {
                     self.task = Task::JogWaits;
                 } else {
@@ -69,15 +69,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The message of the line that has been read, with its mark; nothing if it has none.
-    fn remark(&self) -> Remark {
-        let mut remark = Remark::new();
+    fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.lines.message()
             && self.dialect() != Dialect::Grbl
         {
             let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
             let _ = remark.extend_from_slice(text);
         }
-        remark
     }
 
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
@@ -93,9 +91,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.stops.is_awaited() {
             return false;
         }
-        let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.lines.text());
-        let remark = self.remark();
+        self.read_remark(&mut remark);
         self.lines.clear();
         self.task = Task::None;
         self.dispatch(&text, &remark);

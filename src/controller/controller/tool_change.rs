@@ -2,7 +2,7 @@
 
 use super::Controller;
 use super::probing::seek;
-use super::task::Stage;
+use super::task::{Job, Stage};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
@@ -38,12 +38,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
     #[inline(never)]
-    pub(super) fn begin_tool_change(&mut self) -> Stage {
+    pub(super) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
         if !(self.line.checked.tool_change && self.prompts_for_tools()) {
             return Stage::Apply;
         }
         if self.measures_tools() {
-            return self.stop_for_tool();
+            return self.stop_for_tool(job);
         }
         self.line.checked.spindle_stopped_for_tool();
         self.accessories.stop_spindle();
@@ -90,12 +90,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Spindle and coolant off. The program has them on again when the new tool is over the work.
-    fn stop_for_tool(&mut self) -> Stage {
+    fn stop_for_tool(&mut self, job: &mut Job) -> Stage {
         let delay = self.accessories.set_spindle(SpindleDirection::Off, &self.settings);
         self.accessories.switch_off();
         self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
         self.replies.overrides_changed();
-        Stage::SpinningDown(self.now + delay)
+        job.wait(Stage::SpinningDown, self.now + delay)
     }
 
     /// The spindle has come to rest: the tool leaves the work.
