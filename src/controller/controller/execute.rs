@@ -23,21 +23,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn begin(&mut self, answer: Answer, jog: bool) {
         let checked = &self.line.checked;
         let checking = matches!(self.mode, Mode::Check);
-        let now = self.interpreter.modal();
-        let drain = !checking
-            && (checked.spindle.is_some()
-                || checked.coolant.is_some()
-                || checked.dwell.is_some()
-                || checked.work_offset_changed
-                || checked.store.is_some()
-                || checked.tool_change && self.prompts_for_tools()
-                || matches!(checked.motion, gcode::Motion::Probe { .. })
-                || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
-                || checked.modal().overrides_held != now.overrides_held
-                || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
-                || self.speed_needs_rest());
+        let stops_before = !jog && self.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
+        let drain = !checking && (stops_before || !checked.moves_only && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job::new(answer, stage, jog));
+    }
+
+    /// Whether the line has something to do for which the machine has to be at rest.
+    fn acts_at_rest(&self) -> bool {
+        let checked = &self.line.checked;
+        checked.spindle.is_some()
+            || checked.coolant.is_some()
+            || checked.dwell.is_some()
+            || checked.work_offset_changed
+            || checked.store.is_some()
+            || checked.tool_change && self.prompts_for_tools()
+            || matches!(checked.motion, gcode::Motion::Probe { .. })
+            || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
+            || checked.modal().overrides_held != self.interpreter.modal().overrides_held
+            || self.speed_needs_rest()
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
@@ -67,6 +71,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
     #[inline(never)]
     pub(super) fn advance(&mut self) -> bool {
+        if let Task::Job(job) = self.task {
+            return !self.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+        }
+        let progressed = self.advance_task() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog();
+        if progressed {
+            self.pins.disturb();
+        }
+        progressed
+    }
+
+    /// A line of G-code. Outputs and all that waits stay as they are where it only moves.
+    fn advance_job(&mut self, mut job: Job) -> bool {
+        self.task = Task::None;
+        let progressed = self.advance_line(&mut job);
+        let only_moved = self.line.checked.moves_only
+            && !job.jog
+            && matches!(self.mode, Mode::Normal)
+            && matches!(job.answer, Answer::Host | Answer::Held);
+        if progressed && !only_moved {
+            self.pins.disturb();
+        }
+        match job.stage {
+            Stage::Done if progressed => self.finish(job.answer),
+            _ => self.task = Task::Job(job),
+        }
+        progressed
+    }
+
+    /// The same for all that is no such line.
+    fn advance_task(&mut self) -> bool {
         if self.stops.is_awaited() {
             return false;
         }
@@ -74,15 +108,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Task::None => return matches!(self.mode, Mode::Home(_)) && self.advance_homing(),
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
             _ if self.mode.is_suspended() => return false,
-            Task::Job(mut job) => {
-                self.task = Task::None;
-                let progressed = self.advance_line(&mut job);
-                match job.stage {
-                    Stage::Done if progressed => self.finish(job.answer),
-                    _ => self.task = Task::Job(job),
-                }
-                return progressed;
-            }
             Task::Startup(index, then) if self.inputs.are_known() => {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
@@ -94,7 +119,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Task::SoftLimit(_) if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
             Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
-            Task::Startup(..) | Task::Held | Task::SoftLimit(_) | Task::Storing(_) | Task::JogWaits => return false,
+            Task::Startup(..) | Task::Held | Task::SoftLimit(_) | Task::Storing(_) | Task::JogWaits | Task::Job(_) => {
+                return false;
+            }
         }
         true
     }
@@ -124,6 +151,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     None
                 }
                 Stage::Apply if !self.has_room_for_pins() => None,
+                // There is nothing to wait for but a record of a line before.
+                Stage::Apply if self.line.checked.moves_only && self.records.are_stored() => {
+                    self.interpreter.commit(&self.line.checked);
+                    // A stop may have left another one.
+                    self.accessories.set_speed(self.line.checked.speed);
+                    Some(Stage::Target)
+                }
                 Stage::Apply => {
                     job.spindle_delay = self.apply(checking);
                     Some(Stage::Storing)

@@ -24,6 +24,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn line_byte(&mut self, byte: LineByte) {
         let taken = self.lines.take(byte, || line_rules(&self.settings));
+        let passes = taken.pushed == Pushed::More && !taken.cut && !taken.lost;
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.interpreter.abandon_program();
@@ -55,6 +56,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.dispatch(&text, &remark);
                 }
             }
+        }
+        // A line that is yet to be carried out has changed nothing.
+        if !passes && !matches!(self.task, Task::Job(_)) {
+            self.pins.disturb();
         }
     }
 

@@ -213,7 +213,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn take(&mut self, event: Event<N>) {
-        self.pins.disturb();
+        if !matches!(event, Event::Line(_)) {
+            self.pins.disturb();
+        }
         match event {
             Event::Realtime(command) => {
                 self.lines.heartbeat_mut().hear();
@@ -310,8 +312,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Reply(chunk));
         }
-        if self.may_advance() && self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
-            self.pins.disturb();
+        if self.may_advance() && self.advance() {
             return Some(Output::Worked);
         }
         self.auto_start();
