@@ -100,15 +100,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The spindle has come to rest: the tool leaves the work.
     pub(super) fn leave_for_tool(&mut self) -> Stage {
-        self.line.change = ToolChange::new(self.plan_tool_change());
-        let order = self.line.change.begin();
-        self.carry_out_change(order)
+        self.line.begin_change(ToolChange::new(self.plan_tool_change()));
+        match self.line.change().map(ToolChange::begin) {
+            Some(order) => self.carry_out_change(order),
+            None => Stage::Apply,
+        }
     }
 
     /// What follows when the last order has ended; `None` until then.
     #[inline(never)]
     pub(super) fn advance_tool_change(&mut self) -> Option<Stage> {
-        let touched = match self.line.change.is_probing() {
+        let touched = match self.line.change()?.is_probing() {
             true => self.take_probe(true)?,
             false if !self.motion.is_idle() => {
                 self.start_queued();
@@ -116,7 +118,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             false => false,
         };
-        let order = self.line.change.next(touched.then(|| self.probe.result().0));
+        let place = touched.then(|| self.probe.result().0);
+        let order = self.line.change()?.next(place);
         Some(self.carry_out_change(order))
     }
 
@@ -142,8 +145,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.prompt();
             }
             ChangeOrder::Measured(place) => {
-                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
-                    self.line.change.is_first_tool();
+                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place)
+                    && let Some(change) = self.line.change()
+                {
+                    change.is_first_tool();
                 }
                 self.replies.offset_changed();
             }
@@ -163,7 +168,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
         let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
         let clear = Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut));
-        let way = self.line.change.way_back(longer, clear);
+        let Some(way) = self.line.change().map(|change| change.way_back(longer, clear)) else { return Stage::Apply };
         let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
