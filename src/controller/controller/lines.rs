@@ -9,8 +9,10 @@ use crate::machine::state::Mode;
 use crate::messages::LineByte;
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
+use crate::protocol::line_intake::Taken;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
+use crate::units::Instant;
 
 /// The message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
@@ -18,13 +20,22 @@ type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn release_held(&mut self) {
         if let Some(byte) = self.lines.release() {
-            self.line_byte(byte);
+            self.line_byte(self.now, byte);
         }
     }
 
-    pub(super) fn line_byte(&mut self, byte: LineByte) {
+    #[inline(never)]
+    pub(super) fn line_byte(&mut self, now: Instant, byte: LineByte) {
+        self.now = now;
         let taken = self.lines.take(byte, || line_rules(&self.settings));
-        let passes = taken.pushed == Pushed::More && !taken.cut && !taken.lost;
+        if taken.pushed != Pushed::More || taken.cut || taken.lost {
+            self.taken(taken);
+        }
+    }
+
+    /// A byte has brought something about.
+    #[inline(never)]
+    fn taken(&mut self, taken: Taken) {
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.interpreter.abandon_program();
@@ -58,7 +69,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
         }
         // A line that is yet to be carried out has changed nothing.
-        if !passes && !matches!(self.task, Task::Job(_)) {
+        if !matches!(self.task, Task::Job(_)) {
             self.pins.disturb();
         }
     }

@@ -43,7 +43,7 @@ pub struct Line {
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     after_cr: bool,
-    /// So many bytes of text may follow for which nothing else need be looked at.
+    /// Up to this length bytes of text may follow for which nothing else need be looked at.
     plain: u8,
 }
 
@@ -108,8 +108,8 @@ impl Line {
     /// [`Line::push`], and when that ends.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
-        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None;
-        self.plain = if in_text { GRBL_LENGTH.saturating_sub(self.text.len()) as u8 } else { 0 };
+        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None && !self.after_cr;
+        self.plain = if in_text { GRBL_LENGTH as u8 } else { 0 };
     }
 
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
@@ -124,17 +124,19 @@ impl Line {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it belongs to the text and [`Line::expect_plain`] allows it; what [`Line::push`] would do
-    /// with it, in brief.
+    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_plain`] allows it; what
+    /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
-        let of_text = byte > b' ' && !matches!(byte, b'(' | b';' | b'/');
-        let taken = of_text && self.plain > 0 && self.text.push(byte.to_ascii_uppercase()).is_ok();
-        if taken {
-            self.plain -= 1;
-            self.after_cr = false;
-        }
-        taken
+        let capital = byte & !0x20;
+        let of_text = if byte.is_ascii_digit() || matches!(byte, b'.' | b'-') {
+            byte
+        } else if capital.is_ascii_uppercase() {
+            capital
+        } else {
+            return false;
+        };
+        self.text.len() < usize::from(self.plain) && self.text.push(of_text).is_ok()
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
