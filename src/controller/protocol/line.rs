@@ -222,6 +222,33 @@ mod tests {
     }
 
     #[test]
+    fn a_byte_that_is_taken_in_brief_is_taken_as_always() {
+        for byte in 0..=u8::MAX {
+            let mut line = Line::new();
+            line.push(b'G', || OXMILL);
+            let mut other = line.clone();
+            line.expect_plain(true);
+            let taken = line.push_plain(byte);
+            assert_eq!(taken, byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-'), "{byte}");
+            if taken {
+                assert_eq!(other.push(byte, || OXMILL), Pushed::More);
+                assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));
+            }
+        }
+        // Not in a remark, not before a line has begun, and not where it might be too long.
+        let brief = |text: &[u8]| {
+            let mut line = Line::new();
+            for byte in text {
+                line.push(*byte, || OXMILL);
+            }
+            line.expect_plain(true);
+            line.push_plain(b'1')
+        };
+        assert!(!brief(b"") && !brief(b"G(") && !brief(b"G;") && brief(b"G"));
+        assert!(brief(&[b'0'; 78]) && !brief(&[b'0'; 79]));
+    }
+
+    #[test]
     fn a_slash_behind_a_bracket_divides() {
         assert_eq!(lines(b"/x[1/2]\n/G0 /X1\n#1=4/2\n", OXMILL), ["X[1/2]", "G0X1", "#1=4/2"]);
         assert_eq!(lines(b"x[1/2]\n", GRBL), ["X[12]"]);
