@@ -35,6 +35,9 @@ pub struct Checked<const N: usize> {
     pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
+    /// It is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by it, and nothing
+    /// waits for it. Nearly all lines are like that.
+    pub moves_only: bool,
     /// The motion.
     pub motion: Motion<N>,
     /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
@@ -164,6 +167,7 @@ impl<const N: usize> Checked<N> {
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
+        moves_only: false,
         store: None,
         motion: Motion::None,
         digit: 0.0,
@@ -189,6 +193,7 @@ impl<const N: usize> Checked<N> {
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
+        self.moves_only = false;
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;

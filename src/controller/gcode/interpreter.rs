@@ -94,6 +94,25 @@ impl<const N: usize> Interpreter<N> {
         if checked.coolant.is_none() && checked.flow != Flow::End {
             self.modal.coolant = coolant;
         }
+        if !checked.moves_only {
+            self.commit_beside_motion(checked);
+        }
+        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
+        if checked.rotated.reached.is_some() {
+            self.reached = checked.rotated.reached;
+        }
+        self.position = checked.position;
+        self.computed.commit();
+        if checked.flow == Flow::End {
+            self.saved = None;
+            self.tangent = NO_TANGENT;
+            self.computed.end_program();
+        }
+        self.remember_motion(checked);
+    }
+
+    /// What a line changes beside the motion mode and the position.
+    fn commit_beside_motion(&mut self, checked: &Checked<N>) {
         self.offsets.g92 = checked.g92;
         self.offsets.g92_acts = checked.after.g92_acts;
         if checked.after.keeps_g92 {
@@ -123,10 +142,6 @@ impl<const N: usize> Interpreter<N> {
         if let Some(scaling) = checked.rotated.scaled.scaling {
             self.scaling = scaling;
         }
-        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
-        if checked.rotated.reached.is_some() {
-            self.reached = checked.rotated.reached;
-        }
         if let Some(number) = checked.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));
         }
@@ -134,14 +149,6 @@ impl<const N: usize> Interpreter<N> {
             self.measured.forget_tool();
         }
         self.spindle_tool = checked.after.spindle_tool;
-        self.position = checked.position;
-        self.computed.commit();
-        if checked.flow == Flow::End {
-            self.saved = None;
-            self.tangent = NO_TANGENT;
-            self.computed.end_program();
-        }
-        self.remember_motion(checked);
     }
 
     /// What a spline or cycle leaves for the line behind it.

@@ -141,6 +141,13 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
+    /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at
+    /// then are left out, for nearly all lines of a program are like that.
+    #[inline]
+    pub fn is_move(&self) -> bool {
+        !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
+    }
+
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
         let claim = GWord::claim(code, dialect);
         if claim != Claim::Nobody {

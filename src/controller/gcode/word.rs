@@ -197,6 +197,16 @@ impl Groups {
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
 
+    /// The groups whose words say how a line moves and no more.
+    pub const OF_MOVES: Groups = Groups(
+        1 << Group::Motion as u32
+            | 1 << Group::Plane as u32
+            | 1 << Group::Distance as u32
+            | 1 << Group::ArcDistance as u32
+            | 1 << Group::FeedMode as u32
+            | 1 << Group::Units as u32,
+    );
+
     /// The group of M70 to M72.
     pub const KEEP: Groups = Groups(1 << Group::Keep as u32);
 

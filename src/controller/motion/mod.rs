@@ -442,6 +442,17 @@ impl<const N: usize> AnyMotion<N> {
         self.is_at_rest() && self.queue.is_empty()
     }
 
+    /// Whether segments are handed over as soon as there is room for them.
+    pub fn hands_over(&self) -> bool {
+        self.source.is_on()
+    }
+
+    /// Whether at least so many microseconds have been handed over and not begun.
+    #[inline]
+    pub fn holds_time(&self, us: u32) -> bool {
+        self.source.holds_time(us)
+    }
+
     /// Time of what has been handed over and not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
         self.source.queued_us()
