@@ -78,6 +78,9 @@ pub struct Board {
     pub is_true: bool,
     /// The motors' least and greatest places, in steps, while soft limits are in force and the position is trusted.
     pub travel: Option<[(i32, i32); AXES]>,
+    /// Rounds without time in between, and how often a program had not come to its end after so many.
+    pub most_rounds: usize,
+    pub unended: usize,
     book: Book,
 }
 
@@ -194,6 +197,8 @@ impl Board {
             moments: 0,
             is_true: true,
             travel: None,
+            most_rounds: MOST_ROUNDS,
+            unended: 0,
             book: Book { is_sure: true, ..Book::default() },
         };
         board.settle();
@@ -381,7 +386,7 @@ impl Board {
 
     /// Rounds until there is nothing to do.
     pub fn settle(&mut self) {
-        for _ in 0..MOST_ROUNDS {
+        for _ in 0..self.most_rounds {
             self.round_replies = 0;
             let begun = self.stepper.segments_begun();
             if !round(self) {
@@ -398,6 +403,7 @@ impl Board {
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
         // A loop of a program has no end of its own; nothing else has none.
+        self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }
 

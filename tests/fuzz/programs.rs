@@ -18,6 +18,9 @@ const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $1
 const SWITCHES: i32 = 20;
 /// Waits for an answer before the program is left to itself: a loop has no end of its own.
 const MOST_WAITS: usize = 40;
+/// Rounds without time in between that a line may take before it is taken for a loop, and how often one input may.
+const MOST_ROUNDS: usize = 600;
+const MOST_UNENDED: usize = 2;
 /// Lines of an input.
 const MOST_LINES: usize = 48;
 
@@ -53,6 +56,7 @@ fn homed(dialect: &str) -> Board {
     board.inputs(0);
     board.settle();
     board.take_said();
+    board.most_rounds = MOST_ROUNDS;
     board
 }
 
@@ -96,6 +100,9 @@ fn carry_out(board: &mut Board, line: &[u8]) -> bool {
             }
             return true;
         }
+        if board.unended > MOST_UNENDED {
+            return false;
+        }
         board.pass(50_000 << (wait / 4).min(12), false);
         if wait % 4 == 3 {
             // M0, M6 and the like wait for somebody.
@@ -109,7 +116,7 @@ fn carry_out(board: &mut Board, line: &[u8]) -> bool {
 /// Whatever moves comes to its end, and the position is that of the pulses.
 fn end(mut board: Board) {
     for _ in 0..MOST_WAITS {
-        if board.controller.is_idle() || !board.has_time() {
+        if board.controller.is_idle() || !board.has_time() || board.unended > MOST_UNENDED {
             break;
         }
         board.pass(200_000, false);
