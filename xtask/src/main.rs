@@ -19,7 +19,9 @@ mod qemu;
 mod reach;
 mod recordings;
 mod rs274;
+mod script;
 mod sizes;
+mod soak;
 mod suites;
 mod thumb;
 mod tree;
@@ -50,6 +52,8 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask soak qemu|BOARD [--minutes N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so many
+                             minutes of machine time, in QEMU or on a virtual board: every step accounted for, and the deepest stack
   cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
                              `--test [NAME..]` tries it in headless Chromium (needs Debian's package chromium);
                              `--pictures` takes the screenshots of the README
@@ -89,6 +93,7 @@ fn main() -> ExitCode {
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
+        ["soak", ref arguments @ ..] => soak::run(arguments),
         ["web"] => web::build(),
         ["web", "--test", ref names @ ..] => web::test(names),
         ["web", "--pictures"] => web::pictures(),
