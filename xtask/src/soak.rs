@@ -16,10 +16,10 @@ use std::time::{Duration, Instant};
 
 /// Lines that may be unanswered while the next is sent: shorter than the receive queue together.
 const ON_THEIR_WAY: usize = 4;
-/// More lines than a machine carries out in a minute.
-const LINES_PER_MINUTE: u64 = 1_500;
-/// Wall time for a minute of machine time in QEMU, at most.
-const SLOWEST: u64 = 600;
+/// More lines than a machine carries out in a second.
+const LINES_PER_SECOND: u64 = 25;
+/// Wall time for a second of machine time in QEMU, at most, s.
+const SLOWEST: u64 = 10;
 
 /// What has been sent in a record beside lines, and what holds at its end.
 struct Record {
@@ -67,7 +67,7 @@ struct Job {
 }
 
 impl Job {
-    fn new(seed: u64, minutes: u64, has_port: bool) -> Job {
+    fn new(seed: u64, seconds: u64, has_port: bool) -> Job {
         let mut job = Job {
             script: Script::default(),
             random: Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
@@ -80,12 +80,12 @@ impl Job {
         job.script.wait(300);
         job.note(End::Stopped);
         let mut lines = 0;
-        while lines < LINES_PER_MINUTE * minutes {
+        while lines < LINES_PER_SECOND * seconds {
             for _ in 0..1 + job.random.below(60) {
                 job.program.lines(&mut job.random, &mut job.waiting);
             }
             lines += job.chunk();
-            job.script.end_after((minutes * 60_000) as u32);
+            job.script.end_after((seconds * 1_000) as u32);
         }
         job
     }
@@ -195,22 +195,23 @@ impl Note {
     }
 }
 
-/// `cargo xtask soak qemu|BOARD [--minutes N] [--seed N]`.
+/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--seed N]`.
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     let (board, rest) = arguments.split_first().ok_or("soak on what? `qemu`, or a board")?;
-    let (mut minutes, mut seed) = (1, 1);
+    let (mut seconds, mut seed) = (60, 1);
     for pair in rest.chunks(2) {
         let ([name, number], Ok(value)) = (pair, pair.last().unwrap_or(&"").parse::<u64>()) else {
-            return Err(format!("{pair:?} is not `--minutes N` or `--seed N`"));
+            return Err(format!("{pair:?} is not `--minutes N`, `--seconds N` or `--seed N`"));
         };
         match *name {
-            "--minutes" => minutes = value,
+            "--minutes" => seconds = value * 60,
+            "--seconds" => seconds = value,
             "--seed" => seed = value,
             _ => return Err(format!("{number} of what? `{name}` is not known")),
         }
     }
     let on_qemu = matches!(*board, "qemu" | QEMU_BOARD);
-    let job = Job::new(seed, minutes, !on_qemu);
+    let job = Job::new(seed, seconds, !on_qemu);
     let folder = root().join("target/soak");
     let path = folder.join(board);
     let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, job.script.codes()));
@@ -218,7 +219,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     let elf = image::build(if on_qemu { QEMU_BOARD } else { board })?.path;
     let begin = Instant::now();
     let (said, report) = if on_qemu {
-        qemu::preloaded(&elf, Preload::Script, &path, Duration::from_secs(SLOWEST * minutes))?
+        qemu::preloaded(&elf, Preload::Script, &path, Duration::from_secs(SLOWEST * seconds))?
     } else {
         virtual_board::soak(board, &elf, &path)?
     };
@@ -236,7 +237,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     let depths: Vec<String> =
         [notes.first(), middle, Some(last)].iter().flatten().map(|n| n.stack[0].to_string()).collect();
     println!("stack at the start, in the middle, at the end: {} of {} bytes", depths.join(", "), last.stack[1]);
-    if last.ms < minutes * 60_000 { Err(format!("the script was at its end after {} ms", last.ms)) } else { Ok(()) }
+    if last.ms < seconds * 1_000 { Err(format!("the script was at its end after {} ms", last.ms)) } else { Ok(()) }
 }
 
 /// Compares what was said and done with what the job asked for, a record after the other.
