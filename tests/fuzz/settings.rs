@@ -79,6 +79,7 @@ impl Value {
 /// What the listings say, a line after the other.
 type Listed = Vec<String>;
 
+#[derive(Clone)]
 struct Machine {
     board: Board,
     listed: Listed,
@@ -86,15 +87,25 @@ struct Machine {
     is_stored: bool,
 }
 
+/// Actions of an input: after each all is listed.
+const MOST_ACTIONS: usize = 16;
+
+thread_local! {
+    /// As it is after a start, in each dialect.
+    static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
+        let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true };
+        machine.board.ask(dialect);
+        machine.listed = machine.list();
+        machine
+    });
+}
+
 /// The target.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
-    let board = Board::new(BTreeMap::new());
-    let mut machine = Machine { board, listed: Vec::new(), is_stored: true };
-    machine.board.ask(["$900=1", "$900=0", "$900=2"][usize::from(first % 3)]);
-    machine.listed = machine.list();
+    let mut machine = STARTED.with(|machines| machines[usize::from(first % 3)].clone());
     let mut input = Unstructured::new(data);
-    for _ in 0..24 {
+    for _ in 0..MOST_ACTIONS {
         if input.is_empty() {
             break;
         }

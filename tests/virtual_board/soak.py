@@ -1,12 +1,13 @@
-"""A long job on one board: `python -m virtual_board.soak BOARD ELF SCRIPT ANSWERS REPORT`, as `cargo xtask soak BOARD` does.
+"""A long job on one board: `python -m virtual_board.soak BOARD ELF SCRIPT ANSWERS REPORT [WALL]`, as `cargo xtask soak BOARD` does.
 
 Follows the codes of a script (`xtask/src/script.rs`). What the board has said goes to ANSWERS; at the end of each record a line
 with the time, the steps that were counted at the step outputs, and the stack goes to REPORT. The one who has written the script
-judges them.
+judges them. After WALL seconds it ends at the next of these lines.
 """
 
 import struct
 import sys
+import time
 
 from . import cases
 from .board import Image
@@ -51,8 +52,8 @@ class Player:
         self.answers.flush()
         self.report.flush()
 
-    def play(self, codes):
-        bench, at = self.bench, 0
+    def play(self, codes, wall):
+        bench, at, end = self.bench, 0, time.monotonic() + wall
         while at < len(codes):
             code, at = codes[at : at + 1], at + 1
             number = 0
@@ -81,18 +82,20 @@ class Player:
                 self.base = len(bench.host.answers)
             elif code == b"N":
                 self.note()
+                if time.monotonic() > end:
+                    return
             elif code == b"E" and self.seconds() >= number / 1000:
                 return
 
 
-def main(board, elf, script, answers, report):
+def main(board, elf, script, answers, report, wall="inf"):
     bench = cases.Bench(BOARDS[board], Image(elf), None)
     if bench.wiring.usb:
         bench.boot_with_usb()
     else:
         bench.boot()
     with open(script, "rb") as codes, open(answers, "wb") as said, open(report, "w", encoding="ascii") as notes:
-        Player(bench, said, notes).play(codes.read())
+        Player(bench, said, notes).play(codes.read(), float(wall))
 
 
 if __name__ == "__main__":

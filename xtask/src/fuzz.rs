@@ -27,9 +27,9 @@ const SHARES: [(&str, u64, u64); 9] = [
     ("usb", 220, 96),
     ("steps", 150, 128),
     ("stored", 50, 128),
-    ("programs", 10, 192),
+    ("programs", 12, 192),
     ("events", 5, 384),
-    ("settings", 3, 192),
+    ("settings", 1, 192),
     ("session", 2, 192),
 ];
 

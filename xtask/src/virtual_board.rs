@@ -64,8 +64,9 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed: {}", failed.join(", "))) }
 }
 
-/// Plays a script beside one board: what it said, and the notes of its test stand.
-pub fn soak(board: &str, elf: &Path, script: &Path) -> Result<(String, String), Failure> {
+/// Plays a script beside one board, to the first rest after so many seconds if they are given: what it said, and the notes of
+/// its test stand.
+pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
     }
