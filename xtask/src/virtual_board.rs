@@ -72,7 +72,11 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     }
     let python = environment()?;
     let (answers, report) = (script.with_extension("answers"), script.with_extension("report"));
-    run(module(&python, "virtual_board.soak").arg(board).args([elf, script]).args([&answers, &report]))?;
+    run(module(&python, "virtual_board.soak")
+        .arg(board)
+        .args([elf, script])
+        .args([&answers, &report])
+        .args(wall.map(|seconds| seconds.to_string())))?;
     let read = |path: &Path| fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()));
     Ok((read(&answers)?, read(&report)?))
 }
