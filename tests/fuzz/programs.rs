@@ -67,7 +67,7 @@ pub fn run(data: &[u8]) {
     for line in text.split(|byte| matches!(byte, b'\n' | b'\r')).take(MOST_LINES) {
         // Commands and settings may say that the travel is another; jogs may not. What a link takes for a command of its own
         // is in no line.
-        let is_command = line.iter().any(|byte| *byte == b'$') && !line.starts_with(b"$J=");
+        let is_command = line.contains(&b'$') && !line.starts_with(b"$J=");
         if is_command || line.iter().any(|byte| matches!(byte, b'!' | b'?' | b'~' | 0x18 | 0x80..)) {
             continue;
         }
