@@ -427,9 +427,7 @@ impl Writer {
         let l = self.one_of(&["L1", "L10", "L11"]);
         let which = self.below(10);
         if matches!(which, 3 | 8) {
-            let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
-            // The machine that `rs274` has instead of a real one forgets at M6 what offsets have changed since the last move.
-            self.put(format!("G0 X{x} Y{y} Z{z}"));
+            self.move_all();
         }
         let line = match which {
             0 | 1 => format!("G10 {l} P{tool}{axes}"),
@@ -443,6 +441,13 @@ impl Writer {
             _ => "G49".into(),
         };
         self.put(line);
+    }
+
+    /// A rapid of all axes. The machine that `rs274` has instead of a real one forgets at M6 and M61 what offsets have changed
+    /// since the last move.
+    fn move_all(&mut self) {
+        let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
+        self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
 
     /// Outputs and inputs of programs, also beside a move, and what of them is refused.
@@ -460,6 +465,7 @@ impl Writer {
             16 => format!("M66 E{number} L{wait} Q1"),
             17 => format!("M66 P{number}"),
             18 => {
+                self.move_all();
                 let tool = self.one_of(&["1", "2", "7"]);
                 format!("M61 Q{tool}")
             }
