@@ -77,7 +77,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
-        Error::NothingSaved => "Save the state with M70 before M72.",
+        Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
         Error::ScalingActs => "End the scaling with G50 before the line.",

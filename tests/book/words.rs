@@ -61,7 +61,10 @@ const MEANINGS: &[(&str, &str)] = &[
     ("M8 M9", "flood; coolant off"),
     ("M48 M49 M50 M51 M52 M53", "which overrides act ([state](#state-and-flow))"),
     ("M56", "parking override, P0 or P1"),
-    ("M70 M71 M72", "keep, forget, restore the state ([state](#state-and-flow))"),
+    (
+        "M70 M71 M72 M73",
+        "keep, forget, restore the state, keep it until the subroutine ends ([state](#state-and-flow))",
+    ),
 ];
 
 /// Letters of values, and what they are for.

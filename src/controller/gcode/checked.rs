@@ -399,13 +399,18 @@ pub enum Flow {
     End,
 }
 
-/// What a line does with the state that M70 keeps.
+/// What a line does with the states that M70 and M73 keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Keeping {
     /// Nothing.
     Leave,
-    /// M70.
-    Save,
+    /// M70, M73.
+    Save {
+        /// M73.
+        until_return: bool,
+    },
     /// M71.
     Forget,
+    /// M72.
+    Restore,
 }

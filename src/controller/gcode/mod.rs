@@ -27,6 +27,7 @@ mod offsets;
 mod parse;
 mod remark;
 mod rotation;
+mod saved;
 mod scaling;
 mod state;
 mod tools;

@@ -42,7 +42,7 @@ pub(super) struct Extended {
     pub pins: Option<u8>,
     /// M48 to M53, by number.
     pub overrides: Option<u8>,
-    /// M70 to M72, by number.
+    /// M70 to M73, by number.
     pub keep: Option<u8>,
 }
 

@@ -6,6 +6,7 @@ use super::cycle::CycleWords;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
+use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::in_xy;
@@ -28,8 +29,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) before_check: Option<BeforeCheck>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
-    /// M70.
-    pub(super) saved: Option<Saved<N>>,
+    /// M70, M73.
+    pub(super) saved: SavedStates<N>,
     /// G68.
     pub(super) rotation: Option<Rotation>,
     /// The last place that was given in rotated coordinates.
@@ -67,14 +68,6 @@ pub(super) struct BeforeCheck {
     pub(super) modal: Modal,
 }
 
-/// What M70 has kept.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Saved<const N: usize> {
-    pub(super) modal: Modal,
-    pub(super) tool_length: PerAxis<Coordinate, N>,
-    pub(super) g92_acts: bool,
-}
-
 impl<const N: usize> Default for Interpreter<N> {
     fn default() -> Self {
         Self::new()
@@ -94,7 +87,7 @@ impl<const N: usize> Interpreter<N> {
             before_check: None,
             computed: Computed::new(),
             measured: Measured::NOTHING,
-            saved: None,
+            saved: SavedStates::new(),
             rotation: None,
             reached: None,
             scaling: None,

@@ -1,6 +1,5 @@
 //! Words: a letter and its number, and what the G and M words of a machine mean.
 
-use super::Dialect;
 use super::code::Code;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS, PathControl,
@@ -8,6 +7,7 @@ use super::modal::{
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
+use super::{Dialect, EXPRESSIONS};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::number::{self, Digits, Number};
@@ -165,7 +165,7 @@ pub enum Group {
     OverridesHeld,
     /// M62 to M68.
     Pins,
-    /// M70 to M72.
+    /// M70 to M73.
     Keep,
     /// G50, G51.
     Scaling,
@@ -197,7 +197,7 @@ impl Groups {
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
 
-    /// The group of M70 to M72.
+    /// The group of M70 to M73.
     pub const KEEP: Groups = Groups(1 << Group::Keep as u32);
 
     /// Adds a group; an error if it is there already.
@@ -463,7 +463,7 @@ pub(super) enum MWord {
     ParkingOverride,
     /// M48 to M53, by number.
     Overrides(u8),
-    /// M70 to M72, by number.
+    /// M70 to M73, by number.
     Keep(u8),
 }
 
@@ -474,7 +474,7 @@ impl MWord {
         if code.hundredths != 0 {
             return Err(Error::IntegerRequired);
         }
-        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=72) {
+        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=73) {
             return Err(Error::ExtendedLeftOut);
         }
         Ok(match code.whole {
@@ -494,8 +494,9 @@ impl MWord {
             61 if more => MWord::ToolNumber,
             62..=68 if more && !PROGRAM_PINS => return Err(Error::NoSuchPin),
             62..=68 if more => MWord::Pins(code.whole),
-            70..=72 if more => MWord::Keep(code.whole),
-            19 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
+            73 if more && !EXPRESSIONS => return Err(Error::ExpressionsLeftOut),
+            70..=73 if more => MWord::Keep(code.whole),
+            19 | 98 | 99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),
         })
     }
