@@ -83,6 +83,12 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
+        Error::ControlPointsNotBegun => "Begin the control points with G5.2, and move nothing else before G5.3.",
+        Error::ControlPointsNotEnded => {
+            "End the control points with G5.3 before other motions, or give them up with G80."
+        }
+        Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
+        Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
         Error::ExtendedLeftOut
         | Error::ExpressionsLeftOut

@@ -15,6 +15,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G2 G3", "arc clockwise, counter-clockwise: centre by I, J, K, or radius by R; turns by P (not *grbl*)"),
     ("G5", "[spline](#splines) of third degree: control points by I, J and P, Q"),
     ("G5.1", "[spline](#splines) of second degree: control point by I, J"),
+    ("G5.2 G5.3", "[control points](#control-points) of a curve, a line each; their end: along the curve"),
     ("G38.2 G38.3", "probe towards a contact, with and without an alarm if there is none"),
     ("G38.4 G38.5", "probe away from a contact, with and without an alarm if it stays closed"),
     ("G73 G81 G82 G83 G85 G86 G88 G89", "[canned cycles](#canned-cycles)"),

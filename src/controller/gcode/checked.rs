@@ -1,5 +1,6 @@
 //! The result of a check: what a line asks for, as data that the controller carries out.
 
+use super::control_points::Addition;
 use super::cycle::Cycle;
 use super::modal::{Modal, PROGRAM_PINS, PlaneAxes};
 use super::offsets::StoredOffset;
@@ -305,6 +306,8 @@ pub enum Motion<const N: usize> {
     Arc(ArcMove<N>),
     /// A Bezier curve in X and Y.
     Spline(SplineMove<N>),
+    /// A rational B-spline in X and Y.
+    Nurbs(NurbsMove<N>),
     /// A straight move until the probe changes.
     Probe {
         /// Where it ends if the probe does not change.
@@ -374,6 +377,20 @@ impl<const N: usize> SplineMove<N> {
     }
 }
 
+/// A rational B-spline in X and Y, whose control points the interpreter keeps until the next G5.2. The other axes stay where
+/// they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NurbsMove<const N: usize> {
+    /// Where it begins.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends.
+    pub target: PerAxis<Coordinate, N>,
+    /// The degree and one more.
+    pub order: u8,
+    /// How fast.
+    pub feed: Feed,
+}
+
 /// Speed of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Feed {
@@ -399,8 +416,8 @@ pub enum Flow {
     End,
 }
 
-/// What a line does with the states that M70 and M73 keep.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What a line does with the states that M70 and M73 keep, or with the control points of G5.2.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
     /// Nothing.
     Leave,
@@ -413,4 +430,6 @@ pub(super) enum Keeping {
     Forget,
     /// M72.
     Restore,
+    /// G5.2.
+    Add(Addition),
 }

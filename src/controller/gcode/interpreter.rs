@@ -48,6 +48,9 @@ impl<const N: usize> Interpreter<N> {
     /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
+        if matches!(self.modal.motion, MotionMode::Spline(_)) {
+            self.modal.motion = MotionMode::Cancelled;
+        }
         self.saved.clear();
         self.tangent = NO_TANGENT;
         self.modal.forget_extended();
@@ -137,7 +140,7 @@ impl<const N: usize> Interpreter<N> {
         self.remember_motion(checked);
     }
 
-    /// M70 to M73.
+    /// M70 to M73, G5.2.
     #[inline(never)]
     fn keep(&mut self, checked: &Checked<N>) {
         let level = self.computed.level();
@@ -153,6 +156,7 @@ impl<const N: usize> Interpreter<N> {
             }),
             Keeping::Forget => self.saved.forget(level),
             Keeping::Restore => self.saved.abandon(level),
+            Keeping::Add(addition) => self.control_points.add(&addition),
         }
     }
 

@@ -34,6 +34,8 @@ pub(super) struct Extended {
     pub scaling: Option<bool>,
     /// P has a sign, which that of G5 may have.
     pub is_p_negative: bool,
+    /// G5.3.
+    pub ends_control_points: bool,
     /// M6.
     pub tool_change: bool,
     /// M61.
@@ -171,6 +173,10 @@ impl<const N: usize> Parsed<N> {
                 self.extended.is_path_tolerance = code.whole == 64;
             }
             GWord::Rotation(on) => self.extended.rotation = Some(on),
+            GWord::EndOfControlPoints => {
+                self.extended.any = true;
+                self.extended.ends_control_points = true;
+            }
             GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }

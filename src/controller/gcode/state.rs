@@ -2,6 +2,7 @@
 
 use super::Dialect;
 use super::computed::Computed;
+use super::control_points::ControlPoints;
 use super::cycle::CycleWords;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
@@ -12,7 +13,7 @@ use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::in_xy;
 use crate::axes::PerAxis;
 use crate::messages::{Coolant, SpindleDirection};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, WeightedPoint};
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,6 +40,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) scaling: Option<Scaling>,
     /// What the roundings of scaled coordinates have left of the position.
     pub(super) rest: Rest,
+    /// G5.2.
+    pub(super) control_points: ControlPoints,
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
@@ -92,6 +95,7 @@ impl<const N: usize> Interpreter<N> {
             reached: None,
             scaling: None,
             rest: NO_REST,
+            control_points: ControlPoints::new(),
             tangent: NO_TANGENT,
         }
     }
@@ -181,6 +185,11 @@ impl<const N: usize> Interpreter<N> {
     /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
         self.position = position;
+    }
+
+    /// The control points of G5.2, up to the last G5.3 or beyond it.
+    pub fn control_points(&self) -> &[WeightedPoint] {
+        self.control_points.all()
     }
 
     /// What stays in force.

@@ -129,7 +129,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G5, G5.1, G38, G80, cycles.
+    /// G0 to G3, G5 to G5.3, G38, G80, cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -294,6 +294,8 @@ pub(super) enum GWord {
     Rotation(bool),
     /// G51, or G50 without a scaling.
     Scaling(bool),
+    /// G5.3.
+    EndOfControlPoints,
     /// Says what is so in any case: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
@@ -306,7 +308,7 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
-            (5, 0 | 10) if dialect != Dialect::Grbl => Claim::Motion,
+            (5, 0 | 10 | 20) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
@@ -380,7 +382,7 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (5, 0 | 10) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
+            (5, 0 | 10 | 20 | 30) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
             (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
@@ -406,7 +408,9 @@ impl GWord {
         match (code.whole, code.hundredths) {
             (5, _) if !SPLINES => Err(Error::SplinesLeftOut),
             (5, 0) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Cubic))),
-            (5, _) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (5, 10) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (5, 20) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Nurbs))),
+            (5, _) => Ok(GWord::EndOfControlPoints),
             (51, _) if !ROTATION => Err(Error::ScalingLeftOut),
             (68, _) if !ROTATION => Err(Error::RotationLeftOut),
             (50 | 51, _) => Ok(GWord::Scaling(code.whole == 51)),
@@ -431,6 +435,7 @@ impl GWord {
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
             GWord::Scaling(_) => Group::Scaling,
+            GWord::EndOfControlPoints => Group::Motion,
             GWord::AsItIs(group) => group,
         }
     }

@@ -124,6 +124,11 @@ impl Mill {
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
+            Motion::Nurbs(nurbs) => {
+                events.push(Event::Spline(self.interpreter.control_points().len() as u8));
+                self.place = mm(&nurbs.target);
+                self.is_place_untold = true;
+            }
             Motion::Cycle(mut cycle) => {
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {

@@ -182,7 +182,8 @@ impl Writer {
                 self.put(axes.trim().into());
             }
             28..=41 => self.arc(),
-            42..=43 => self.spline(),
+            42 => self.spline(),
+            43 => self.control_points(),
             44..=63 => self.cycle(),
             64..=67 => {
                 let plane = self.below(3) as usize;
@@ -336,6 +337,28 @@ impl Writer {
             }
             smooth = is_cubic;
         }
+        let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
+        let word = self.one_of(&["G0", "G1"]);
+        self.put(format!("{word} {axis}{to}"));
+    }
+
+    /// Control points with a line each, and a move that tells where their curve ends.
+    fn control_points(&mut self) {
+        let order = 3 + self.below(3);
+        let points = order - 1 + self.below(6);
+        // `rs274` takes the weight of a first line that has a point, but for the start.
+        let weight = 1 + self.below(3);
+        if !self.put(format!("G5.2 P{weight} L{order}")) {
+            return;
+        }
+        for _ in 0..points {
+            let (x, y, weight) = (self.coordinate(), self.coordinate(), 1 + self.below(40));
+            self.put(format!("X{x} Y{y} P{}", weight as f64 / 10.0));
+            if self.percent(10) {
+                self.put("F400".into());
+            }
+        }
+        self.put("G5.3".into());
         let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
         let word = self.one_of(&["G0", "G1"]);
         self.put(format!("{word} {axis}{to}"));

@@ -1,6 +1,7 @@
 //! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
 //! Grbl looks; the first fault wins.
 
+mod control_point_words;
 mod cycle_words;
 mod line;
 mod motion_words;
@@ -200,7 +201,7 @@ impl<const N: usize> Check<'_, N> {
             _ => Flow::None,
         };
         // A cycle goes through its points exactly, and of a spline all points are known.
-        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
+        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_) | Motion::Nurbs(_));
         checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
         if ROTATION && let Some(scaling) = self.scaled {
             checked.digit *= scaling.least();
