@@ -4,7 +4,7 @@ use super::modal::SPLINES;
 use crate::units::{Coordinate, WeightedPoint};
 
 /// So many control points may wait, the start among them: each takes 24 bytes.
-pub(super) const MOST: usize = if SPLINES { 32 } else { 0 };
+const MOST: usize = if SPLINES { 32 } else { 0 };
 /// Orders that L may name; the degree is one less.
 pub(super) const ORDERS: core::ops::RangeInclusive<u32> = 3..=8;
 /// Without L.
@@ -34,6 +34,10 @@ impl ControlPoints {
     /// Whether they begin at a place.
     pub fn begin_at(&self, place: [Coordinate; 2]) -> bool {
         self.points.first().is_some_and(|first| first.place == place)
+    }
+
+    pub fn is_full(&self) -> bool {
+        self.points.is_full()
     }
 
     pub fn all(&self) -> &[WeightedPoint] {

@@ -4,7 +4,7 @@ use super::line::Check;
 use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
 use crate::gcode::checked::{Keeping, Motion, NurbsMove};
-use crate::gcode::control_points::{Addition, MOST, ORDER, ORDERS};
+use crate::gcode::control_points::{Addition, ORDER, ORDERS};
 use crate::gcode::modal::{MotionMode, Plane, SplineKind};
 use crate::gcode::values::{in_xy, reachable, whole};
 use crate::gcode::word::Claim;
@@ -49,8 +49,7 @@ impl<const N: usize> Check<'_, N> {
             false if has_point => return Err(Error::ValueWordMissing),
             false => 1.0,
         };
-        let points = self.state.control_points.all().len();
-        if has_point && !begins && points >= MOST {
+        if has_point && !begins && self.state.control_points.is_full() {
             return Err(Error::TooManyControlPoints);
         }
         let start = in_xy(&self.state.position);
