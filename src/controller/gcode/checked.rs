@@ -2,7 +2,7 @@
 
 use super::control_points::Addition;
 use super::cycle::Cycle;
-use super::modal::{Modal, PROGRAM_PINS, PlaneAxes};
+use super::modal::{Modal, PROGRAM_PINS, PlaneAxes, SPLINES};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
@@ -431,5 +431,5 @@ pub(super) enum Keeping {
     /// M72.
     Restore,
     /// G5.2.
-    Add(Addition),
+    Add([Addition; SPLINES as usize]),
 }

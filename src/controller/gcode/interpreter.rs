@@ -156,7 +156,9 @@ impl<const N: usize> Interpreter<N> {
             }),
             Keeping::Forget => self.saved.forget(level),
             Keeping::Restore => self.saved.abandon(level),
-            Keeping::Add(addition) => self.control_points.add(&addition),
+            Keeping::Add(additions) => {
+                self.control_points.iter_mut().zip(&additions).for_each(|(points, addition)| points.add(addition));
+            }
         }
     }
 

@@ -40,8 +40,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) scaling: Option<Scaling>,
     /// What the roundings of scaled coordinates have left of the position.
     pub(super) rest: Rest,
-    /// G5.2.
-    pub(super) control_points: ControlPoints,
+    /// G5.2; no memory where there are no splines.
+    pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
@@ -95,7 +95,7 @@ impl<const N: usize> Interpreter<N> {
             reached: None,
             scaling: None,
             rest: NO_REST,
-            control_points: ControlPoints::new(),
+            control_points: [const { ControlPoints::new() }; SPLINES as usize],
             tangent: NO_TANGENT,
         }
     }
@@ -189,7 +189,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// The control points of G5.2, up to the last G5.3 or beyond it.
     pub fn control_points(&self) -> &[WeightedPoint] {
-        self.control_points.all()
+        self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
     /// What stays in force.

@@ -4,8 +4,8 @@ use super::line::Check;
 use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
 use crate::gcode::checked::{Keeping, Motion, NurbsMove};
-use crate::gcode::control_points::{Addition, ORDER, ORDERS};
-use crate::gcode::modal::{MotionMode, Plane, SplineKind};
+use crate::gcode::control_points::{Addition, ControlPoints, ORDER, ORDERS};
+use crate::gcode::modal::{MotionMode, Plane, SPLINES, SplineKind};
 use crate::gcode::values::{in_xy, reachable, whole};
 use crate::gcode::word::Claim;
 use crate::units::{Decimal, WeightedPoint};
@@ -16,7 +16,8 @@ const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
 impl<const N: usize> Check<'_, N> {
     /// Whether control points have begun, and the tool is still where they begin.
     fn has_control_points(&self) -> bool {
-        self.state.modal.motion == POINTS && self.state.control_points.begin_at(in_xy(&self.state.position))
+        let here = in_xy(&self.state.position);
+        self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
     }
 
     /// No other motion comes between control points.
@@ -49,7 +50,7 @@ impl<const N: usize> Check<'_, N> {
             false if has_point => return Err(Error::ValueWordMissing),
             false => 1.0,
         };
-        if has_point && !begins && self.state.control_points.is_full() {
+        if has_point && !begins && self.state.control_points.iter().all(ControlPoints::is_full) {
             return Err(Error::TooManyControlPoints);
         }
         let start = in_xy(&self.state.position);
@@ -59,24 +60,30 @@ impl<const N: usize> Check<'_, N> {
         self.checked.rotated.reached = None;
         self.checked.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };
-        self.checked.after.keeping = Keeping::Add(Addition {
-            start: begins.then_some(WeightedPoint { place: start, weight: weight_of_start }),
-            point: has_point.then_some(WeightedPoint { place: in_xy(&target), weight }),
-            order,
-        });
+        self.checked.after.keeping = Keeping::Add(
+            [Addition {
+                start: begins.then_some(WeightedPoint { place: start, weight: weight_of_start }),
+                point: has_point.then_some(WeightedPoint { place: in_xy(&target), weight }),
+                order,
+            }; SPLINES as usize],
+        );
         Ok(())
     }
 
     /// L, or the order so far.
     fn order(&mut self, begins: bool) -> Result<u8, Error> {
         if !self.take(b'L') {
-            return Ok(if begins { ORDER } else { self.state.control_points.order() });
+            return Ok(if begins { ORDER } else { self.order_so_far() });
         }
         let order = whole(self.line.value.l)?;
         match u32::try_from(order) {
             Ok(order) if ORDERS.contains(&order) => Ok(order as u8),
             _ => Err(Error::ValueOutOfRange),
         }
+    }
+
+    fn order_so_far(&self) -> u8 {
+        self.state.control_points.first().map_or(ORDER, ControlPoints::order)
     }
 
     /// G5.3: along the curve of the control points. No motion stays in force.
@@ -89,7 +96,7 @@ impl<const N: usize> Check<'_, N> {
         if !self.has_control_points() {
             return Err(Error::ControlPointsNotBegun);
         }
-        let (points, order) = (self.state.control_points.all(), self.state.control_points.order());
+        let (points, order) = (self.state.control_points(), self.order_so_far());
         if points.len() < usize::from(order) {
             return Err(Error::TooFewControlPoints);
         }
