@@ -254,12 +254,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
                 Some(self.begin_spline(&geometry, feed, job))
             }
+            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
             gcode::Motion::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
             gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Spline(_) => Some(Stage::Flow),
+            gcode::Motion::None | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => Some(Stage::Flow),
         }
     }
 
