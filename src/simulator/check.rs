@@ -189,7 +189,9 @@ impl Check {
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);
-            if let Some((line, behind)) = job.behind_end() {
+            if let Some((end, behind)) = job.behind_end() {
+                let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
+                let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
                 self.outcome.note(format!(
                     "line {line} ended the program (M2 or M30); {behind} more lines behind it were carried out, as a sender sends them"
                 ));
