@@ -1,11 +1,15 @@
 //! O words in a program: what becomes of each line of the host, and which line of held text is next.
 
 use super::Computed;
-use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, OWord, PASSES, SPARE, STREAM, State, ends_program};
+use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
 use crate::gcode::state::Interpreter;
+use core::fmt::Write;
+
+/// The label of a call: a name or digits.
+type Label = heapless::Vec<u8, LABELS>;
 
 impl<const N: usize> Interpreter<N> {
     /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
@@ -81,10 +85,10 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
-                let (_, at) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
+                let (label, at) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
                 self.computed.flow.run(at, None);
-                self.call(order, STREAM, &arguments)?;
+                self.call(&label, STREAM, &arguments)?;
                 return Ok(Direction::Call);
             }
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
@@ -205,10 +209,9 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
-                let (_, begin) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
                 let back = flow.next;
                 let arguments = self.arguments(order.arguments)?;
-                self.call(order, back, &arguments)?;
+                self.call(&label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
             }
             Keyword::Return | Keyword::EndSub => return self.leave_call(order),
@@ -223,6 +226,7 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
+                let (label, begin) = self.called(&order)?;
                 flow.push(FrameKind::If(true), order.label, 0)?;
                 // Unless the condition is found to hold no branch does.
                 flow.skipping = true;
@@ -242,12 +246,14 @@ impl<const N: usize> Interpreter<N> {
             }
             _ => {
                 self.has_taken(order.label)?;
+                order.must_be_well_formed()?;
                 self.computed.flow.pop();
                 self.computed.flow.skipping = false;
                 order.must_be_well_formed()
             }
         }
     }
+                order.must_be_well_formed()?;
 
     /// Whether a branch of the innermost condition has been taken.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
@@ -343,9 +349,24 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn call(&mut self, order: OWord, back: u16, arguments: &[Real]) -> Result<(), Error> {
+    /// The label of a subroutine that is called, computed if it is an expression, and where its second line begins.
+    fn called(&self, order: &OWord) -> Result<(Label, u16), Error> {
+        let mut label = Label::new();
+        if order.has_computed_label() {
+            let (value, rest) = self.value(order.label)?;
+            let number = value.whole().and_then(|number| u32::try_from(number).ok());
+            let number = number.filter(|_| rest.is_empty()).ok_or(Error::FlowSyntax)?;
+            write!(label, "{number}").map_err(|_| Error::FlowSyntax)?;
+        } else {
+            label.extend_from_slice(order.label).map_err(|_| Error::FlowSyntax)?;
+        }
+        let (_, begin) = self.computed.flow.find(&label).ok_or(Error::FlowSyntax)?;
+        Ok((label, begin))
+    }
+
+    fn call(&mut self, label: &[u8], back: u16, arguments: &[Real]) -> Result<(), Error> {
         let Computed { flow, parameters, .. } = &mut self.computed;
-        let pushed = flow.push(FrameKind::Call, order.label, back).and_then(|()| parameters.enter_call(arguments));
+        let pushed = flow.push(FrameKind::Call, label, back).and_then(|()| parameters.enter_call(arguments));
         if pushed.is_err() && back == STREAM {
             self.abandon_held();
         }
