@@ -46,8 +46,8 @@ impl Outcome {
                 line,
                 code,
                 text: text.into(),
+                advice: advice::for_line(code, &source).into(),
                 source,
-                advice: advice::for_code(code).into(),
             });
         } else {
             self.more_errors += 1;
@@ -193,7 +193,8 @@ impl Check {
                 let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
                 let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
                 self.outcome.note(format!(
-                    "line {line} ended the program (M2 or M30); {behind} more lines behind it were carried out, as a sender sends them"
+                    "line {} ended the program ({word}); {behind} more {lines} behind it {were} carried out, as a sender sends them",
+                    end.line
                 ));
             }
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();
