@@ -1,7 +1,7 @@
 //! Received bytes become lines, and each line goes to where it is carried out.
 
 use super::Controller;
-use super::task::{Answer, Task};
+use super::task::{Answer, Caller, Task};
 use super::view::dialect;
 use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
@@ -152,9 +152,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Direction::LeftOut => self.say(report::ok),
             Direction::Call => {
                 self.tell_remark(remark);
-                self.task = Task::Held;
+                self.task = Task::Held(Caller::Host);
             }
-            Direction::Run => self.task = Task::Held,
+            Direction::Run => self.task = Task::Held(Caller::Host),
         }
         Ok(())
     }

@@ -27,6 +27,22 @@ impl<const N: usize> Interpreter<N> {
         self.direct_order(line, remark, OWord::of(line))
     }
 
+    /// Whether a line that is none of the program calls a subroutine, whose lines are then next.
+    ///
+    /// # Errors
+    /// Those of a call; [`Error::FlowSyntax`] for all other O words, [`Error::NotIdle`] within a block that has begun.
+    pub fn begin_call(&mut self, line: &[u8]) -> Result<bool, Error> {
+        match OWord::of(line) {
+            None => Ok(false),
+            Some(order) if order.keyword != Keyword::Call => Err(Error::FlowSyntax),
+            Some(_) if self.is_within_block() => Err(Error::NotIdle),
+            order => {
+                self.computed.begin();
+                self.direct_order(line, &[], order).map(|_| true)
+            }
+        }
+    }
+
     /// Lines that a condition has left out.
     pub fn skipped(&self) -> u32 {
         self.computed.flow.skipped
@@ -210,6 +226,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
                 let back = flow.next;
+                let (label, begin) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
                 self.call(&label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
@@ -226,16 +243,17 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
-                let (label, begin) = self.called(&order)?;
                 flow.push(FrameKind::If(true), order.label, 0)?;
                 // Unless the condition is found to hold no branch does.
                 flow.skipping = true;
+                order.must_be_well_formed()?;
                 let holds = self.condition(order.arguments)?;
                 self.take_branch(order.label, holds, holds)
             }
             Keyword::ElseIf => {
                 let taken = self.has_taken(order.label)?;
                 self.take_branch(order.label, true, false)?;
+                order.must_be_well_formed()?;
                 let holds = !taken && self.condition(order.arguments)?;
                 self.take_branch(order.label, taken || holds, holds)
             }
@@ -246,14 +264,12 @@ impl<const N: usize> Interpreter<N> {
             }
             _ => {
                 self.has_taken(order.label)?;
-                order.must_be_well_formed()?;
                 self.computed.flow.pop();
                 self.computed.flow.skipping = false;
                 order.must_be_well_formed()
             }
         }
     }
-                order.must_be_well_formed()?;
 
     /// Whether a branch of the innermost condition has been taken.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
