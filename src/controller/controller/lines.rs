@@ -110,6 +110,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             // A tape mark; Grbl's dialect has none.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            // It would be told now, and not when the line is carried out.
+            Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
@@ -158,6 +160,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         Ok(())
     }
+}
+
+/// Whether a `$` line sets a startup line or a macro.
+fn keeps_line(line: &[u8]) -> bool {
+    matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
 /// How lines are read.
