@@ -221,7 +221,7 @@ mod tests {
                 let mut checked = Checked::NOTHING;
                 let checked = Interpreter::<3>::new().check_into(line.as_bytes(), Dialect::Oxmill, &mut checked);
                 let code = checked.expect_err(word).code();
-                assert_eq!(&for_line(code, &line), advice, "{word}");
+                assert_eq!(for_line(code, &line), advice, "{word}");
             }
         }
         assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("o100 call"));
