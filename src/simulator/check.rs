@@ -46,8 +46,8 @@ impl Outcome {
                 line,
                 code,
                 text: text.into(),
+                advice: advice::for_line(code, &source).into(),
                 source,
-                advice: advice::for_code(code).into(),
             });
         } else {
             self.more_errors += 1;
@@ -189,9 +189,12 @@ impl Check {
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);
-            if let Some((line, behind)) = job.behind_end() {
+            if let Some((end, behind)) = job.behind_end() {
+                let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
+                let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
                 self.outcome.note(format!(
-                    "line {line} ended the program (M2 or M30); {behind} more lines behind it were carried out, as a sender sends them"
+                    "line {} ended the program ({word}); {behind} more {lines} behind it {were} carried out, as a sender sends them",
+                    end.line
                 ));
             }
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();

@@ -194,7 +194,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         "What M6 does: note which tool is in the spindle, or stop and wait until the tool is changed by hand. With 2 the tool goes to G30 for that, and is measured at a tool setter at G59.3; the machine has to be homed.",
     ),
     (Key::OptionalStop, "M1 pauses the job. With 0 it is passed over."),
-    (Key::BlockDelete, "Lines that begin with a slash are skipped. With 0 they are carried out without it."),
+    (
+        Key::BlockDelete,
+        "Lines that begin with a slash, or with their number and a slash, are skipped. With 0 they are carried out without it.",
+    ),
     (Key::PeckClearance, "How far a drill goes back in G73, and how far above the ground its rapid ends in G83."),
     (
         Key::HostSilence,

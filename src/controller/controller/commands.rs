@@ -1,7 +1,7 @@
 //! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines, macros.
 
 use super::Controller;
-use super::task::{Answer, Listing, Task};
+use super::task::{Answer, Caller, Listing, Task};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
@@ -108,7 +108,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return Ok(());
         }
         self.records.validate(stored);
-        self.gcode(text, Answer::Validation(index))
+        self.startup_line(text, Caller::Validation(index))
     }
 
     fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {

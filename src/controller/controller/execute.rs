@@ -4,7 +4,7 @@
 use super::Controller;
 use super::limits::{geometry, spline_geometry};
 use super::moves::speed;
-use super::task::{Answer, Job, Stage, Task};
+use super::task::{Answer, Caller, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
@@ -88,7 +88,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let only_moved = self.line.checked.moves_only
             && !job.jog
             && matches!(self.mode, Mode::Normal)
-            && matches!(job.answer, Answer::Host | Answer::Held);
+            && matches!(job.answer, Answer::Host | Answer::Held(_));
         if progressed && !only_moved {
             self.pins.disturb();
         }
@@ -113,15 +113,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.run_startup_line(index, then);
             }
             // Each line may have something to say.
-            Task::Held if self.replies.has_room() => {
+            Task::Held(caller) if self.replies.has_room() => {
                 self.task = Task::None;
-                self.run_held_line();
+                self.run_held_line(caller);
             }
             Task::SoftLimit(_) if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
             Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
-            Task::Startup(..) | Task::Held | Task::SoftLimit(_) | Task::Storing(_) | Task::JogWaits | Task::Job(_) => {
-                return false;
-            }
+            Task::Startup(..)
+            | Task::Held(_)
+            | Task::SoftLimit(_)
+            | Task::Storing(_)
+            | Task::JogWaits
+            | Task::Job(_) => return false,
         }
         true
     }
@@ -316,7 +319,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let single_block = || {
             self.line.is_single_block()
                 && !job.jog
-                && matches!(job.answer, Answer::Host | Answer::Held)
+                && matches!(job.answer, Answer::Host | Answer::Held(Caller::Host))
                 && self.line.checked.motion != gcode::Motion::None
         };
         match self.line.checked.flow {
@@ -363,11 +366,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.task = Task::None;
         match answer {
             Answer::Host => self.say(report::ok),
-            Answer::Held => self.task = Task::Held,
+            Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
                 self.echo_startup_line(index);
                 self.say(report::ok);
-                self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
+                self.begin_startup_line(index + 1, host_waits);
             }
             Answer::Validation(index) => {
                 self.records.save_validated(index);
@@ -437,14 +440,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The next line of held text. An error ends all of it, and is the answer to the line that it was called by.
     #[inline(never)]
-    fn run_held_line(&mut self) {
+    fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
         let next = self.interpreter.next_held(&mut line);
         let (words, remark) = gcode::split_remark(&line);
         let carried_out = match next {
-            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held),
+            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
             Ok(Held::Line | Held::Again) => {
-                self.task = Task::Held;
+                self.task = Task::Held(caller);
                 Ok(())
             }
             Ok(Held::End) => Ok(()),
@@ -455,12 +458,29 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Err(error) => {
                 self.interpreter.abandon_held();
                 self.refuse(error);
-                self.stop_at_error();
+                match caller {
+                    Caller::Host => self.stop_at_error(),
+                    Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
+                    Caller::Validation(_) => {}
+                }
             }
         }
         if next == Ok(Held::End) {
-            self.say(report::ok);
+            self.finish(caller.answer());
         }
+    }
+
+    fn begin_startup_line(&mut self, index: usize, host_waits: bool) {
+        self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
+    }
+
+    /// A startup line. One that calls a subroutine is over when that is.
+    pub(super) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
+        if self.dialect() != gcode::Dialect::Grbl && self.interpreter.begin_call(line)? {
+            self.task = Task::Held(caller);
+            return Ok(());
+        }
+        self.gcode(line, caller.answer())
     }
 
     #[inline(never)]
@@ -473,7 +493,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         };
         if !line.is_empty() {
-            match self.gcode(&line, Answer::Startup(index, then.is_some())) {
+            match self.startup_line(&line, Caller::Startup(index, then.is_some())) {
                 Ok(()) => return,
                 Err(error) => {
                     self.echo_startup_line(index);

@@ -1,7 +1,7 @@
 //! Received bytes become lines, and each line goes to where it is carried out.
 
 use super::Controller;
-use super::task::{Answer, Task};
+use super::task::{Answer, Caller, Task};
 use super::view::dialect;
 use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
@@ -124,6 +124,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             // A tape mark; Grbl's dialect has none.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            // It would be told now, and not when the line is carried out.
+            Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
@@ -166,12 +168,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Direction::LeftOut => self.say(report::ok),
             Direction::Call => {
                 self.tell_remark(remark);
-                self.task = Task::Held;
+                self.task = Task::Held(Caller::Host);
             }
-            Direction::Run => self.task = Task::Held,
+            Direction::Run => self.task = Task::Held(Caller::Host),
         }
         Ok(())
     }
+}
+
+/// Whether a `$` line sets a startup line or a macro.
+fn keeps_line(line: &[u8]) -> bool {
+    matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
 /// How lines are read.

@@ -12,8 +12,8 @@ pub(super) enum Task {
     None,
     /// The startup line of this number is next; when all have been run, someone may get an answer.
     Startup(usize, Option<Answer>),
-    /// The next line of held text is to be run.
-    Held,
+    /// The next line of held text is to be run, for whom.
+    Held(Caller),
     /// An answer of many lines; the number is the next of them.
     Listing(Listing, usize),
     /// A record is being stored; then the answer is given.
@@ -35,12 +35,34 @@ pub(super) enum Answer {
     Startup(usize, bool),
     /// The host, for a startup line that is stored once it has been run without error; its text waits in the controller.
     Validation(usize),
-    /// The host, once the held text has come to its end.
-    Held,
+    /// Whoever has called the held text, once that has come to its end.
+    Held(Caller),
     /// The host, for the setting of this number.
     Setting(u16),
     /// The host, and then the controller is initialised (`$RST`).
     Restart,
+}
+
+/// Whose line runs held text; who is waiting for its end as in [`Answer`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Caller {
+    /// The host's.
+    Host,
+    /// A startup line.
+    Startup(usize, bool),
+    /// A startup line that is to be stored.
+    Validation(usize),
+}
+
+impl Caller {
+    /// Who gets the answer.
+    pub(super) fn answer(self) -> Answer {
+        match self {
+            Caller::Host => Answer::Host,
+            Caller::Startup(index, host_waits) => Answer::Startup(index, host_waits),
+            Caller::Validation(index) => Answer::Validation(index),
+        }
+    }
 }
 
 /// A line under way.
@@ -139,9 +161,10 @@ impl Task {
     pub(super) fn answers_host(&self) -> bool {
         match self {
             Task::Job(Job { answer, .. }) | Task::Storing(answer) | Task::SoftLimit(answer) => {
-                !matches!(answer, Answer::Startup(_, false))
+                !matches!(answer, Answer::Startup(_, false) | Answer::Held(Caller::Startup(_, false)))
             }
-            Task::Held | Task::Listing(..) | Task::JogWaits => true,
+            Task::Held(caller) => !matches!(caller, Caller::Startup(_, false)),
+            Task::Listing(..) | Task::JogWaits => true,
             Task::Startup(_, answer) => answer.is_some(),
             Task::None => false,
         }

@@ -41,6 +41,11 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Check)
     }
 
+    /// There are no subroutines.
+    pub fn begin_call(&mut self, _: &[u8]) -> Result<bool, Error> {
+        Ok(false)
+    }
+
     /// There are no blocks.
     pub fn open_since(&self) -> Option<u32> {
         None

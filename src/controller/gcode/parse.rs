@@ -228,7 +228,11 @@ impl<const N: usize> Parsed<N> {
         };
         let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
         if axis.is_none() && !values.has(letter) {
-            return if letter == ASSIGNMENT { Ok(()) } else { Err(Error::UnsupportedCommand) };
+            return match letter {
+                ASSIGNMENT => Ok(()),
+                b'U'..=b'W' if dialect != Dialect::Grbl => Err(Error::NoParallelAxes),
+                _ => Err(Error::UnsupportedCommand),
+            };
         }
         if letter == b'T' && value > Decimal::from_int(tool_max) {
             return Err(Error::ToolNumberTooHigh);

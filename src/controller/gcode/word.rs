@@ -353,6 +353,9 @@ impl GWord {
     /// at all, and "unsupported" where it has others.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
+        if more && code.hundredths == Code::NO_CODE {
+            return Err(Error::UnsupportedCommand);
+        }
         if more && let Some(word) = Self::extended(code) {
             return if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) };
         }
@@ -404,9 +407,10 @@ impl GWord {
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
             (41 | 42, 0 | 10) if more => return Err(Error::CutterCompensation),
-            (5 | 7 | 8 | 15 | 16 | 33 | 51 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (5 | 7 | 8 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
+            (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),
         })
@@ -486,8 +490,10 @@ impl MWord {
     /// The word of a code.
     pub fn of(code: Code, dialect: Dialect) -> Result<MWord, Error> {
         let more = dialect != Dialect::Grbl;
-        if code.hundredths != 0 {
-            return Err(Error::IntegerRequired);
+        match code.hundredths {
+            0 => {}
+            Code::NO_CODE if more => return Err(Error::UnsupportedCommand),
+            _ => return Err(Error::IntegerRequired),
         }
         if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=73) {
             return Err(Error::ExtendedLeftOut);
@@ -511,7 +517,7 @@ impl MWord {
             62..=68 if more => MWord::Pins(code.whole),
             73 if more && !EXPRESSIONS => return Err(Error::ExpressionsLeftOut),
             70..=73 if more => MWord::Keep(code.whole),
-            19 | 98 | 99 if more => return Err(Error::NotSupported),
+            19 | 97..=99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),
         })
     }

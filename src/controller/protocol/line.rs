@@ -30,7 +30,8 @@ pub struct LineRules {
     pub nested_remarks: bool,
     /// Whether a slash behind a bracket or `#` is kept: it divides, or is an error. Dropped, it would join two numbers.
     pub expressions: bool,
-    /// Whether a line that begins with a slash is skipped (Grbl drops the slash and executes the rest).
+    /// Whether a line that begins with a slash, or with its number and a slash, is skipped, and a slash elsewhere stays, which
+    /// is an error (Grbl drops the slash and executes the rest).
     pub block_delete: bool,
 }
 
@@ -54,6 +55,8 @@ enum Comment {
     Parentheses(u8),
     /// Up to the end of the line.
     Semicolon,
+    /// Behind a slash that is dropped: the number of its switch, 1 to 9, is, too.
+    Slash,
 }
 
 impl Default for Line {
@@ -144,6 +147,12 @@ impl Line {
     pub fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> Pushed {
         let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
         self.after_cr = byte == b'\r';
+        if self.comment == Comment::Slash && byte > b' ' {
+            self.comment = Comment::None;
+            if matches!(byte, b'1'..=b'9') {
+                return Pushed::More;
+            }
+        }
         match byte {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
@@ -154,9 +163,7 @@ impl Line {
             }
             b';' => self.comment = Comment::Semicolon,
             0..=b' ' => {}
-            b'/' if self.text.is_empty() && rules().block_delete => self.comment = Comment::Semicolon,
-            // Grbl's block delete: the slash goes, the rest of the line is executed.
-            b'/' if !(self.text.iter().any(|byte| matches!(byte, b'[' | b'#')) && rules().expressions) => {}
+            b'/' if self.drops_slash(&rules()) => {}
             _ => {
                 let full = self.text.len() >= GRBL_LENGTH && self.text.len() >= rules().length;
                 if full || self.text.push(byte.to_ascii_uppercase()).is_err() {
@@ -165,6 +172,24 @@ impl Line {
             }
         }
         Pushed::More
+    }
+
+    /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is
+    /// executed.
+    #[inline(never)]
+    fn drops_slash(&mut self, rules: &LineRules) -> bool {
+        let begins = match self.text.split_first() {
+            None => true,
+            Some((first, number)) => *first == b'N' && number.iter().all(u8::is_ascii_digit),
+        };
+        if begins && rules.block_delete {
+            self.text.clear();
+            self.comment = Comment::Semicolon;
+        } else if begins && rules.expressions {
+            self.comment = Comment::Slash;
+        }
+        let divides = rules.expressions && self.text.iter().any(|byte| matches!(byte, b'[' | b'#'));
+        begins || !divides && !rules.block_delete
     }
 
     /// A byte within a remark. One with more than 255 parentheses open ends too soon.
@@ -257,8 +282,17 @@ mod tests {
     #[test]
     fn block_delete() {
         let delete = LineRules { block_delete: true, ..OXMILL };
-        assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0X1", ""]);
-        assert_eq!(lines(b"/G0 X1\n", OXMILL), ["G0X1"]);
+        assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0/X1", ""]);
+        assert_eq!(
+            lines(b"N5 /G0 X1\nN5/2 X1\n/1\nG0\nN5G0/X1\nX[1/2]\n", delete),
+            ["", "", "", "G0", "N5G0/X1", "X[1/2]"]
+        );
+        assert_eq!(
+            lines(b"/G0 X1\n/9G0X1\n/ 2 G0\nN5 /3G0\n/0\n/12\n/\n1\n", OXMILL),
+            ["G0X1", "G0X1", "G0", "N5G0", "0", "2", "", "1",]
+        );
+        assert_eq!(lines(b"/(3) 1\n/1(;)G0\n//1G0\nG0/1\n", OXMILL), ["1", "G0", "G0", "G01"]);
+        assert_eq!(lines(b"/2G0\nN5/2X1\n", GRBL), ["2G0", "N52X1"]);
     }
 
     #[test]
