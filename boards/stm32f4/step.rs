@@ -11,7 +11,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 /// Ports A, B and C: all that these boards bring out.
 pub const PORTS: usize = 3;
 /// Motors that are told apart.
-const AXES: usize = crate::profiles::AXES;
+const AXES: usize = 3;
 
 /// PWM of spindle and laser before the settings are known: `$33` of a new controller.
 const DEFAULT_PWM_HZ: u32 = 5_000;

@@ -48,6 +48,7 @@ mod boards {
         name: "count",
         step_clock_hz: 96_000_000,
         rates: StepRates { safe_hz: 490_000 },
+        axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],
         has_store: false,
