@@ -47,7 +47,9 @@ pub use nucleo_f446re::*;
 pub use qemu_mps2::*;
 
 #[cfg(feature = "board")]
-pub use contract::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, input_bits};
+pub use contract::{
+    COMBINATIONS, Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, input_bits,
+};
 
 #[cfg(all(target_os = "none", not(feature = "board")))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");

@@ -4,8 +4,7 @@
 
 /// Most axes of a board: the simulator has room for so many.
 pub const AXES: usize = 4;
-/// Axes of the boards that have pins and a step task: what a fourth one costs at each tick and in each block, a machine with three
-/// would pay, too.
+/// Axes of most boards with hardware: what a fourth one costs at each tick and in each block, a machine with three would pay, too.
 const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
@@ -67,9 +66,15 @@ pub const BLACKPILL_F401: Board = Board {
     ..HARDWARE
 };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock.
-pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..HARDWARE };
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. Fast enough for a fourth axis.
+pub const NUCLEO_F446RE: Board = Board {
+    name: "nucleo_f446re",
+    step_clock_hz: 90_000_000,
+    core_hz: 180_000_000,
+    axes: AXES,
+    safe_step_hz: 490_000,
+    ..HARDWARE
+};
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
 pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..HARDWARE };

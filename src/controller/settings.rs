@@ -379,6 +379,11 @@ impl<const N: usize> Settings<N> {
         (self.whole(Key::Axes) as usize).clamp(LINEAR, self.present.max(LINEAR))
     }
 
+    /// How many axes have settings: those of A may come before `$930`, as a set is restored in any order.
+    fn axes_to_set(&self) -> usize {
+        if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.present.max(LINEAR) }
+    }
+
     /// A value of the first table.
     pub fn value(&self, key: Key) -> f32 {
         self.scalars.get(key as usize).copied().unwrap_or(0.0)
@@ -463,7 +468,7 @@ impl<const N: usize> Settings<N> {
             return Err(Error::NegativeValue);
         }
         let place = Self::find(number).ok_or(Error::InvalidStatement)?;
-        if matches!(place, Index::PerAxis(_, axis) if axis.index() >= self.axes_in_use()) {
+        if matches!(place, Index::PerAxis(_, axis) if axis.index() >= self.axes_to_set()) {
             return Err(Error::InvalidStatement);
         }
         let entry = match place {
@@ -487,7 +492,7 @@ impl<const N: usize> Settings<N> {
                 _ => return Err(Error::InvalidStatement),
             },
             Kind::Axes => match value.truncate() {
-                mask @ 0..=255 if mask as u8 & !axes_mask(self.axes_in_use()) == 0 => mask as f32,
+                mask @ 0..=255 if mask as u8 & !axes_mask(self.axes_to_set()) == 0 => mask as f32,
                 _ => return Err(Error::InvalidStatement),
             },
             Kind::Switch => match value.truncate() {
@@ -808,9 +813,12 @@ mod tests {
         let three = listed(&s);
         let of_three = Settings::<3>::default();
         assert_eq!(three, (0..Settings::<3>::LINES).map(|line| of_three.row(line).unwrap().1).collect::<Vec<_>>());
-        assert_eq!(s.set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
-        assert_eq!(s.set(44, Decimal::from_int(8)), Err(Error::InvalidStatement));
+        // A set of settings may come in any order.
+        s.set(103, Decimal::from_int(7)).unwrap();
+        s.set(44, Decimal::from_int(12)).unwrap();
+        assert_eq!((listed(&s), s.homing_cycles().0), (three.clone(), [4, 3, 0, 0]));
         s.set(930, Decimal::from_int(4)).unwrap();
+        assert_eq!(s.homing_cycles().0, [12, 3, 0, 0]);
         assert_eq!((s.axes_in_use(), listed(&s).len()), (4, Settings::<4>::LINES));
         s.set(103, Decimal::from_int(10)).unwrap();
         s.set(44, Decimal::from_int(12)).unwrap();
@@ -822,6 +830,14 @@ mod tests {
         s.set(930, Decimal::from_int(4)).unwrap();
         s.set(900, Decimal::ZERO).unwrap();
         assert_eq!((s.axes_in_use(), listed(&s)), (3, three), "to Grbl");
+        assert_eq!(s.set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
+        assert_eq!(s.set(44, Decimal::from_int(8)), Err(Error::InvalidStatement));
+        assert_eq!(
+            Settings::<4>::of_board(3).set(103, Decimal::from_int(10)),
+            Err(Error::InvalidStatement),
+            "no motor"
+        );
+        assert_eq!(Settings::<3>::default().set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
     }
 
     #[test]

@@ -3,9 +3,9 @@
 use super::Controller;
 use super::records::STORED_TEXT;
 use super::task::{Listing, Task};
-use crate::axes::Axis;
+use crate::axes::{Axis, LINEAR};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
-use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
@@ -103,8 +103,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
-        // The switch of an axis that is not in use is none.
-        let counts = bit >= Axis::ALL.len() || bit < self.settings.axes_in_use();
+        // The switch of an axis that is not in use is none, and beside A there is no second motor.
+        let axes = self.settings.axes_in_use();
+        let counts =
+            if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
         if counts && view.fitted >> bit & 1 != 0 {
             let (active, wiring) = (self.inputs.pins().word() >> bit & 1 != 0, self.inputs.wiring());
             self.say(|out| report::pin(out, bit, view, active, &wiring));

@@ -284,7 +284,12 @@ impl<const N: usize> Stepper<N> {
     /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
     /// if [`Stepper::tick`] had been called as often.
     #[inline(always)]
-    pub fn plain_ticks(&mut self, table: &[u32; 8], words: &mut [u32], moments: &mut [u32]) -> usize {
+    pub fn plain_ticks<const WORDS: usize>(
+        &mut self,
+        table: &[u32; WORDS],
+        words: &mut [u32],
+        moments: &mut [u32],
+    ) -> usize {
         let count = words.len().min(moments.len()).min(self.piece.plain_ticks as usize);
         let (Some(words), Some(moments)) = (words.get_mut(..count), moments.get_mut(..count)) else { return 0 };
         self.piece.plain_ticks = self.piece.plain_ticks.wrapping_sub(count as u32);
