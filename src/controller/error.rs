@@ -108,6 +108,7 @@ codes! {
     UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
     ScalingActs = 143, "the coordinates that the line sets are scaled by G51";
     ScalingLeftOut = 144, "this board has no room for scaled coordinates (G51)";
+    OneRotaryAxis = 145, "A is the only axis that turns: there are no axes B and C";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

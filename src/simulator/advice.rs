@@ -83,6 +83,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
+        Error::OneRotaryAxis => "Write the part with A, or have the post-processor turn it by hand between programs.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
         Error::ExtendedLeftOut
         | Error::ExpressionsLeftOut

@@ -137,7 +137,7 @@ impl<const N: usize> Parsed<N> {
                 b'G' => self.take_g(Code::of(value), dialect)?,
                 // An axis that this machine does not have.
                 _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
-                    return Err(Error::UnsupportedCommand);
+                    return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
                 _ => self.take_value(letter, value, places, dialect)?,

@@ -150,6 +150,9 @@ fn an_axis_that_is_not_in_use_is_unknown_and_stays() {
     program.run("G28");
     assert_eq!(program.machine(), [0.0, 0.0, 0.0, 10.0]);
     program.0.set_axes(4);
+    for line in ["B1", "G1 X1 C2 F100"] {
+        assert_eq!(program.check(line), Err(Error::OneRotaryAxis), "{line}");
+    }
     program.run("G28");
     assert_eq!(program.machine(), [0.0, 0.0, 0.0, 90.0]);
 }
