@@ -163,3 +163,19 @@ fn three_axes_are_as_without_it() {
     let ((order, _, place), (other_order, _, other_place)) = (digest(false), digest(true));
     assert_eq!((order, place), (other_order, other_place));
 }
+
+/// A path tolerance is for X, Y and Z: lines along which A turns stay exact, whatever turns them.
+#[test]
+fn a_path_tolerance_leaves_moves_with_it_exact() {
+    let digest = |path: &str, a: &str| {
+        let mut mill = mill();
+        let back = a.replace("A", "A-");
+        let lines = [("X5", a), ("Y5", a), ("X-5", back.as_str()), ("Y0.02", a), ("Y0.03 X0.001", a), ("X-5 Y3", a)];
+        let lines: String = lines.iter().map(|(way, a)| format!("{way} {a}\n")).collect();
+        run(&mut mill, &format!("{path}\nG1 F6000\n{lines}"));
+        (mill.trace().digest().order_hash(), mill.trace().digest().time_hash())
+    };
+    assert_ne!(digest("G64 P0.2", ""), digest("G61", ""), "corners are rounded");
+    assert_eq!(digest("G64 P0.2", "A7"), digest("G61", "A7"));
+    assert_eq!(digest("G64 P0.2", "A0.01"), digest("G61", "A0.01"));
+}
