@@ -30,7 +30,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     Some(text) => {
                         let text = text.unwrap_or_default();
                         if !text.is_empty() {
-                            self.say(|out| report::macro_line(out, line, &text));
+                            self.say(|out| report::kept_line(out, b'M', line, &text));
                         }
                         true
                     }
@@ -39,7 +39,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Listing::StartupLines => match self.records.startup_line(line).cloned() {
                 Some(text) => {
-                    self.say(|out| report::startup_line(out, line, &text));
+                    self.say(|out| report::kept_line(out, b'N', line, &text));
                     true
                 }
                 None => false,

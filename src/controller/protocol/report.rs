@@ -253,18 +253,9 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, END);
 }
 
-/// `$N0=line`
-pub fn startup_line(out: &mut Text, index: usize, line: &[u8]) {
-    put(out, b"$N");
-    whole(out, index as u64);
-    put(out, b"=");
-    put(out, line);
-    put(out, END);
-}
-
-/// `$M0=line`
-pub fn macro_line(out: &mut Text, index: usize, line: &[u8]) {
-    put(out, b"$M");
+/// A line that is kept: `$N0=line` (startup line, `kind` is `N`), `$M0=line` (macro, `kind` is `M`).
+pub fn kept_line(out: &mut Text, kind: u8, index: usize, line: &[u8]) {
+    put(out, &[b'$', kind]);
     whole(out, index as u64);
     put(out, b"=");
     put(out, line);
