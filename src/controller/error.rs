@@ -113,6 +113,7 @@ codes! {
     TooFewControlPoints = 147, "a curve (G5.3) has as many control points as its order L at least, its start included";
     TooManyControlPoints = 148, "there is no room for more control points (G5.2)";
     NoParallelAxes = 149, "there are no axes U, V and W";
+    OneRotaryAxis = 150, "A is the only axis that turns: there are no axes B and C";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

@@ -157,6 +157,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
         Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
+        Error::OneRotaryAxis => "Write the part with A, or have the post-processor turn it by hand between programs.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
         Error::ExtendedLeftOut
         | Error::ExpressionsLeftOut

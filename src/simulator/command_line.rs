@@ -1,8 +1,9 @@
 //! The words of the command line, and nothing of what they do.
 
-use crate::boards::{self, AXES, Board};
+use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};
 use clap::{Args, Parser, Subcommand};
+use oxmill_controller::axes::LINEAR;
 use std::path::PathBuf;
 
 /// What the program's exit status says.
@@ -209,7 +210,7 @@ pub struct Start {
 
 /// A place in mm of machine coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorkZero(pub [f64; AXES]);
+pub struct WorkZero(pub [f64; LINEAR]);
 
 impl std::str::FromStr for WorkZero {
     type Err = String;

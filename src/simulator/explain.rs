@@ -225,6 +225,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::SpeedLoss,
         "How long the spindle may be below its speed in mid-job before it is a fault, on a machine with an at-speed input ($915).",
     ),
+    (
+        Key::Axes,
+        "How many axes the machine has. With 4 there is A, which turns: its words and places are degrees, and its settings are listed. It needs a board with four axes.",
+    ),
 ];
 
 /// The sentences of the settings that each axis has, in the order of the table.
@@ -273,7 +277,7 @@ mod tests {
 
     #[test]
     fn every_setting_has_its_sentence() {
-        let rows = (0..Settings::<6>::LINES).filter_map(Settings::<6>::described);
+        let rows = (0..Settings::<6>::LINES).filter_map(|line| Settings::<6>::described(line, 6));
         let mut numbers = 0;
         for row in rows {
             let sentence = setting(row.number);

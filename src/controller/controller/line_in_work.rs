@@ -1,6 +1,6 @@
 //! The line of G-code that is carried out.
 
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Checked, TOOL_SETTER};
 use crate::machine::tool_change::ToolChange;
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
@@ -52,12 +52,12 @@ impl<const N: usize> LineInWork<N> {
         self.change.first_mut()
     }
 
-    /// Its arc begins. The length of the chords, mm.
-    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> f32 {
+    /// Its arc begins. The length of the chords, mm, and how many times as long that is as their way along X, Y and Z.
+    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
         let arc = Arc::new(geometry, tolerance);
-        let length = arc.length();
+        let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });
         self.curve = Some(Curve::Arc(arc));
-        length
+        lengths
     }
 
     /// Its spline begins.

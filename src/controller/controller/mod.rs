@@ -93,7 +93,9 @@ pub struct Profile {
     pub rates: StepRates,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
-    /// Whether there are pins for a motor more than there are axes.
+    /// Axes that have motors, `N` of the controller at most; a fourth motor is that of A or the second one of another axis.
+    pub axes: usize,
+    /// Whether there are pins for a motor more than X, Y and Z.
     pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
@@ -135,7 +137,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
     pub const fn new(profile: Profile) -> Self {
         Self {
-            settings: Settings::new(),
+            settings: Settings::of_board(profile.axes),
             interpreter: Interpreter::new(),
             motion: Motion::unconfigured(profile.step_clock_hz),
             door: SafetyDoor::new(profile.step_clock_hz),

@@ -2,7 +2,7 @@
 
 use super::Controller;
 use super::task::{Job, Stage};
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
@@ -52,23 +52,29 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_number: self.line.checked.line_number,
             no_feed_override: jog,
             digit: self.line.checked.digit,
-            tolerance: self.tolerance(speed),
+            tolerance: self.tolerance(target, speed),
         }
     }
 
-    /// How far a move may be from its path: lines at a feed only.
-    fn tolerance(&self, speed: Speed) -> Tolerance {
+    /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
+    /// A turns back, F would say nothing.
+    fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.checked.motion, self.interpreter.modal().path) {
             (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
             _ => return Tolerance::EXACT,
         };
+        if N > LINEAR && turns(&self.motion.planned_position(), target) {
+            return Tolerance::EXACT;
+        }
         let mm = |units: u32| Coordinate(i64::from(units)).to_mm();
         Tolerance { path: mm(within.path), merging: mm(within.merging) }
     }
 
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
-        let length = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
+        let (length, stretch) = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
         job.chord_feed = match feed {
+            // F is along X, Y and Z.
+            Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
             Feed::Rapid => f32::MAX,
@@ -114,6 +120,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.motion.chord(&mv, curvature);
         Some(Stage::Chords)
     }
+}
+
+/// Whether a rotary axis moves.
+fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
+    from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
 }
 
 /// The speed that a feed asks for.

@@ -401,7 +401,8 @@ pub struct NurbsMove<const N: usize> {
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94: along the path, in mm/s.
+    /// G94: in mm/s. Of straight moves along the path of all axes, in which a degree counts as a millimetre; of arcs and
+    /// cycles along that of X, Y and Z.
     PerMinute(f32),
     /// G93: seconds for the whole motion.
     InverseTime(f32),

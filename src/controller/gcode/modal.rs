@@ -357,6 +357,8 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
+    /// It was written in inches: to rotary axes it is degrees per minute as it was written.
+    pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
 }
@@ -380,11 +382,18 @@ impl Modal {
         overrides_held: OverridesHeld { feed: false, spindle: false },
         tool: 0,
         feed: Decimal::ZERO,
+        feed_in_inches: false,
         speed: 0.0,
     };
 }
 
 impl Modal {
+    /// F of a move of rotary axes alone, degrees per minute.
+    pub(super) fn rotary_feed(&self) -> f32 {
+        let feed = if self.feed_in_inches { Decimal(self.feed.0.saturating_mul(10) / 254) } else { self.feed };
+        feed.to_f32()
+    }
+
     /// What words that Grbl does not have have set is as after a reset.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;

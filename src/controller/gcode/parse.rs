@@ -5,7 +5,7 @@ use super::code::Code;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, SPLINES, Units};
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
-use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
@@ -132,10 +132,15 @@ impl<const N: usize> Parsed<N> {
 
     /// Adds the words of a line. What it sets waits in the state for the commit.
     pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        let axes = state.axes();
         for word in Words::of(line, dialect, state) {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
+                // An axis that this machine does not have.
+                _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
+                    return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
+                }
                 b'M' => self.take_m(Code::of(value), dialect)?,
                 _ => self.take_value(letter, value, places, dialect)?,
             }

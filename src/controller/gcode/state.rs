@@ -11,7 +11,7 @@ use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::in_xy;
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
 
@@ -21,6 +21,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) modal: Modal,
     pub(super) offsets: Offsets<N>,
     pub(super) position: PerAxis<Coordinate, N>,
+    /// How many axes the machine has; `N` at most.
+    axes: u8,
     /// Of the latest canned cycle.
     pub(super) cycle: CycleWords,
     pub(super) tools: ToolTable<N>,
@@ -84,6 +86,7 @@ impl<const N: usize> Interpreter<N> {
             modal: Modal::INITIAL,
             offsets: Offsets::new(),
             position: PerAxis::all(Coordinate::ZERO),
+            axes: N as u8,
             cycle: CycleWords::NONE,
             tools: ToolTable::EMPTY,
             spindle_tool: 0,
@@ -98,6 +101,17 @@ impl<const N: usize> Interpreter<N> {
             control_points: [const { ControlPoints::new() }; SPLINES as usize],
             tangent: NO_TANGENT,
         }
+    }
+
+    /// How many axes the machine has: words of the others are unknown.
+    #[inline]
+    pub(super) fn axes(&self) -> usize {
+        if N <= LINEAR { N } else { usize::from(self.axes) }
+    }
+
+    /// The machine has so many axes, X, Y, Z and so on.
+    pub fn set_axes(&mut self, axes: usize) {
+        self.axes = axes.min(N) as u8;
     }
 
     /// Whether programs are only checked.

@@ -1,6 +1,6 @@
 //! What Oxmill's interpreter makes of a line.
 
-use super::{Event, NO_MOVE, TOLERANCE};
+use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
@@ -15,22 +15,22 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 /// A machine that is only thought.
 #[derive(Clone)]
 pub struct Mill {
-    interpreter: Interpreter<3>,
+    interpreter: Interpreter<AXES>,
     /// Where the last event has led, machine coordinates.
-    place: [f64; 3],
+    place: [f64; AXES],
     /// No event has told where the last one ended.
     is_place_untold: bool,
     /// Of the last line: a move is so short that rounding decides whether it is one.
     is_doubtful: bool,
 }
 
-fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
 }
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; 3], is_place_untold: false, is_doubtful: false }
+        Mill { interpreter: Interpreter::new(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
     }
 
     /// Whether a move of the last line is one or none by rounding.
@@ -39,7 +39,7 @@ impl Mill {
     }
 
     /// Where the program is, in the active system, mm.
-    pub fn work(&self) -> [f64; 3] {
+    pub fn work(&self) -> [f64; AXES] {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
@@ -55,7 +55,7 @@ impl Mill {
     }
 
     /// What holds the program's subroutines and loops.
-    pub fn interpreter(&mut self) -> &mut Interpreter<3> {
+    pub fn interpreter(&mut self) -> &mut Interpreter<AXES> {
         &mut self.interpreter
     }
 
@@ -143,11 +143,11 @@ impl Mill {
         Ok((events, checked.flow))
     }
 
-    fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+    fn relative(&self, place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
         mm(&self.interpreter.to_program(place))
     }
 
-    fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {
+    fn go(&mut self, to: &PerAxis<Coordinate, AXES>, rapid: bool, events: &mut Vec<Event>) {
         let machine = mm(to);
         let way = machine.iter().zip(self.place).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let is_move = way > NO_MOVE;

@@ -3,7 +3,7 @@
 //! Lines that Oxmill refuses are left out, but for the last line of a batch, which may be one: `rs274` has to refuse it too.
 //! Left out is what the book names as a difference: G88; a change of offsets, of the plane or of G98 and G99 within a series of
 //! cycles; another rotation under G92, of which LinuxCNC loses its place; arcs and cycles outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
-//! offset.
+//! offset; a tool offset along A.
 
 use super::Outcome;
 use super::ours::Mill;
@@ -14,15 +14,15 @@ const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61",
     "G54 G92.1 F300 S1000",
-    "G10 L2 P1 X0 Y0 Z0 R0",
-    "G10 L2 P2 X0 Y0 Z0 R0",
-    "G10 L2 P6 X0 Y0 Z0 R0",
-    "G10 L2 P9 X0 Y0 Z0 R0",
-    "G10 L1 P1 X0 Y0 Z0",
-    "G10 L1 P2 X0 Y0 Z0",
-    "G10 L1 P7 X0 Y0 Z0",
+    "G10 L2 P1 X0 Y0 Z0 A0 R0",
+    "G10 L2 P2 X0 Y0 Z0 A0 R0",
+    "G10 L2 P6 X0 Y0 Z0 A0 R0",
+    "G10 L2 P9 X0 Y0 Z0 A0 R0",
+    "G10 L1 P1 X0 Y0 Z0 A0",
+    "G10 L1 P2 X0 Y0 Z0 A0",
+    "G10 L1 P7 X0 Y0 Z0 A0",
     "T1 M6 M3",
-    "G53 G0 X0 Y0 Z0",
+    "G53 G0 X0 Y0 Z0 A0",
     "G28.1",
     "G30.1",
     "M70",
@@ -128,6 +128,12 @@ impl Writer {
 
     /// Words of some of the axes, of at least one.
     fn axes(&mut self) -> String {
+        let words = self.linear_axes();
+        if self.percent(25) { format!("{words} A{}", self.degrees()) } else { words }
+    }
+
+    /// The same without A.
+    fn linear_axes(&mut self) -> String {
         let mut words = String::new();
         while words.is_empty() {
             for axis in ["X", "Y", "Z"] {
@@ -137,6 +143,11 @@ impl Writer {
             }
         }
         words
+    }
+
+    /// Those of a rotary axis are not of the unit of lengths.
+    fn degrees(&mut self) -> String {
+        format!("{:.2}", (self.below(2001) as f64 - 1000.0) / if self.incremental { 20.0 } else { 2.0 })
     }
 
     /// Takes a line over; whether Oxmill does.
@@ -265,11 +276,13 @@ impl Writer {
         let [first, second, third] = self.plane_axes();
         let word = self.one_of(&["G2", "G3"]);
         let unit = if self.inches { 25.4 } else { 1.0 };
-        let work = self.mill.work().map(|mm| mm / unit);
+        let [x, y, z, _] = self.mill.work();
+        let work = [x, y, z].map(|mm| mm / unit);
         let angle = self.below(6283) as f64 / 1000.0;
         let radius = (1.0 + self.below(1500) as f64 / 100.0) / unit;
         let (i, j) = (radius * angle.cos(), radius * angle.sin());
         let helix = if self.percent(30) { format!(" {}{}", AXES[third], self.coordinate()) } else { String::new() };
+        let helix = if self.percent(20) { format!("{helix} A{}", self.degrees()) } else { helix };
         let turns = if self.percent(15) { format!(" P{}", 1 + self.below(4)) } else { String::new() };
         let to = |axis: usize, by: f64, incremental: bool| if incremental { by } else { work[axis] + by };
         let incremental = self.incremental;
@@ -458,7 +471,7 @@ impl Writer {
     }
 
     fn tools(&mut self) {
-        let axes = self.axes();
+        let axes = self.linear_axes();
         let tool = self.one_of(&["1", "2", "7"]);
         let l = self.one_of(&["L1", "L10", "L11"]);
         let which = self.below(10);

@@ -112,7 +112,10 @@ impl<const N: usize> Check<'_, N> {
                 }
                 Decimal::ZERO
             }
-            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.value.f).0),
+            (FeedMode::PerMinute, true) => {
+                self.checked.modal.feed_in_inches = modal.units == Units::Inch;
+                Decimal(self.length(self.line.value.f).0)
+            }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
             (FeedMode::PerMinute, false) => Decimal::ZERO,
         };

@@ -52,7 +52,7 @@ impl<const N: usize> Check<'_, N> {
         }
         let target = self.target();
         reachable(&target)?;
-        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
+        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_to(&target) };
         self.checked.motion = Motion::Line { via: None, target, feed };
         self.checked.position = target;
         Ok(())
@@ -67,7 +67,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::InvalidTarget);
         }
         reachable(&target)?;
-        let feed = self.feed_of_motion();
+        let feed = self.feed_to(&target);
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
         self.checked.position = target;
         Ok(())
@@ -112,7 +112,7 @@ impl<const N: usize> Check<'_, N> {
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
         // Without a radius there is nothing to go round; what is left is the way of the other axes.
         self.checked.motion = if arc::is_point(centre) {
-            Motion::Line { via: None, target, feed }
+            Motion::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
             Motion::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
         };

@@ -190,7 +190,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     fn along(&self, letter: u8, place: &PerAxis<Coordinate, N>) -> Option<Real> {
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N)?;
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < self.axes())?;
         Some(self.in_units(place, axis.index() as i64))
     }
 
