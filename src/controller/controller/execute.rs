@@ -254,12 +254,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
                 Some(self.begin_spline(&geometry, feed, job))
             }
+            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
             gcode::Motion::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
             gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Spline(_) => Some(Stage::Flow),
+            gcode::Motion::None | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => Some(Stage::Flow),
         }
     }
 
@@ -364,6 +365,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Answer::Host => self.say(report::ok),
             Answer::Held => self.task = Task::Held,
             Answer::Startup(index, host_waits) => {
+                self.echo_startup_line(index);
                 self.say(report::ok);
                 self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
             }
@@ -471,12 +473,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         };
         if !line.is_empty() {
-            self.say(|out| report::startup_echo(out, &line));
             match self.gcode(&line, Answer::Startup(index, then.is_some())) {
                 Ok(()) => return,
-                Err(error) => self.refuse(error),
+                Err(error) => {
+                    self.echo_startup_line(index);
+                    self.refuse(error);
+                }
             }
         }
         self.task = Task::Startup(index + 1, then);
+    }
+
+    /// The line of the answer that is said next. What the startup line itself has said, and reports meanwhile, come before
+    /// it on lines of their own.
+    fn echo_startup_line(&mut self, index: usize) {
+        if let Some(line) = self.records.startup_line(index).cloned() {
+            self.say(|out| report::startup_echo(out, &line));
+        }
     }
 }

@@ -3,8 +3,8 @@
 use crate::axes::PerAxis;
 use crate::gcode::{Checked, TOOL_SETTER};
 use crate::machine::tool_change::ToolChange;
-use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Spline, SplineGeometry};
-use crate::units::Coordinate;
+use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
+use crate::units::{Coordinate, WeightedPoint};
 
 /// A checked line, and its curve once that has begun.
 #[derive(Clone, Debug)]
@@ -65,10 +65,15 @@ impl<const N: usize> LineInWork<N> {
         self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
     }
 
+    /// Its curve of control points begins.
+    pub(super) fn begin_nurbs(&mut self, geometry: &NurbsGeometry<N>, tolerance: f32) {
+        self.curve = Some(Curve::Nurbs(Nurbs::new(geometry, tolerance)));
+    }
+
     /// End of the next chord of the curve, and how that bends.
-    pub(super) fn next_chord(&mut self) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
+    pub(super) fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
         let curve = self.curve.as_mut()?;
-        let end = curve.next_chord()?;
+        let end = curve.next_chord(points)?;
         Some((end, curve.curvature()))
     }
 }

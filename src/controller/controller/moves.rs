@@ -3,11 +3,11 @@
 use super::Controller;
 use super::task::{Job, Stage};
 use crate::axes::PerAxis;
-use crate::gcode::{Feed, Motion, PathControl};
+use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry, Tolerance};
+use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -87,13 +87,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Stage::Chords
     }
 
+    #[inline(never)]
+    pub(super) fn begin_nurbs(&mut self, nurbs: &NurbsMove<N>, job: &mut Job) -> Stage {
+        let geometry =
+            NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order };
+        self.line.begin_nurbs(&geometry, self.settings.value(Key::ArcTolerance));
+        job.chord_feed = match nurbs.feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
+    }
+
     /// The next chord of the curve under way. What follows; `None` if there is no room for it.
     pub(super) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.motion.free_blocks() == 0 {
             self.start_queued();
             return None;
         }
-        let Some((end, curvature)) = self.line.next_chord() else { return Some(Stage::Flow) };
+        let Some((end, curvature)) = self.line.next_chord(self.interpreter.control_points()) else {
+            return Some(Stage::Flow);
+        };
         let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
         // There is room for a block, so the move is taken.
         self.motion.chord(&mv, curvature);

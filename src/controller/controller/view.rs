@@ -129,7 +129,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the line that is carried out is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
-        matches!(self.task, Task::Job(_)) && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_))
+        matches!(self.task, Task::Job(_))
+            && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_) | Motion::Nurbs(_))
     }
 
     /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.

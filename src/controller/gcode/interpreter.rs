@@ -5,8 +5,9 @@ use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
+use super::saved::Saved;
 use super::scaling::NO_REST;
-use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Saved, Tangent};
+use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Tangent};
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -20,7 +21,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_acts = false;
-        self.saved = None;
+        self.saved.clear();
         self.rotation = None;
         self.scaling = None;
         self.rest = NO_REST;
@@ -47,7 +48,10 @@ impl<const N: usize> Interpreter<N> {
     /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
-        self.saved = None;
+        if matches!(self.modal.motion, MotionMode::Spline(_)) {
+            self.modal.motion = MotionMode::Cancelled;
+        }
+        self.saved.clear();
         self.tangent = NO_TANGENT;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
@@ -104,7 +108,7 @@ impl<const N: usize> Interpreter<N> {
         self.position = checked.position;
         self.computed.commit();
         if checked.flow == Flow::End {
-            self.saved = None;
+            self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
         }
@@ -118,16 +122,8 @@ impl<const N: usize> Interpreter<N> {
         if checked.after.keeps_g92 {
             self.offsets.g92_kept = checked.g92;
         }
-        match checked.after.keeping {
-            Keeping::Leave => {}
-            Keeping::Save => {
-                self.saved = Some(Saved {
-                    modal: checked.modal,
-                    tool_length: checked.tool_length,
-                    g92_acts: checked.after.g92_acts,
-                })
-            }
-            Keeping::Forget => self.saved = None,
+        if !matches!(checked.after.keeping, Keeping::Leave) {
+            self.keep(checked);
         }
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
@@ -149,6 +145,28 @@ impl<const N: usize> Interpreter<N> {
             self.measured.forget_tool();
         }
         self.spindle_tool = checked.after.spindle_tool;
+    }
+
+    /// M70 to M73, G5.2.
+    #[inline(never)]
+    fn keep(&mut self, checked: &Checked<N>) {
+        let level = self.computed.level();
+        match checked.after.keeping {
+            Keeping::Leave => {}
+            Keeping::Save { until_return } => self.saved.save(Saved {
+                modal: checked.modal,
+                tool_length: checked.tool_length,
+                g92_acts: checked.after.g92_acts,
+                level,
+                until_return,
+                is_forgotten: false,
+            }),
+            Keeping::Forget => self.saved.forget(level),
+            Keeping::Restore => self.saved.abandon(level),
+            Keeping::Add(additions) => {
+                self.control_points.iter_mut().zip(&additions).for_each(|(points, addition)| points.add(addition));
+            }
+        }
     }
 
     /// What a spline or cycle leaves for the line behind it.

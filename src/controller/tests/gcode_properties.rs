@@ -72,6 +72,11 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
                 }
             }
         }
+        Motion::Nurbs(nurbs) => {
+            prop_assert!(in_reach(&nurbs.target) && feeds(nurbs.feed) && (3..=8).contains(&nurbs.order));
+            prop_assert_eq!((*checked.position(), *before.position()), (nurbs.target, nurbs.start));
+            prop_assert!(before.control_points().len() >= usize::from(nurbs.order));
+        }
         Motion::Spline(spline) => {
             prop_assert!(spline.corners().iter().all(in_reach) && feeds(spline.feed));
             prop_assert_eq!((*checked.position(), *before.position()), (spline.target, spline.start));

@@ -1,6 +1,7 @@
 //! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
 //! Grbl looks; the first fault wins.
 
+mod control_point_words;
 mod cycle_words;
 mod line;
 mod motion_words;
@@ -13,7 +14,7 @@ mod state_words;
 mod tool_words;
 
 use super::Dialect;
-use super::checked::{Checked, Flow, Motion};
+use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{BLENDING, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
@@ -75,7 +76,8 @@ pub(super) fn check<const N: usize>(
     if is_move {
         let checked = check.checked;
         checked.moves_only =
-            matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_));
+            matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
+                && matches!(checked.after.keeping, Keeping::Leave);
     } else {
         check.finish();
     }
@@ -210,7 +212,7 @@ impl<const N: usize> Check<'_, N> {
     fn precision(&mut self) {
         let checked = &mut *self.checked;
         // A cycle goes through its points exactly, and of a spline all points are known.
-        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
+        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_) | Motion::Nurbs(_));
         checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
         if ROTATION && let Some(scaling) = self.scaled {
             checked.digit *= scaling.least();
