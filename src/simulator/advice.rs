@@ -145,12 +145,18 @@ pub fn for_error(error: Error) -> &'static str {
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
-        Error::NothingSaved => "Save the state with M70 before M72.",
+        Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
+        Error::ControlPointsNotBegun => "Begin the control points with G5.2, and move nothing else before G5.3.",
+        Error::ControlPointsNotEnded => {
+            "End the control points with G5.3 before other motions, or give them up with G80."
+        }
+        Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
+        Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
         Error::ExtendedLeftOut
         | Error::ExpressionsLeftOut

@@ -123,7 +123,7 @@ pub struct Serve {
     #[cfg_attr(unix, arg(conflicts_with = "pty"))]
     pub page: Option<PathBuf>,
     /// Takes lines such as `limit x 1` or `door 0` that move input pins.
-    #[arg(long, value_name = "ADDR:PORT")]
+    #[arg(long, value_name = "[ADDR:]PORT")]
     pub pins: Option<String>,
     /// Writes what comes in, for `replay`.
     #[arg(long, value_name = "FILE")]
@@ -147,8 +147,8 @@ pub struct Replay {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct Link {
-    /// Listens for clients, one after another.
-    #[arg(long, value_name = "ADDR:PORT")]
+    /// Listens for clients, one after another. A port alone is one of the loopback.
+    #[arg(long, value_name = "[ADDR:]PORT")]
     pub tcp: Option<String>,
     /// Makes a pseudo terminal and prints its path; LINK becomes a symbolic link to it.
     #[cfg(unix)]

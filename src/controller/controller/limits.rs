@@ -4,8 +4,8 @@
 use super::Controller;
 use crate::axes::{Arrangement, PerAxis};
 use crate::error::Error;
-use crate::gcode::{self, ArcMove, Dialect, SPLINES, SplineMove};
-use crate::motion::{ArcGeometry, SplineGeometry, extent};
+use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SPLINES, SplineMove};
+use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
@@ -56,6 +56,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             gcode::Motion::Probe { target, .. } if belts => outside(target),
             // The curve lies within its polygon.
             gcode::Motion::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
+            gcode::Motion::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
             _ => false,
         }
@@ -98,10 +99,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (least, greatest) = spline_geometry(spline).extent();
                 outside(&least) || outside(&greatest)
             }
-            gcode::Motion::Spline(_) => false,
+            gcode::Motion::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => false,
             gcode::Motion::Probe { target, .. } => outside(target),
             gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
         }
+    }
+
+    /// The curve of the control points that the interpreter keeps.
+    pub(super) fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
+        NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order }
     }
 
     /// Whether a place lies outside of the travel.

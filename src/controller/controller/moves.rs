@@ -3,11 +3,11 @@
 use super::Controller;
 use super::task::{Job, Stage};
 use crate::axes::PerAxis;
-use crate::gcode::{Feed, Motion, PathControl};
+use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry, Tolerance};
+use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -66,37 +66,53 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Tolerance { path: mm(within.path), merging: mm(within.merging) }
     }
 
-    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed) -> Stage {
+    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
         let length = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
-        let feed = match feed {
+        job.chord_feed = match feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
             Feed::Rapid => f32::MAX,
         };
-        Stage::Chords(feed)
+        Stage::Chords
     }
 
     #[inline(never)]
-    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed) -> Stage {
+    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
         self.line.begin_spline(geometry, self.settings.value(Key::ArcTolerance));
-        Stage::Chords(match feed {
+        job.chord_feed = match feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => geometry.length() / seconds,
             Feed::Rapid => f32::MAX,
-        })
+        };
+        Stage::Chords
+    }
+
+    #[inline(never)]
+    pub(super) fn begin_nurbs(&mut self, nurbs: &NurbsMove<N>, job: &mut Job) -> Stage {
+        let geometry =
+            NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order };
+        self.line.begin_nurbs(&geometry, self.settings.value(Key::ArcTolerance));
+        job.chord_feed = match nurbs.feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
     }
 
     /// The next chord of the curve under way. What follows; `None` if there is no room for it.
-    pub(super) fn next_chord(&mut self, feed: f32, job: &Job) -> Option<Stage> {
+    pub(super) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.motion.free_blocks() == 0 {
             self.start_queued();
             return None;
         }
-        let Some((end, curvature)) = self.line.next_chord() else { return Some(Stage::Flow) };
-        let mv = self.move_of(&end, Speed::Feed(feed), job.jog);
+        let Some((end, curvature)) = self.line.next_chord(self.interpreter.control_points()) else {
+            return Some(Stage::Flow);
+        };
+        let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
         // There is room for a block, so the move is taken.
         self.motion.chord(&mv, curvature);
-        Some(Stage::Chords(feed))
+        Some(Stage::Chords)
     }
 }
 

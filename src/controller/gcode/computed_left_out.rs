@@ -25,6 +25,10 @@ impl<const N: usize> Computed<N> {
 
     pub fn commit(&mut self) {}
 
+    pub fn level(&self) -> u8 {
+        0
+    }
+
     pub fn end_program(&mut self) {}
 }
 

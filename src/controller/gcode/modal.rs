@@ -31,7 +31,7 @@ pub enum MotionMode {
     ArcClockwise,
     /// G3.
     ArcCounterClockwise,
-    /// G5, G5.1.
+    /// G5, G5.1, G5.2.
     Spline(SplineKind),
     /// G38.2 to G38.5.
     Probe(ProbeMode),
@@ -51,6 +51,7 @@ impl MotionMode {
             MotionMode::ArcCounterClockwise => "G3",
             MotionMode::Spline(SplineKind::Cubic) => "G5",
             MotionMode::Spline(SplineKind::Quadratic) => "G5.1",
+            MotionMode::Spline(SplineKind::Nurbs) => "G5.2",
             MotionMode::Probe(ProbeMode { away: false, alarm: true }) => "G38.2",
             MotionMode::Probe(ProbeMode { away: false, alarm: false }) => "G38.3",
             MotionMode::Probe(ProbeMode { away: true, alarm: true }) => "G38.4",
@@ -61,13 +62,15 @@ impl MotionMode {
     }
 }
 
-/// Bezier curves.
+/// Curves by control points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplineKind {
     /// G5: two control points between the ends.
     Cubic,
     /// G5.1: one.
     Quadratic,
+    /// G5.2: a rational B-spline, with a control point in each line up to G5.3.
+    Nurbs,
 }
 
 /// Canned cycles.

@@ -34,6 +34,8 @@ pub(super) struct Extended {
     pub scaling: Option<bool>,
     /// P has a sign, which that of G5 may have.
     pub is_p_negative: bool,
+    /// G5.3.
+    pub ends_control_points: bool,
     /// M6.
     pub tool_change: bool,
     /// M61.
@@ -42,7 +44,7 @@ pub(super) struct Extended {
     pub pins: Option<u8>,
     /// M48 to M53, by number.
     pub overrides: Option<u8>,
-    /// M70 to M72, by number.
+    /// M70 to M73, by number.
     pub keep: Option<u8>,
 }
 
@@ -141,6 +143,13 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
+    /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at
+    /// then are left out, for nearly all lines of a program are like that.
+    #[inline]
+    pub fn is_move(&self) -> bool {
+        !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
+    }
+
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
         let claim = GWord::claim(code, dialect);
         if claim != Claim::Nobody {
@@ -171,6 +180,10 @@ impl<const N: usize> Parsed<N> {
                 self.extended.is_path_tolerance = code.whole == 64;
             }
             GWord::Rotation(on) => self.extended.rotation = Some(on),
+            GWord::EndOfControlPoints => {
+                self.extended.any = true;
+                self.extended.ends_control_points = true;
+            }
             GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }

@@ -44,7 +44,7 @@ pub struct Line {
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     after_cr: bool,
-    /// So many bytes of text may follow for which nothing else need be looked at.
+    /// Up to this length bytes of text may follow for which nothing else need be looked at.
     plain: u8,
 }
 
@@ -111,8 +111,8 @@ impl Line {
     /// [`Line::push`], and when that ends.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
-        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None;
-        self.plain = if in_text { GRBL_LENGTH.saturating_sub(self.text.len()) as u8 } else { 0 };
+        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None && !self.after_cr;
+        self.plain = if in_text { GRBL_LENGTH as u8 } else { 0 };
     }
 
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
@@ -127,17 +127,19 @@ impl Line {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it belongs to the text and [`Line::expect_plain`] allows it; what [`Line::push`] would do
-    /// with it, in brief.
+    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_plain`] allows it; what
+    /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
-        let of_text = byte > b' ' && !matches!(byte, b'(' | b';' | b'/');
-        let taken = of_text && self.plain > 0 && self.text.push(byte.to_ascii_uppercase()).is_ok();
-        if taken {
-            self.plain -= 1;
-            self.after_cr = false;
-        }
-        taken
+        let capital = byte & !0x20;
+        let of_text = if byte.is_ascii_digit() || matches!(byte, b'.' | b'-') {
+            byte
+        } else if capital.is_ascii_uppercase() {
+            capital
+        } else {
+            return false;
+        };
+        self.text.len() < usize::from(self.plain) && self.text.push(of_text).is_ok()
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
@@ -242,6 +244,33 @@ mod tests {
         assert_eq!(lines(b"G0X0(;)Y0\nG0X0;(Y1\n/G0\nG0 (open X5\n", OXMILL), ["G0X0Y0", "G0X0", "G0", "G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n", OXMILL), ["C)G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n((G1\nG2 ;(\nX(()))Y\n", SEED), ["G0", "", "G2", "X)Y"]);
+    }
+
+    #[test]
+    fn a_byte_that_is_taken_in_brief_is_taken_as_always() {
+        for byte in 0..=u8::MAX {
+            let mut line = Line::new();
+            line.push(b'G', || OXMILL);
+            let mut other = line.clone();
+            line.expect_plain(true);
+            let taken = line.push_plain(byte);
+            assert_eq!(taken, byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-'), "{byte}");
+            if taken {
+                assert_eq!(other.push(byte, || OXMILL), Pushed::More);
+                assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));
+            }
+        }
+        // Not in a remark, not before a line has begun, and not where it might be too long.
+        let brief = |text: &[u8]| {
+            let mut line = Line::new();
+            for byte in text {
+                line.push(*byte, || OXMILL);
+            }
+            line.expect_plain(true);
+            line.push_plain(b'1')
+        };
+        assert!(!brief(b"") && !brief(b"G(") && !brief(b"G;") && brief(b"G"));
+        assert!(brief(&[b'0'; 78]) && !brief(&[b'0'; 79]));
     }
 
     #[test]

@@ -129,7 +129,7 @@ fn numbers_that_no_word_has() {
             assert_eq!(program.error(line), 29, "{line} in {dialect:?}");
         }
         for line in ["U1", "G0 V1", "G1 X1 W-2"] {
-            assert_eq!(program.error(line), 146, "{line} in {dialect:?}");
+            assert_eq!(program.error(line), 149, "{line} in {dialect:?}");
         }
         for line in ["G12 I5", "G13", "G31 Z-1", "G65 P1", "G66", "M97 P10"] {
             assert_eq!(program.error(line), 121, "{line} in {dialect:?}");

@@ -402,3 +402,54 @@ proptest! {
         prop_assert_eq!(sender.went, vec![5]);
     }
 }
+
+/// As LinuxCNC's interpreter has it, each of them.
+#[test]
+fn states_saved_until_a_call_returns() {
+    // Inches and distances act within the subroutine alone; the motion word stays.
+    goes("o1 sub\nM73\nG91 G0 X1\nX1\nG20 X1\no1 endsub\nG90 G0 X5\no1 call\nX10", &[5, 6, 7, 32, 10]);
+    goes(
+        "o1 sub\nM73\nG91\no1 if [#1]\no1 return\no1 endif\nX1\no1 endsub\nX5\no1 call [1]\nX3\no1 call [0]\nX4",
+        &[5, 3, 4, 4],
+    );
+    // The value that is returned is that of before.
+    goes("o1 sub\nM73\nG91\no1 endsub [#<_incremental>+6]\no1 call\nX#<_value>", &[7]);
+    // Each call has a state of its own, and a call in a call restores before its caller goes on.
+    goes("o1 sub\nM73\nG91\no2 call\nX1\no1 endsub\no2 sub\nM73\nG90\nX8\no2 endsub\nX5\no1 call\nX1", &[5, 8, 9, 1]);
+    goes(
+        "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
+        &[5, 6, 1],
+    );
+    // M70 keeps another state, which M73 restores all the same. After M71 nothing is. M72 restores at once, and M73 again.
+    goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
+    goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    goes("o1 sub\nM70\nM73\nG91\nX1\nM72\nX1\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6, 1, 1]);
+    // In a loop the last one counts.
+    goes("o1 sub\no2 repeat [2]\nM73\nG91\no2 endrepeat\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    // Outside of subroutines it is M70.
+    goes("M73\nG91\nX5\nM72\nX1\nM72\nX2", &[5, 1, 2]);
+}
+
+#[test]
+fn states_of_other_calls_are_not_restored() {
+    fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
+    fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
+    fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
+    // An error ends the subroutine, and restores nothing; nor does it later.
+    fails(
+        "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
+        &[2],
+        &[5, 6, 7, 1],
+    );
+    fails("o1 sub\nM73\nG91\nM2\no1 endsub\nX5\no1 call\nG91 G0 X1\nM72", &[123], &[5, 6]);
+    fails("o1 sub\nM73 G91\no1 endsub\no1 call\nM72 X1", &[21, 21], &[]);
+    // Seven calls within each other, beside the main program's.
+    let deep = |calls: u32| {
+        format!(
+            "o1 sub\nM73\nG91\nX1\no2 if [#1 GT 1]\no1 call [#1-1]\no2 endif\no1 endsub\nM70\nX5\no1 call [{calls}]\nX1"
+        )
+    };
+    goes(&deep(7), &[5, 6, 7, 8, 9, 10, 11, 12, 1]);
+    fails(&deep(8), &[82], &[5, 6, 7, 8, 9, 10, 11, 12, 13]);
+}

@@ -44,6 +44,10 @@ struct Writer {
     plane: usize,
     /// Of the state that M70 keeps.
     kept: (bool, bool, usize),
+    /// M61 has named the tool in the spindle: the machine that `rs274` has looks its offset up at M6 alone.
+    is_tool_named: bool,
+    /// Subroutines so far.
+    subroutines: usize,
     batch: Batch,
     refused: Option<String>,
 }
@@ -58,6 +62,8 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
         incremental: false,
         plane: 0,
         kept: (false, false, 0),
+        is_tool_named: false,
+        subroutines: 0,
         batch: Batch { lines: Vec::new(), outcome },
         refused: None,
     };
@@ -65,6 +71,7 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
         for line in BEGIN {
             writer.put((*line).into());
         }
+        writer.is_tool_named = false;
         (writer.inches, writer.incremental, writer.plane, writer.kept) = (false, false, 0, (false, false, 0));
         for _ in 0..8 + writer.below(25) {
             writer.statement();
@@ -134,7 +141,12 @@ impl Writer {
 
     /// Takes a line over; whether Oxmill does.
     fn put(&mut self, line: String) -> bool {
+        let before = self.mill.clone();
         match self.mill.run(&line) {
+            Ok(_) if self.mill.is_doubtful() => {
+                self.mill = before;
+                false
+            }
             Ok(events) => {
                 let at = self.batch.lines.len();
                 self.batch.outcome.of.extend(events.iter().map(|_| at));
@@ -170,7 +182,8 @@ impl Writer {
                 self.put(axes.trim().into());
             }
             28..=41 => self.arc(),
-            42..=43 => self.spline(),
+            42 => self.spline(),
+            43 => self.control_points(),
             44..=63 => self.cycle(),
             64..=67 => {
                 let plane = self.below(3) as usize;
@@ -198,7 +211,8 @@ impl Writer {
             77..=84 => self.offsets(),
             85..=88 => self.places(),
             89..=94 => self.tools(),
-            95..=96 => self.keep(),
+            95 => self.keep(),
+            96 => self.subroutine(),
             97 => self.pins(),
             _ => {
                 let line = self.one_of(&[
@@ -328,6 +342,28 @@ impl Writer {
         self.put(format!("{word} {axis}{to}"));
     }
 
+    /// Control points with a line each, and a move that tells where their curve ends.
+    fn control_points(&mut self) {
+        let order = 3 + self.below(3);
+        let points = order - 1 + self.below(6);
+        // `rs274` takes the weight of a first line that has a point, but for the start.
+        let weight = 1 + self.below(3);
+        if !self.put(format!("G5.2 P{weight} L{order}")) {
+            return;
+        }
+        for _ in 0..points {
+            let (x, y, weight) = (self.coordinate(), self.coordinate(), 1 + self.below(40));
+            self.put(format!("X{x} Y{y} P{}", weight as f64 / 10.0));
+            if self.percent(10) {
+                self.put("F400".into());
+            }
+        }
+        self.put("G5.3".into());
+        let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
+        let word = self.one_of(&["G0", "G1"]);
+        self.put(format!("{word} {axis}{to}"));
+    }
+
     /// A series of cycles, and a motion that ends it.
     fn cycle(&mut self) {
         const AXES: [char; 3] = ['X', 'Y', 'Z'];
@@ -427,15 +463,15 @@ impl Writer {
         let l = self.one_of(&["L1", "L10", "L11"]);
         let which = self.below(10);
         if matches!(which, 3 | 8) {
-            let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
-            // The machine that `rs274` has instead of a real one forgets at M6 what offsets have changed since the last move.
-            self.put(format!("G0 X{x} Y{y} Z{z}"));
+            self.move_all();
+            self.is_tool_named = false;
         }
         let line = match which {
             0 | 1 => format!("G10 {l} P{tool}{axes}"),
             2 => format!("T{tool}"),
             3 => format!("T{tool} M6 M3"),
-            4 => "G43".into(),
+            4 if !self.is_tool_named => "G43".into(),
+            4 => format!("G43 H{tool}"),
             5 => format!("G43 H{tool}"),
             6 => format!("G43.2 H{tool}"),
             7 => format!("G43.1{axes}"),
@@ -443,6 +479,13 @@ impl Writer {
             _ => "G49".into(),
         };
         self.put(line);
+    }
+
+    /// A rapid of all axes. The machine that `rs274` has instead of a real one forgets at M6 and M61 what offsets have changed
+    /// since the last move.
+    fn move_all(&mut self) {
+        let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
+        self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
 
     /// Outputs and inputs of programs, also beside a move, and what of them is refused.
@@ -460,6 +503,8 @@ impl Writer {
             16 => format!("M66 E{number} L{wait} Q1"),
             17 => format!("M66 P{number}"),
             18 => {
+                self.move_all();
+                self.is_tool_named = true;
                 let tool = self.one_of(&["1", "2", "7"]);
                 format!("M61 Q{tool}")
             }
@@ -478,6 +523,56 @@ impl Writer {
                 .into(),
         };
         self.put(line);
+    }
+
+    /// A subroutine that keeps the state of its caller, and calls of it. It has no line that could be refused.
+    fn subroutine(&mut self) {
+        self.put("G49".into());
+        self.before_rotation();
+        self.subroutines += 1;
+        let label = format!("o{}", self.subroutines);
+        let now = (self.inches, self.incremental, self.plane);
+        let mut lines = vec![format!("{label} sub")];
+        for _ in 0..1 + self.below(6) {
+            let keeps = self.one_of(&["M73", "M73", "M73", "M70", "M71"]);
+            let modal =
+                self.one_of(&["G20", "G21", "G90", "G91", "G17", "G18", "G61", "G64 P0.1", "F200", "S50", "M8"]);
+            match self.below(4) {
+                0 => lines.push(keeps.into()),
+                1 => {
+                    let x = self.coordinate();
+                    lines.push(format!("{} X{x}", ["G0", "G1"][self.below(2) as usize]));
+                }
+                _ => {
+                    match modal {
+                        "G20" => self.inches = true,
+                        "G21" => self.inches = false,
+                        "G90" => self.incremental = false,
+                        "G91" => self.incremental = true,
+                        _ => {}
+                    }
+                    lines.push(modal.into());
+                }
+            }
+        }
+        (self.inches, self.incremental, self.plane) = now;
+        // What nobody has restored is as it was all the same.
+        let back = |on: bool, words: [&str; 2]| words[usize::from(on)].to_string();
+        let word = if self.percent(30) { "return" } else { "endsub" };
+        if word == "return" {
+            lines.push(format!("{label} return"));
+        }
+        lines.push(format!("{label} endsub"));
+        for _ in 0..1 + self.below(2) {
+            lines.push(format!("{label} call"));
+        }
+        lines.push(format!("G1 X{}", self.coordinate()));
+        lines.push(back(self.inches, ["G21", "G20"]));
+        lines.push(back(self.incremental, ["G90", "G91"]));
+        lines.push(format!("G{}", 17 + self.plane));
+        for line in lines {
+            self.put(line);
+        }
     }
 
     fn keep(&mut self) {

@@ -11,6 +11,9 @@ use core::fmt::Write;
 /// The label of a call: a name or digits.
 type Label = heapless::Vec<u8, LABELS>;
 
+/// What restores a state.
+const RESTORE: &[u8] = b"M72";
+
 impl<const N: usize> Interpreter<N> {
     /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
     /// has been done; of a condition whose value is an error no branch will be. `remark` is its message, with its mark; a line
@@ -185,6 +188,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn abandon_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
+        self.saved.abandon(0);
     }
 
     /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
@@ -194,6 +198,7 @@ impl<const N: usize> Interpreter<N> {
         self.scaling = None;
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
+        self.saved.abandon(0);
     }
 
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
@@ -231,7 +236,7 @@ impl<const N: usize> Interpreter<N> {
                 self.call(&label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
             }
-            Keyword::Return | Keyword::EndSub => return self.leave_call(order),
+            Keyword::Return | Keyword::EndSub => return self.leave_call(line),
             Keyword::Sub => return Err(Error::FlowSyntax),
             _ => self.go_round(order, at)?,
         }
@@ -389,8 +394,9 @@ impl<const N: usize> Interpreter<N> {
         pushed
     }
 
-    /// return, endsub: back to the line behind the call, with a value.
-    fn leave_call(&mut self, order: OWord) -> Result<Held, Error> {
+    /// return, endsub: back to the line behind the call, with a value; by way of M72 if M73 wants the state restored.
+    fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
         let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
         let Computed { flow, parameters, returned, .. } = &mut self.computed;
         if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != FrameKind::Call {
@@ -403,6 +409,11 @@ impl<const N: usize> Interpreter<N> {
                 parameters.leave_call();
                 *returned = value;
                 flow.next = frame.at;
+                if self.saved.leave(parameters.level()) {
+                    line.clear();
+                    line.extend_from_slice(RESTORE).map_err(|_| Error::OutOfMemory)?;
+                    return Ok(Held::Line);
+                }
                 return Ok(if frame.at == STREAM { Held::End } else { Held::Again });
             }
         }
