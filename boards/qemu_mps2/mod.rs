@@ -183,7 +183,7 @@ pub struct StepPins {
 }
 
 /// An event holds its steps.
-const STEPS: [u32; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
+const STEPS: [u32; crate::COMBINATIONS] = [0, 1, 2, 3, 4, 5, 6, 7];
 
 impl StepPins {
     const EVENT: usize = 0;

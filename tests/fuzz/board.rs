@@ -160,6 +160,7 @@ impl Board {
             name: "test",
             step_clock_hz: 1_000_000,
             rates: StepRates { safe_hz: 100_000 },
+            axes: AXES,
             has_second_motor: false,
             program_pins: [0; 2],
             has_store: true,
