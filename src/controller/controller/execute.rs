@@ -457,6 +457,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Ok(()) => self.tell_remark(remark),
             Err(error) => {
                 self.interpreter.abandon_held();
+                if let Caller::Startup(index, _) = caller {
+                    self.echo_startup_line(index);
+                }
                 self.refuse(error);
                 match caller {
                     Caller::Host => self.stop_at_error(),
