@@ -389,7 +389,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        if message.is_some() && self.drivers.switch_on() {
+        // What opens the step task again or watches the probe moves nothing.
+        let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
+        if moves && self.drivers.switch_on() {
             self.pins.disturb();
         }
         message

@@ -1,7 +1,7 @@
 //! What waits to be sent to the host: the queue of answers, a status report that was asked for, and news that are told
 //! once.
 
-use super::report::{RareFields, is_answer};
+use super::report::{RareFields, is_of_one_host};
 use super::text::PIECE;
 use crate::messages::{Chunk, Restart};
 
@@ -76,7 +76,7 @@ impl Replies {
     /// `hosts_cut`: of the hosts that have gone those whose last line has been read. The next host would take the answer
     /// to a line of one that has gone for one of its own, so it is left out.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
-        let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_answer(text);
+        let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_of_one_host(text);
         if unheard || self.queue.capacity() - self.queue.len() < text.len() {
             return;
         }

@@ -42,6 +42,11 @@ pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
 
+/// Whether a text is for the host alone whose line it is about: its answer, or a row of a listing (`$0=10`, `[G54:0.000,..]`).
+pub fn is_of_one_host(text: &[u8]) -> bool {
+    is_answer(text) || text.starts_with(b"$") || text.starts_with(b"[") && !text.starts_with(b"[MSG:")
+}
+
 /// Whether a text is the one answer that a line gets; that to a checked line begins with a colon.
 pub fn is_answer(text: &[u8]) -> bool {
     matches!(text, b"ok\r\n" | b"known\r\n") || text.starts_with(b"error:") || text.starts_with(b":")

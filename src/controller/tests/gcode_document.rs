@@ -438,7 +438,7 @@ fn systems_beyond_g59() {
             assert_eq!(program.interpreter.modal().coordinate_system.word(), word);
         }
         assert_eq!(program.error("G10 L2 P10 X0"), 29);
-        assert_eq!(program.error("G59.4"), 23);
+        assert_eq!(program.error("G59.4"), 29);
     }
     let program = Program::new(Dialect::Grbl);
     assert_eq!((program.error("G59.1"), program.error("G10 L2 P7 X0")), (23, 29));

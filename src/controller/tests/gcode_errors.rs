@@ -308,7 +308,7 @@ fn four_axes() {
         let helix = interpreter.check(b"G2X1Y0I1A0", dialect).unwrap();
         let Motion::Arc(arc) = helix.motion else { panic!() };
         assert_eq!(arc.target.0.map(|place| place.0), [508_000_000, 0, 0, 100_000_000]);
-        assert_eq!(interpreter.check(b"B1", dialect).unwrap_err().code(), 20);
+        assert_eq!(interpreter.check(b"B1", dialect).unwrap_err().code(), 150);
         let grbl = dialect == Dialect::Grbl;
         assert_eq!(interpreter.check(b"G43.1Z1A1", dialect).map_err(|error| error.code()).err(), grbl.then_some(37));
     }

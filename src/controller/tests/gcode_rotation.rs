@@ -231,7 +231,6 @@ fn errors() {
         ("G10 L20 P1 X1 R1", 36),
         ("G10 L2 R1", 0),
         ("G10 L2 P1", 26),
-        ("G10 L1 P1 X1 R1", 36),
         ("G10 L2 P1 X50001 R1", 33),
     ] {
         assert_eq!(program.error(line), code, "{line}");

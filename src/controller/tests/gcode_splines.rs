@@ -146,7 +146,7 @@ fn what_is_refused() {
         ("G5 I1 J1 P-60000 Q1 X1", 33),
         ("G5 I1 J1 P1 Q1 X60000", 33),
         ("G5.1 I9999999 J1 X1", 33),
-        ("G5.4", 121),
+        ("G5.4", 20),
         ("G18 G68 X0 Z0 R1", 0),
     ] {
         let before = program.interpreter.clone();
