@@ -225,7 +225,10 @@ fn a_startup_line_does_not_move_a_locked_machine() {
     bench.send([0x18]);
     bench.wait(0.5);
     let said = bench.read();
-    assert!(said.iter().any(|l| l.ends_with("mended: $110]")) && said.contains(&">G91G1X1F100:error:9".to_string()), "{said:?}");
+    assert!(
+        said.iter().any(|l| l.ends_with("mended: $110]")) && said.contains(&">G91G1X1F100:error:9".to_string()),
+        "{said:?}"
+    );
     assert_eq!(bench.place()[0], 250);
     assert_eq!(bench.ask("$110=500"), ["ok"]);
     bench.carry_out("G91 G1 X-1 F100");
