@@ -125,7 +125,26 @@ fn loops() {
     goes("o1 while [#1 LT 3]\n#1=[#1+1]\nX#1\no1 endwhile\nX9", &[1, 2, 3, 9]);
     goes("o1 while [0]\nX1\no1 endwhile\nX9", &[9]);
     goes("#1=5\no1 do\n#1=[#1-1]\nX#1\no1 while [#1 GT 3]\nX9", &[4, 3, 9]);
-    goes("o1 repeat [2.7]\n#1=[#1+1] X[#1]\no1 endrepeat\nX9", &[0, 1, 2, 9]);
+    for (count, passes) in [
+        ("0.4", 0),
+        ("0.5", 0),
+        ("0.6", 1),
+        ("1.1", 1),
+        ("1.4", 1),
+        ("1.5", 2),
+        ("2.4", 2),
+        ("2.5", 2),
+        ("2.7", 3),
+        ("3.49", 3),
+        ("3.5", 4),
+        ("5/2", 2),
+        ("7/2", 4),
+        ("-0.4", 0),
+        ("-1.5", 0),
+    ] {
+        let text = format!("o1 repeat [{count}]\n#31=[#31+1]\no1 endrepeat\nX#31");
+        goes(&text, &[passes]);
+    }
     goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
     goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
     // A loop within a loop, and a condition within it.

@@ -282,7 +282,7 @@ impl<const N: usize> Interpreter<N> {
                 self.begin_pass(order.label, true)
             }
             Keyword::Repeat => {
-                let count = self.argument(order.arguments)?.ceiling();
+                let count = self.argument(order.arguments)?.nearest_even();
                 let beyond = if count.is_negative() { 0 } else { i64::from(PASSES) };
                 let count = count.whole().unwrap_or(beyond).clamp(0, i64::from(PASSES)) as u32;
                 self.computed.flow.push(FrameKind::Repeat(count), order.label, next)?;

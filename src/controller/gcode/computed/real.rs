@@ -282,6 +282,17 @@ impl Real {
         self.whole_part(divided)
     }
 
+    /// To the nearest whole number, a half to the even one.
+    pub fn nearest_even(self) -> Real {
+        let half = Real { mantissa: 5, exponent: -1 };
+        let even = |number: Real| number.mul(half).is_ok_and(|part| part.floor() == part);
+        match (self.add(half).map(Real::floor), self.sub(half)) {
+            (Ok(up), Ok(down)) if up.sub(down) == Ok(Real::ONE) && !even(up) => down,
+            (Ok(up), _) => up,
+            _ => self,
+        }
+    }
+
     fn whole_part(self, divide: impl Fn(i128, i128) -> i128) -> Real {
         if self.exponent >= 0 {
             return self;
