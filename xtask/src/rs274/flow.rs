@@ -15,6 +15,7 @@
 //! * `do` behind a `break` in a `while`: to `rs274` the `break` ends the next `do` after one pass, too
 //! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves that
 //! * `#<_value>` anywhere but behind a call: `rs274` sets it at the definition of a subroutine, too
+//! * G with a number beside a hundredth, such as G0.004: the word next to it in Oxmill, as in Grbl
 //! * `#5401` and on: the offset that acts in Oxmill, that of the tool in the spindle in LinuxCNC
 //! * the spindle behind M6, which LinuxCNC stops: M3 stands beside it
 //! * a message beside words: `rs274` tells it before them, with the values before them
@@ -320,7 +321,8 @@ impl Writer {
     }
 
     fn motion(&mut self) -> String {
-        let (word, axes) = (self.random.of(&["G0", "G1", "G[0 + 1]", "G0 ", "G1 ", "G80 G0", "G#4"]), self.axes());
+        let (word, axes) =
+            (self.random.of(&["G0", "G1", "G[0 + 1]", "G0 ", "G1 ", "G80 G0", "G[#40 * 0]"]), self.axes());
         format!("{word}{axes}")
     }
 

@@ -26,6 +26,8 @@ const TOLERANCE: f64 = 0.003;
 const VALUE_TOLERANCE: f64 = 1e-4;
 /// Rates of G93 may be so far apart beside [`TOLERANCE`], as a share.
 const RATE_TOLERANCE: f64 = 2e-4;
+/// What `rs274` takes for a lower rate of G93: 0.1 in the unit of the program, here in mm/min.
+const LEAST_RATES: [f64; 2] = [0.1, 2.54];
 /// What messages of programs begin with.
 const STATE: &str = "state";
 /// And those that show stored places, which are inches in `rs274`.
@@ -83,7 +85,10 @@ impl Event {
             (Event::Output(a, n, v, w), Event::Output(b, m, u, x)) => {
                 (a, n, w) == (b, m, x) && (v - u).abs() <= TOLERANCE
             }
-            (Event::Rate(a), Event::Rate(b)) => (a - b).abs() <= TOLERANCE + RATE_TOLERANCE * a.abs(),
+            (Event::Rate(a), Event::Rate(b)) => {
+                (a - b).abs() <= TOLERANCE + RATE_TOLERANCE * a.abs()
+                    || LEAST_RATES.iter().any(|least| a < least && (b - least).abs() < TOLERANCE)
+            }
             (Event::Message(a), Event::Message(b)) => is_same_text(a, b),
             (Event::Stop(a), Event::Stop(b)) => a == b,
             _ => false,
