@@ -133,7 +133,8 @@ pub fn value(random: &mut Random) -> String {
         9 => format!("[{}]", random.below(20)),
         10 => format!("[[{}] MOD 13.71317]", chain(random, 2)),
         11 => format!("FIX[10 * SIN[{} + 0.01357]]", chain(random, 1)),
-        _ => format!("[[{}] MOD 913.31713 - {}]", chain(random, 2), plain(random)),
+        // Cut to millionths: a loop would make more and more of what rounding leaves. `ROUND` of LinuxCNC ends at 2^31.
+        _ => format!("[FIX[[{}] * 1000000 + 0.31713] / 1000000 MOD 913.31713 - {}]", chain(random, 2), plain(random)),
     }
 }
 

@@ -84,6 +84,8 @@ const PLACES: [&str; 12] =
     ["#5161", "#5162", "#5183", "#5211", "#5212", "#5213", "#5221", "#5222", "#5223", "#5241", "#5322", "#5383"];
 /// Statements more at the end, until one is refused.
 const MORE: usize = 60;
+/// Beyond this, mm, a target may be out of Oxmill's range.
+const FAR: f64 = 10_000.0;
 /// Longer lines are left out: `rs274` cuts them, at another length.
 const LONGEST: usize = 200;
 /// And longer messages, which Oxmill cuts.
@@ -149,7 +151,7 @@ pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
     writer.end(between_marks)
 }
 
-/// A line as both sides have it in common: without blanks and remarks, in capitals.
+/// A line as both sides have it in common: without blanks, remarks and the slash of block delete, in capitals.
 pub fn without_blanks(line: &str) -> String {
     let mut text = String::new();
     let mut in_remark = false;
@@ -158,6 +160,7 @@ pub fn without_blanks(line: &str) -> String {
             '(' => in_remark = true,
             ')' => in_remark = false,
             ';' if !in_remark => break,
+            '/' if text.is_empty() => {}
             _ if in_remark || letter.is_whitespace() => {}
             _ => text.push(letter.to_ascii_uppercase()),
         }
@@ -201,10 +204,11 @@ impl Writer {
                 _ if runner.mill.is_doubtful() => return false,
                 Ok(()) => {}
                 Err(refusal) => {
+                    let is_far = runner.mill.work().iter().any(|mm| mm.abs() > FAR);
                     let by_limit = matches!(
                         refusal.error,
                         Error::OutOfMemory | Error::TooDeep | Error::EndlessLoop | Error::InvalidResult
-                    );
+                    ) || is_far && refusal.error == Error::InvalidTarget;
                     if !by_limit {
                         let line = without_blanks(&refusal.line);
                         self.refused = Some(Refused { lines, events, line });

@@ -22,8 +22,8 @@ const PROGRAMS: usize = 10_000;
 const BATCH: usize = 25;
 /// End points may be this far apart, mm: `rs274` prints four decimals, of inches too.
 const TOLERANCE: f64 = 0.003;
-/// Values of parameters may be this far apart, as a share of them where they are above 1.
-const VALUE_TOLERANCE: f64 = 1e-4;
+/// Values of parameters may be this far apart, as a share of them where they are above 1: `rs274` has five decimals of inches.
+const VALUE_TOLERANCE: f64 = 3e-4;
 /// Rates of G93 may be so far apart beside [`TOLERANCE`], as a share.
 const RATE_TOLERANCE: f64 = 2e-4;
 /// What `rs274` takes for a lower rate of G93: 0.1 in the unit of the program, here in mm/min.
