@@ -17,9 +17,9 @@ pub const NAMED: [&str; 4] = ["#<u>", "#<v>", "#<_g>", "#<_h k>"];
 pub const POINTER: &str = "#40";
 
 /// What the machine shows of itself, without units of time. Stored places, from #5161 on, are in the unit of the machine, which
-/// is the inch in `rs274`.
-const SHOWN: [&str; 10] =
-    ["#5420", "#5421", "#5422", "#5220", "#<_x>", "#<_y>", "#<_z>", "#<_rpm>", "#<_metric>", "#<_call_level>"];
+/// is the inch in `rs274`; `#<_rpm>` has seven digits in Oxmill.
+const SHOWN: [&str; 9] =
+    ["#5420", "#5421", "#5422", "#5220", "#<_x>", "#<_y>", "#<_z>", "#<_metric>", "#<_call_level>"];
 
 /// A number of the length of a tool's way.
 pub fn plain(random: &mut Random) -> String {
