@@ -1,6 +1,6 @@
 //! What Oxmill's interpreter makes of a line.
 
-use super::{Event, NO_MOVE, TOLERANCE};
+use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
@@ -16,18 +16,21 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 /// A machine that is only thought.
 #[derive(Clone)]
 pub struct Mill {
-    interpreter: Interpreter<3>,
+    interpreter: Interpreter<AXES>,
     /// Where the last event has led, machine coordinates.
-    place: [f64; 3],
+    place: [f64; AXES],
     /// No event has told where the last one ended.
     is_place_untold: bool,
     /// Of the last line: a move is so short that rounding decides whether it is one.
     is_doubtful: bool,
 }
 
-fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
 }
+
+/// Axes that have lengths: X, Y, Z.
+const LENGTHS: usize = 3;
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
@@ -35,7 +38,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; 3], is_place_untold: false, is_doubtful: false }
+        Mill { interpreter: Interpreter::new(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
     }
 
     /// Whether a move of the last line is one or none by rounding.
@@ -44,7 +47,7 @@ impl Mill {
     }
 
     /// Where the program is, in the active system, mm.
-    pub fn work(&self) -> [f64; 3] {
+    pub fn work(&self) -> [f64; AXES] {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
@@ -60,7 +63,7 @@ impl Mill {
     }
 
     /// What holds the program's subroutines and loops.
-    pub fn interpreter(&mut self) -> &mut Interpreter<3> {
+    pub fn interpreter(&mut self) -> &mut Interpreter<AXES> {
         &mut self.interpreter
     }
 
@@ -130,6 +133,11 @@ impl Mill {
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
+            Motion::Nurbs(nurbs) => {
+                events.push(Event::Spline(self.interpreter.control_points().len() as u8));
+                self.place = mm(&nurbs.target);
+                self.is_place_untold = true;
+            }
             Motion::Cycle(mut cycle) => {
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
@@ -148,9 +156,9 @@ impl Mill {
     }
 
     /// What G93 makes of the length of a motion and its time, in mm/min.
-    fn inverse_time_rate(&self, motion: &Motion<3>) -> Option<f64> {
+    fn inverse_time_rate(&self, motion: &Motion<AXES>) -> Option<f64> {
         let (length, feed) = match motion {
-            Motion::Line { target, feed, .. } => (distance(&mm(target), &self.place), feed),
+            Motion::Line { target, feed, .. } => (distance(&mm(target)[..LENGTHS], &self.place[..LENGTHS]), feed),
             Motion::Arc(arc) => {
                 let [i, j] = [arc.i, arc.j].map(|way| way.0 as f64 / 1e7);
                 let (start, end) = (mm(&arc.start), mm(&arc.target));
@@ -169,11 +177,11 @@ impl Mill {
         }
     }
 
-    fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+    fn relative(&self, place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
         mm(&self.interpreter.to_program(place))
     }
 
-    fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {
+    fn go(&mut self, to: &PerAxis<Coordinate, AXES>, rapid: bool, events: &mut Vec<Event>) {
         let machine = mm(to);
         let way = machine.iter().zip(self.place).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let is_move = way > NO_MOVE;
