@@ -20,21 +20,36 @@ struct Reader {
     machine: [f64; AXES],
     /// After a spline, of which only the number of control points is printed.
     is_place_untold: bool,
+    /// Mm/min, and whether G93 makes it.
+    rate: f64,
+    is_inverse_time: bool,
+    /// The last call was an event.
+    has_moved: bool,
     events: Vec<Event>,
 }
 
-/// Runs a file. Each process needs a home of its own, in which it keeps a tool table.
-pub fn interpret(home: &Path, file: &Path) -> Result<Outcome, Failure> {
-    interpret_with(home, file, "T1 P1\nT2 P2\nT7 P7\n")
+/// Seconds, of `timeout`: a program without end would fill the memory.
+const LONGEST: &str = "20";
+
+/// How to run it.
+pub struct Settings<'a> {
+    /// Rows of a tool table.
+    pub tools: &'a str,
+    /// Whether lines that begin with a slash are left out.
+    pub deletes_blocks: bool,
+    /// Whether messages, stops and the rates of G93 are wanted.
+    pub is_told_all: bool,
 }
 
-/// The same with these rows of a tool table.
-pub fn interpret_with(home: &Path, file: &Path, tools: &str) -> Result<Outcome, Failure> {
+/// Runs a file. Each process needs a home of its own, in which it keeps a tool table.
+pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcome, Failure> {
     let home = std::path::absolute(home).map_err(|e| e.to_string())?;
     // It refuses a tool that has no pocket.
-    std::fs::write(home.join("tools.tbl"), tools).map_err(|e| e.to_string())?;
-    let output = Command::new("rs274")
+    std::fs::write(home.join("tools.tbl"), settings.tools).map_err(|e| e.to_string())?;
+    let output = Command::new("timeout")
+        .args([LONGEST, "rs274"])
         .args(["-g", "-t", "tools.tbl"])
+        .args(settings.deletes_blocks.then_some("-b"))
         .arg(std::path::absolute(file).map_err(|e| e.to_string())?)
         .env("HOME", &home)
         .current_dir(&home)
@@ -43,14 +58,32 @@ pub fn interpret_with(home: &Path, file: &Path, tools: &str) -> Result<Outcome, 
     let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
         // The number of the call, the line's number or dots, the call.
-        let Some((_, numbered)) = line.trim_start().split_once(" N") else { continue };
+        let Some((_, numbered)) = line.trim_start().split_once(" N") else {
+            // (PRINT, ...)
+            if settings.is_told_all && line.starts_with(super::STATE) {
+                reader.events.push(Event::Message(line.into()));
+            }
+            continue;
+        };
         if let Some((_, call)) = numbered.split_once(' ') {
             reader.call(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
+            if settings.is_told_all {
+                reader.tell(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
+            }
         }
     }
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     let mut refused: Vec<&str> = errors.lines().filter(|line| *line != "executing" && !line.is_empty()).collect();
     Ok(Outcome { events: reader.events, of: Vec::new(), refused: refused.pop().map(str::to_string) })
+}
+
+/// Places in inches, as they are shown in mm.
+fn in_mm(places: &str) -> Option<String> {
+    let mut text = String::from(super::PLACES_MARK);
+    for place in places.split_whitespace() {
+        text += &format!(" {:.4}", place.parse::<f64>().ok()? * 25.4);
+    }
+    Some(text)
 }
 
 impl Reader {
@@ -111,6 +144,27 @@ impl Reader {
         Some(())
     }
 
+    /// What a call tells beside motion; it has been carried out.
+    fn tell(&mut self, call: &str) -> Option<()> {
+        let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
+        match name {
+            "COMMENT" if arguments.contains("feed mode set to") => self.is_inverse_time = arguments.contains("inverse"),
+            "SET_FEED_RATE" => self.rate = *self.lengths(arguments)?.first()?,
+            "STRAIGHT_FEED" | "ARC_FEED" if self.is_inverse_time && self.has_moved => {
+                self.events.push(Event::Rate(self.rate));
+            }
+            "MESSAGE" => {
+                let text = arguments.trim_matches('"').trim();
+                let text = text.strip_prefix(super::PLACES_MARK).map_or(Some(text.to_owned()), in_mm)?;
+                self.events.push(Event::Message(text));
+            }
+            "PROGRAM_STOP" => self.events.push(Event::Stop(false)),
+            "OPTIONAL_PROGRAM_STOP" => self.events.push(Event::Stop(true)),
+            _ => {}
+        }
+        Some(())
+    }
+
     fn machine(&self, work: [f64; AXES]) -> [f64; AXES] {
         let [x, y, z, turn]: [f64; AXES] = std::array::from_fn(|axis| work[axis] + self.g92[axis]);
         let (sine, cosine) = self.rotation.to_radians().sin_cos();
@@ -121,7 +175,8 @@ impl Reader {
     fn go(&mut self, to: [f64; AXES], event: Event) {
         let machine = self.machine(to);
         let is_move = machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE);
-        if is_move || self.is_place_untold {
+        self.has_moved = is_move || self.is_place_untold;
+        if self.has_moved {
             self.events.push(event);
         }
         self.machine = machine;
@@ -137,6 +192,7 @@ impl Reader {
             end[axis] = value;
         }
         self.events.push(Event::Arc(end, [centre_first, centre_second], turns));
+        self.has_moved = true;
         self.machine = self.machine(end);
         self.is_place_untold = false;
         Some(())

@@ -3,6 +3,7 @@
 //! A program counts as alike if both make the same events of it to its end, or to the line that both refuse. What only one of
 //! them refuses is listed with the reason; what both carry out with other events is a difference.
 
+use super::canon::Settings;
 use super::ours::Mill;
 use super::{Event, canon};
 use crate::Failure;
@@ -92,7 +93,7 @@ fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String)
     let _ = fs::remove_dir_all(home);
     fs::create_dir_all(home).map_err(|e| e.to_string())?;
     let tools: String = TOOLS.map(|tool| format!("T{tool} P{tool}\n")).collect();
-    let theirs = canon::interpret_with(home, file, &tools)?;
+    let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, is_told_all: false })?;
     let ours = interpret(text);
     let alike = ours.events.iter().zip(&theirs.events).take_while(|(a, b)| a.is_as(b)).count();
     let (mine, others) = (ours.events.len(), theirs.events.len());
@@ -205,7 +206,7 @@ impl Program {
         self.count()?;
         let text = String::from_utf8_lossy(text).into_owned();
         let (events, flow) = self.mill.carry_out(&text).map_err(|error| format!("{} in {text}", tell(error)))?;
-        self.events.extend(events);
+        self.events.extend(events.into_iter().filter(|event| !matches!(event, Event::Rate(_))));
         Ok(flow == Flow::End)
     }
 }

@@ -2,9 +2,12 @@
 //! `linuxcnc-uspace`), and what both make of them side by side: every end point, arc, dwell, their order, and refusals.
 
 mod canon;
+mod expressions;
 mod files;
+mod flow;
 mod ours;
 mod programs;
+mod runner;
 
 use crate::{Failure, root};
 use std::fs;
@@ -19,6 +22,16 @@ const PROGRAMS: usize = 10_000;
 const BATCH: usize = 25;
 /// End points may be this far apart, mm: `rs274` prints four decimals, of inches too.
 const TOLERANCE: f64 = 0.003;
+/// Values of parameters may be this far apart, as a share of them where they are above 1: `rs274` has five decimals of inches.
+const VALUE_TOLERANCE: f64 = 3e-4;
+/// Rates of G93 may be so far apart beside [`TOLERANCE`], as a share.
+const RATE_TOLERANCE: f64 = 2e-4;
+/// What `rs274` takes for a lower rate of G93: 0.1 in the unit of the program, here in mm/min.
+const LEAST_RATES: [f64; 2] = [0.1, 2.54];
+/// What messages of programs begin with.
+const STATE: &str = "state";
+/// And those that show stored places, which are inches in `rs274`.
+const PLACES_MARK: &str = "places";
 /// Moves that are shorter, mm, are left out on both sides.
 const NO_MOVE: f64 = 0.0075;
 /// Lines that are printed before one that differs.
@@ -44,6 +57,22 @@ pub enum Event {
     Dwell(f64),
     /// An output of the program: its number, its value, and whether it changes with the next motion. `true`: an analog one.
     Output(bool, i64, f64, bool),
+    /// Of the feed move or arc before, in mm/min, which G93 makes of a time.
+    Rate(f64),
+    /// What the operator is told.
+    Message(String),
+    /// The program stops; `true`: if the operator wants it.
+    Stop(bool),
+}
+
+/// The same words, and numbers.
+fn is_same_text(a: &str, b: &str) -> bool {
+    let is_same = |(a, b): (&str, &str)| match (a.parse::<f64>(), b.parse::<f64>()) {
+        (Ok(a), Ok(b)) => (a - b).abs() <= VALUE_TOLERANCE * a.abs().max(1.0),
+        _ => a == b,
+    };
+    a.split_whitespace().count() == b.split_whitespace().count()
+        && a.split_whitespace().zip(b.split_whitespace()).all(is_same)
 }
 
 impl Event {
@@ -59,6 +88,12 @@ impl Event {
             (Event::Output(a, n, v, w), Event::Output(b, m, u, x)) => {
                 (a, n, w) == (b, m, x) && (v - u).abs() <= TOLERANCE
             }
+            (Event::Rate(a), Event::Rate(b)) => {
+                (a - b).abs() <= TOLERANCE + RATE_TOLERANCE * a.abs()
+                    || LEAST_RATES.iter().any(|least| a < least && (b - least).abs() < TOLERANCE)
+            }
+            (Event::Message(a), Event::Message(b)) => is_same_text(a, b),
+            (Event::Stop(a), Event::Stop(b)) => a == b,
             _ => false,
         }
     }
@@ -105,7 +140,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
                         return;
                     }
                     let programs = BATCH.min(count - batch * BATCH);
-                    let found = one_batch(&home, (seed as u64) << 32 | batch as u64, programs);
+                    let found = one_batch(&home, batch, (seed as u64) << 32 | batch as u64, programs);
                     totals.lock().unwrap_or_else(PoisonError::into_inner).add(batch, found);
                 }
             });
@@ -146,7 +181,7 @@ impl Totals {
 
     fn tell(self, count: usize, seed: usize) -> Result<(), Failure> {
         println!(
-            "{count} programs (seed {seed}), {} lines, {} moves, arcs and dwells compared, {} refused lines: {} batches differ",
+            "{count} programs (seed {seed}), {} lines, {} moves, arcs, dwells and messages compared, {} refused lines: {} batches differ",
             self.lines,
             self.events,
             self.refused,
@@ -159,17 +194,41 @@ impl Totals {
     }
 }
 
-fn one_batch(home: &Path, seed: u64, programs: usize) -> Result<Found, Failure> {
-    let batch = programs::batch(seed, programs);
-    let (lines, ours) = (batch.lines, batch.outcome);
+fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Found, Failure> {
+    // Half of them are such with parameters and O words, half of those without the lines that begin with a slash.
+    let has_flow = batch % 2 == 1;
+    let deletes_blocks = batch % 4 == 3;
+    let written = match has_flow {
+        true => flow::batch(seed, programs, deletes_blocks),
+        false => programs::batch(seed, programs),
+    };
+    let (lines, ours) = (written.lines, written.outcome);
     let file = write(home, &lines)?;
-    let theirs = canon::interpret(home, &file)?;
+    let settings = canon::Settings { tools: "T1 P1\nT2 P2\nT7 P7\n", deletes_blocks, is_told_all: has_flow };
+    let mut theirs = canon::interpret(home, &file, &settings)?;
+    if has_flow {
+        theirs.refused = theirs.refused.map(|line| flow::without_blanks(&line));
+    }
     let difference = compare(&lines, &ours, &theirs).map(|what| {
         let kept = home.with_file_name(format!("differs-{seed:x}.ngc"));
         let saved = fs::copy(&file, &kept).map_or_else(|e| e.to_string(), |_| kept.display().to_string());
+        let _ = fs::write(home.with_file_name(format!("differs-{seed:x}.txt")), side_by_side(&lines, &ours, &theirs));
         format!("{what}\n  program: {saved}")
     });
     Ok(Found { lines: lines.len(), events: ours.events.len(), refused: ours.refused.is_some(), difference })
+}
+
+/// The events of Oxmill with their lines, and those of `rs274`.
+fn side_by_side(lines: &[String], ours: &Outcome, theirs: &Outcome) -> String {
+    let mut text = String::new();
+    for at in 0..ours.events.len().max(theirs.events.len()) {
+        let (mine, other) = (ours.events.get(at), theirs.events.get(at));
+        let is_same = matches!((mine, other), (Some(a), Some(b)) if a.is_as(b));
+        let line = ours.of.get(at).and_then(|line| Some(format!("{}: {}", line + 1, lines.get(*line)?)));
+        let mark = if is_same { "" } else { "differs " };
+        text += &format!("{mark}{mine:?} {other:?} {}\n", line.unwrap_or_default());
+    }
+    text
 }
 
 fn write(home: &Path, lines: &[String]) -> Result<PathBuf, Failure> {

@@ -8,6 +8,7 @@ use oxmill_controller::gcode::{
     MotionMode, ProgramPins, SplineKind,
 };
 use oxmill_controller::units::Coordinate;
+use std::f64::consts::TAU;
 
 /// The clearance of a new controller, 0.01 inch.
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
@@ -26,6 +27,13 @@ pub struct Mill {
 
 fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
+}
+
+/// Axes that have lengths: X, Y, Z.
+const LENGTHS: usize = 3;
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Mill {
@@ -94,6 +102,7 @@ impl Mill {
             }
             _ => None,
         };
+        let rate = self.inverse_time_rate(&checked.motion);
         let dwell = checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6));
         let mut events: Vec<Event> = output.into_iter().chain(dwell).collect();
         match checked.motion {
@@ -140,7 +149,32 @@ impl Mill {
                 }
             }
         }
+        if matches!(events.last(), Some(Event::Feed(_) | Event::Arc(..))) {
+            events.extend(rate.map(Event::Rate));
+        }
         Ok((events, checked.flow))
+    }
+
+    /// What G93 makes of the length of a motion and its time, in mm/min.
+    fn inverse_time_rate(&self, motion: &Motion<AXES>) -> Option<f64> {
+        let (length, feed) = match motion {
+            Motion::Line { target, feed, .. } => (distance(&mm(target)[..LENGTHS], &self.place[..LENGTHS]), feed),
+            Motion::Arc(arc) => {
+                let [i, j] = [arc.i, arc.j].map(|way| way.0 as f64 / 1e7);
+                let (start, end) = (mm(&arc.start), mm(&arc.target));
+                let [a, b, c] = [arc.axes.first, arc.axes.second, arc.axes.linear]
+                    .map(|axis| end[axis.index()] - start[axis.index()]);
+                let (from, to) = (f64::atan2(-j, -i), f64::atan2(b - j, a - i));
+                let turned = if arc.clockwise { from - to } else { to - from }.rem_euclid(TAU);
+                let turned = if a.hypot(b) < NO_MOVE { TAU } else { turned };
+                ((i.hypot(j) * (turned + f64::from(arc.turns) * TAU)).hypot(c), &arc.feed)
+            }
+            _ => return None,
+        };
+        match feed {
+            Feed::InverseTime(seconds) => Some(length * 60.0 / f64::from(*seconds)),
+            _ => None,
+        }
     }
 
     fn relative(&self, place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {

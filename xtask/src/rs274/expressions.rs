@@ -1,0 +1,152 @@
+//! Random expressions of RS274NGC that have a value, on both sides the same.
+//!
+//! What jumps (`FIX`, `MOD`, `ROUND`, comparisons) must not be told to jump by rounding: LinuxCNC computes with binary numbers,
+//! of which `0.29 * 100` is below 29. So a number is whole, a half, or has five random digits behind the point, of which the
+//! last is odd: sums and products of such numbers do not meet a limit by chance. An angle is no whole number: sine, cosine and
+//! tangent of those are a little beside 0, 0.5 and 1 in LinuxCNC. The `y` of `ATAN` is never 0: of a binary -0 its half turn is
+//! negative. Arguments are within the range of their function, powers and exponents small: a result that is too large is an
+//! error in Oxmill alone, and a binary number has no digits left behind the point from some size on.
+
+use oxmill_test_support::Random;
+
+/// Parameters with numbers that every program has set.
+pub const NUMBERED: [&str; 10] = ["#1", "#2", "#3", "#4", "#5", "#31", "#32", "#33", "#34", "#35"];
+/// Names that every program and every call has set, the last two for all calls.
+pub const NAMED: [&str; 4] = ["#<u>", "#<v>", "#<_g>", "#<_h k>"];
+/// It holds the number of one of the parameters.
+pub const POINTER: &str = "#40";
+
+/// What the machine shows of itself, without units of time. Stored places, from #5161 on, are in the unit of the machine, which
+/// is the inch in `rs274`; `#<_rpm>` has seven digits in Oxmill.
+const SHOWN: [&str; 9] =
+    ["#5420", "#5421", "#5422", "#5220", "#<_x>", "#<_y>", "#<_z>", "#<_metric>", "#<_call_level>"];
+
+/// A number of the length of a tool's way.
+pub fn plain(random: &mut Random) -> String {
+    format!("{}.{:04}{}", random.below(30), random.below(10_000), 1 + 2 * random.below(5))
+}
+
+fn number(random: &mut Random) -> String {
+    match random.below(12) {
+        0..=4 => format!("{}.{:04}{}", random.below(10), random.below(10_000), 1 + 2 * random.below(5)),
+        5 => format!(".{:04}{}", random.below(10_000), 1 + 2 * random.below(5)),
+        6..=7 => format!("{}", random.below(10)),
+        8 => format!("{}.5", random.below(10)),
+        9 => format!("+0{}.", random.below(10)),
+        _ => format!("-{}.{:04}{}", random.below(10), random.below(10_000), 1 + 2 * random.below(5)),
+    }
+}
+
+fn parameter(random: &mut Random) -> String {
+    match random.below(20) {
+        0..=7 => random.of(&NUMBERED).into(),
+        8..=12 => random.of(&NAMED).into(),
+        13 => format!("#{POINTER}"),
+        14 => format!("#[{POINTER}]"),
+        15 => format!("#[{}{}]", 30 + random.below(3), random.of(&["+1", " + 2", "*1", "+3-1"])),
+        _ => random.of(&SHOWN).into(),
+    }
+}
+
+/// What may stand between two operators.
+fn operand(random: &mut Random, depth: u32) -> String {
+    let sign = random.of(&["", "", "", "", "-", "+"]);
+    match random.below(if depth == 0 { 6 } else { 12 }) {
+        0..=2 => number(random),
+        3..=5 => format!("{sign}{}", parameter(random)),
+        6..=8 => format!("{sign}[{}]", chain(random, depth - 1)),
+        _ => format!("{sign}{}", function(random, depth - 1)),
+    }
+}
+
+fn function(random: &mut Random, depth: u32) -> String {
+    let inner = chain(random, depth);
+    match random.below(24) {
+        0..=1 => format!("ABS[{inner}]"),
+        2..=3 => format!("FIX[{inner}]"),
+        4..=5 => format!("FUP[{inner}]"),
+        6..=7 => format!("ROUND[{inner}]"),
+        8..=9 => format!("SIN[{inner} + 0.01357]"),
+        10..=11 => format!("cos[{inner} - 0.02461]"),
+        12..=13 => format!("TAN[[{inner}] MOD 67 + 0.01357]"),
+        14 => format!("ASIN[0.71213 * SIN[{inner} + 0.01357]]"),
+        15 => format!("ACOS[0.71213 * COS[{inner} + 0.01357]]"),
+        16..=17 => format!("SQRT[ABS[{inner}] + 0.13571]"),
+        18 => format!("LN[ABS[{inner}] + 0.13571]"),
+        19 => format!("EXP[[{inner}] MOD 3]"),
+        20..=22 => format!("ATAN[ABS[{inner}] + 0.13571]/[{}]", operand(random, 0)),
+        _ => format!("EXISTS[{}]", random.of(&["#<u>", "#<_h k>", "#<nobody>", "#<_no body>"])),
+    }
+}
+
+/// Operands and operators, as they stand in a bracket.
+pub fn chain(random: &mut Random, depth: u32) -> String {
+    let mut text = operand(random, depth);
+    for _ in 0..random.below(4) {
+        match random.below(20) {
+            0..=3 => text += &format!(" + {}", operand(random, depth)),
+            4..=6 => text += &format!("-{}", operand(random, depth)),
+            7..=8 => text += &format!(" * {}", number(random)),
+            9 => text += &format!(" * -[{} MOD 3.71317]", parameter(random)),
+            10..=11 => text += &format!(" / [ABS[{}] + 0.71213]", operand(random, depth)),
+            12..=13 => text += &format!(" MOD [ABS[{}] + 1.37131]", operand(random, depth)),
+            14 => text += &format!(" MOD {}", 1 + random.below(9)),
+            15 => {
+                let exponents = ["2", "0.5", "-1", "-0.73137", "1.37131", "2**0.5", "0"];
+                text += &format!(" + [ABS[{}] + 0.31713]**{}", operand(random, depth), random.of(&exponents));
+            }
+            16 => {
+                text += &format!(" + -{}**{}", number(random).replace(['-', '+'], ""), random.of(&["2", "3", "2**2"]))
+            }
+            17..=18 => {
+                let word = random.of(&[" EQ ", " NE ", "GT", " ge ", "LT", " LE "]);
+                text += &format!("{word}{}", operand(random, depth));
+            }
+            _ => text += &format!("{}{}", random.of(&[" AND ", " OR ", "XOR"]), operand(random, depth)),
+        }
+    }
+    text
+}
+
+/// A value within 20 of 0, of whatever is within.
+fn bounded(random: &mut Random) -> String {
+    format!("[20 * {}[{} + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
+}
+
+/// What a word of an axis may have behind it: a length within 50 of 0.
+pub fn length(random: &mut Random) -> String {
+    match random.below(20) {
+        0..=7 => plain(random),
+        8..=9 => format!("-{}", plain(random)),
+        10..=12 => format!("[{} - {}]", plain(random), plain(random)),
+        13 => format!("-[{} / {}]", plain(random), 1 + random.below(9)),
+        14..=16 => format!("[{} MOD 31.71317 - 9]", parameter(random)),
+        _ => bounded(random),
+    }
+}
+
+/// What a parameter is set to.
+pub fn value(random: &mut Random) -> String {
+    match random.below(20) {
+        0..=6 => bounded(random),
+        7..=8 => number(random),
+        9 => format!("[{}]", random.below(20)),
+        10 => format!("[[{}] MOD 13.71317]", chain(random, 2)),
+        11 => format!("FIX[10 * SIN[{} + 0.01357]]", chain(random, 1)),
+        // Cut to millionths: a loop would make more and more of what rounding leaves. `ROUND` of LinuxCNC ends at 2^31.
+        _ => format!("[FIX[[{}] * 1000000 + 0.31713] / 1000000 MOD 913.31713 - {}]", chain(random, 2), plain(random)),
+    }
+}
+
+/// What a condition asks.
+pub fn condition(random: &mut Random) -> String {
+    match random.below(10) {
+        0 => format!("[{}]", random.below(2)),
+        1..=3 => {
+            let word = random.of(&["GT", "LT", "GE", "LE", "EQ", "NE"]);
+            format!("[{} {word} {}]", parameter(random), number(random))
+        }
+        4 => format!("[[{}] AND [{}]]", chain(random, 1), chain(random, 1)),
+        _ => format!("[{}]", chain(random, 1)),
+    }
+}

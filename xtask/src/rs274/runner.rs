@@ -1,0 +1,107 @@
+//! Carries text of a program out as a controller does: remarks and blanks are dropped, O words followed, messages told.
+
+use super::Event;
+use super::ours::Mill;
+use oxmill_controller::error::Error;
+use oxmill_controller::gcode::{AS_WRITTEN, Direction, Flow, Held, HeldLine, WITH_VALUES, split_remark};
+use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+
+/// Programs one after the other on one machine.
+#[derive(Clone)]
+pub struct Runner {
+    pub mill: Mill,
+    /// Lines that begin with a slash are left out.
+    deletes_blocks: bool,
+    lines: u32,
+}
+
+/// A line that was refused, without blanks and remarks, and why.
+pub struct Refusal {
+    pub line: String,
+    pub error: Error,
+}
+
+impl Runner {
+    pub fn new(deletes_blocks: bool) -> Runner {
+        Runner { mill: Mill::new(), deletes_blocks, lines: 0 }
+    }
+
+    /// Carries a line of the file out, and what it calls. The events before a refusal are in `events`, too.
+    pub fn run(&mut self, text: &str, events: &mut Vec<Event>) -> Result<(), Refusal> {
+        let block_delete = self.deletes_blocks;
+        let rules = || LineRules {
+            length: line::LENGTH,
+            merge_crlf: true,
+            nested_remarks: false,
+            expressions: true,
+            block_delete,
+        };
+        self.lines += 1;
+        let mut line = Line::new();
+        for byte in text.bytes().chain(*b"\n") {
+            match line.push(byte, rules) {
+                Pushed::More => {}
+                Pushed::TooLong => return Err(Refusal { line: text.into(), error: Error::LineTooLong }),
+                Pushed::Complete => break,
+            }
+        }
+        let words = line.text().to_vec();
+        let mut remark = Vec::new();
+        if let Some((has_values, text)) = line.message() {
+            remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
+            remark.extend_from_slice(text);
+        }
+        self.take(&words, &remark, events)
+    }
+
+    fn take(&mut self, words: &[u8], remark: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
+        let refused = |error| Refusal { line: String::from_utf8_lossy(words).into_owned(), error };
+        if words.first() == Some(&b'%') {
+            return self.mill.interpreter().tape_mark().map_err(refused);
+        }
+        match self.mill.interpreter().direct(words, remark, self.lines).map_err(refused)? {
+            Direction::Check => self.carry_out(words, remark, events),
+            Direction::Run | Direction::Call => self.run_held(words, events),
+            Direction::Done | Direction::LeftOut => Ok(()),
+        }
+    }
+
+    fn run_held(&mut self, words: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
+        let mut held = HeldLine::new();
+        loop {
+            let next = self.mill.interpreter().next_held(&mut held);
+            let line = held.clone();
+            let (text, remark) = split_remark(&line);
+            let at = if text.is_empty() { words } else { text };
+            match next {
+                Ok(Held::Line) => self.carry_out(text, remark, events)?,
+                Ok(Held::Again) => {}
+                Ok(Held::End) => return Ok(()),
+                Err(error) => return Err(Refusal { line: String::from_utf8_lossy(at).into_owned(), error }),
+            }
+        }
+    }
+
+    fn carry_out(&mut self, words: &[u8], remark: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
+        if !words.is_empty() {
+            let line = String::from_utf8_lossy(words).into_owned();
+            let (made, flow) = self.mill.carry_out(&line).map_err(|error| Refusal { line, error })?;
+            events.extend(made);
+            match flow {
+                Flow::Pause => events.push(Event::Stop(false)),
+                Flow::OptionalPause => events.push(Event::Stop(true)),
+                Flow::None | Flow::End => {}
+            }
+        }
+        if let Some((mark, written)) = remark.split_first() {
+            let mut told = HeldLine::new();
+            if *mark == WITH_VALUES {
+                self.mill.interpreter().expand(written, &mut told);
+            } else {
+                let _ = told.extend_from_slice(written);
+            }
+            events.push(Event::Message(String::from_utf8_lossy(&told).into_owned()));
+        }
+        Ok(())
+    }
+}
