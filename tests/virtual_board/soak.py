@@ -33,7 +33,7 @@ class Player:
 
     def count(self):
         board = self.bench.board
-        self.net = [a + b for a, b in zip(self.net, self.scope.counts())]
+        self.net = [a + b for a, b in zip(self.net, self.scope.counts(), strict=True)]
         # Hours of edges are not kept.
         del board.edges[:], board.step_runs[:]
         self.scope = Scope(board)
