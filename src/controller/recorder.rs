@@ -109,6 +109,7 @@ impl Page {
     }
 
     /// The entries, if they are what was written.
+    #[inline(never)]
     fn entries(&self) -> Option<&[u8]> {
         let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
         let sum = bytes.iter().fold(self.seed(), |sum, byte| add(sum, u16::from(*byte)));
@@ -231,6 +232,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     /// How the program before this one ended is its last entry.
+    #[inline(never)]
     fn keep(&mut self, number: u32, restart: &Restart) {
         self.kept = true;
         (self.number, self.slot) = (number, self.slot_of(number));
@@ -241,7 +243,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.rewind();
         while self.next_entry().is_some() {}
         self.time = self.reading.time;
-        let mut text = heapless::Vec::<u8, 24>::new();
+        let mut text = Rest::new();
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             self.time_to(self.time + u64::from(crash.moment.wrapping_sub(self.time as u32)));
@@ -250,7 +252,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
         let _ = text.push(kind);
         for number in place.map(|axis| axis as u32).into_iter().chain([line]) {
-            let _ = text.extend_from_slice(&number.to_le_bytes());
+            put_word(&mut text, number);
         }
         self.tagged(tag::ENDED, &text);
         let slot = self.slot;
@@ -266,11 +268,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     /// The page of a number, if it is there.
+    #[inline(never)]
     fn page(&self, number: u32) -> Option<&Page> {
         let page = self.pages.as_ref().get(self.slot_of(number))?;
         (page.number == number && page.entries().is_some()).then_some(page)
     }
 
+    #[inline(never)]
     fn newest(&self) -> Option<u32> {
         let pages = self.pages.as_ref().iter().enumerate();
         let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
@@ -279,6 +283,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     /// Everything is forgotten; what comes is recorded.
+    #[inline(never)]
     fn clear(&mut self, time: u64) {
         for page in self.pages.as_mut() {
             page.mark = 0;
@@ -310,6 +315,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     /// An entry lies in one page.
+    #[inline(never)]
     fn tagged(&mut self, tag: u8, rest: &[u8]) {
         let used = self.pages.as_ref().get(self.slot).map_or(ROOM, Page::used);
         if ROOM - used.min(ROOM) < 1 + rest.len() {
@@ -321,12 +327,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
+    #[inline(never)]
     fn time_to(&mut self, time: u64) {
         let mut left = time.saturating_sub(self.time);
         if left == 0 {
             return;
         }
-        let mut digits = heapless::Vec::<u8, 10>::new();
+        let mut digits = Rest::new();
         while left >= 0x80 {
             let _ = digits.push(left as u8 | 0x80);
             left >>= 7;
@@ -336,6 +343,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.time = time;
     }
 
+    #[inline(never)]
     fn entry(&mut self, now: Instant, tag: u8, rest: &[u8]) {
         self.time_to(now.ticks());
         self.tagged(tag, rest);
@@ -464,7 +472,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         };
         // How many blocks had been handed over depends on the moment of the stop.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
-        let mut rest = heapless::Vec::<u8, 32>::new();
+        let mut rest = Rest::new();
         let _ = rest.push(kind);
         put_axes(&mut rest, &position.0);
         self.entry(now, tag::STEP, &rest);
@@ -503,9 +511,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.news = false;
         if self.blocks != self.blocks_recorded {
             self.blocks_recorded = self.blocks;
-            let mut rest = heapless::Vec::<u8, 32>::new();
+            let mut rest = Rest::new();
             put_axes(&mut rest, &controller.step_counters().0);
-            let _ = rest.extend_from_slice(&self.blocks.to_le_bytes());
+            put_word(&mut rest, self.blocks);
             self.entry(now, tag::REST, &rest);
         }
         // A state in each quarter of the ring.
@@ -515,21 +523,22 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
+    #[inline(never)]
     fn stand<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
         let Some(standing) = controller.standing() else { return };
-        let mut rest = heapless::Vec::<u8, { ROOM - 1 }>::new();
+        let mut rest = Rest::new();
         let flags = u8::from(standing.trusted) | u8::from(standing.locked) << 1 | u8::from(standing.inches) << 2;
         let _ = rest.push(flags);
-        let _ = rest.extend_from_slice(&standing.tool.to_le_bytes());
-        let _ = rest.extend_from_slice(&standing.active.to_le_bytes());
-        let _ = rest.extend_from_slice(&self.blocks.to_le_bytes());
+        put_word(&mut rest, standing.tool);
+        put_bytes(&mut rest, &standing.active.to_le_bytes());
+        put_word(&mut rest, self.blocks);
         let _ = rest.push(N as u8);
         for (counter, place) in standing.counters.iter().zip(&standing.place) {
-            let _ = rest.extend_from_slice(&counter.to_le_bytes());
-            let _ = rest.extend_from_slice(&place.0.to_le_bytes());
+            put_word(&mut rest, *counter as u32);
+            put_bytes(&mut rest, &place.0.to_le_bytes());
         }
         let _ = rest.push(standing.words.len() as u8);
-        let _ = rest.extend_from_slice(&standing.words);
+        put_bytes(&mut rest, &standing.words);
         self.entry(now, tag::STANDING, &rest);
         self.wants_standing = false;
         self.standing_in = self.number;
@@ -538,6 +547,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     // Reading
 
     /// From the oldest page on.
+    #[inline(never)]
     fn rewind(&mut self) {
         let mut oldest = self.number;
         while self.number.wrapping_sub(oldest) < self.pages.as_ref().len() as u32
@@ -581,6 +591,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     /// The next entry; its time is that of the reading.
+    #[inline(never)]
     fn next_entry(&mut self) -> Option<Noted> {
         loop {
             let Some(number) = self.reading.number else { return self.take_line() };
@@ -626,10 +637,28 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 }
 
-fn put_axes<const SIZE: usize>(out: &mut heapless::Vec<u8, SIZE>, axes: &[i32]) {
+/// What follows a tag.
+type Rest = heapless::Vec<u8, { ROOM - 1 }>;
+
+// Called from many places, and seldom: small rather than fast.
+
+#[inline(never)]
+fn put_bytes(out: &mut Rest, bytes: &[u8]) {
+    for byte in bytes {
+        let _ = out.push(*byte);
+    }
+}
+
+#[inline(never)]
+fn put_word(out: &mut Rest, word: u32) {
+    put_bytes(out, &word.to_le_bytes());
+}
+
+#[inline(never)]
+fn put_axes(out: &mut Rest, axes: &[i32]) {
     let _ = out.push(axes.len() as u8);
     for axis in axes {
-        let _ = out.extend_from_slice(&axis.to_le_bytes());
+        put_word(out, *axis as u32);
     }
 }
 
@@ -649,14 +678,17 @@ impl Bytes<'_> {
         Some(*some)
     }
 
+    #[inline(never)]
     fn byte(&mut self) -> Option<u8> {
         self.some().map(|[byte]| byte)
     }
 
+    #[inline(never)]
     fn word(&mut self) -> Option<u32> {
         self.some().map(u32::from_le_bytes)
     }
 
+    #[inline(never)]
     fn axes(&mut self) -> Option<heapless::Vec<i32, { Standing::AXES }>> {
         let count = usize::from(self.byte()?);
         let mut axes = heapless::Vec::new();
@@ -713,6 +745,7 @@ fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
     Some((rest.len() - bytes.0.len(), found))
 }
 
+#[inline(never)]
 fn standing(bytes: &mut Bytes<'_>) -> Option<Noted> {
     let flags = bytes.byte()?;
     let (tool, active, blocks) = (bytes.word()?, bytes.some().map(u16::from_le_bytes)?, bytes.word()?);

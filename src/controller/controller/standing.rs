@@ -9,7 +9,7 @@ use crate::machine::state::Mode;
 use crate::messages::{Recorded, Standing, input};
 use crate::protocol::recorded;
 use crate::protocol::report;
-use crate::protocol::text::{Text, put, real, whole};
+use crate::protocol::text::{Text, fixed, put, real};
 use crate::units::Coordinate;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -34,11 +34,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let (place, counters) = self.motion.standing()?;
         let rests =
             self.motion.is_idle() && self.door.motion().is_idle() && self.task.is_none() && self.stops.is_idle();
-        let plain = self.interpreter.is_plain(&place) && !self.line.is_single_block();
+        let plain = self.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.lines.is_checking();
         // Whatever else is active has done something when it became so.
         let active = self.inputs.pins().word();
         let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
-        let off = quiet && !self.accessories.is_on() && self.accessories.overrides() == Overrides::NONE;
+        let outputs_off = !self.accessories.is_on() && self.accessories.digital().levels() == 0;
+        let off = quiet && outputs_off && self.accessories.overrides() == Overrides::NONE;
         let words = words(self.interpreter.modal()).filter(|_| rests && plain && off)?;
         Some(Standing {
             counters: counters.iter().copied().collect(),
@@ -112,16 +113,7 @@ fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
         put(&mut out, word.as_bytes());
     }
     put(&mut out, b"F");
-    let feed = modal.feed.0.unsigned_abs();
-    let one = crate::units::Decimal::from_int(1).0.unsigned_abs();
-    whole(&mut out, feed / one);
-    put(&mut out, b".");
-    // The decimals, with the zeros in front of them.
-    let mut digit = one / 10;
-    while digit > 0 {
-        whole(&mut out, feed / digit % 10);
-        digit /= 10;
-    }
+    fixed(&mut out, false, modal.feed.0.unsigned_abs(), 7);
     put(&mut out, b"S");
     real(&mut out, modal.speed, 3);
     heapless::Vec::from_slice(&out).ok()

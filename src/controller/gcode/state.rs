@@ -194,6 +194,9 @@ impl<const N: usize> Interpreter<N> {
             && self.before_check.is_none()
             && self.saved.is_none()
             && self.rotation.is_none()
+            && self.scaling.is_none()
+            && self.measured == Measured::NOTHING
+            && self.computed.is_blank()
             && self.modal.tool == self.spindle_tool
     }
 

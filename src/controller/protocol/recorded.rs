@@ -21,15 +21,15 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
             put(out, b"oxmill recording 1]\r\n[REC:board ");
             put(out, name.as_bytes());
             put(out, b" ");
-            whole(out, u64::from(*step_clock_hz));
+            number(out, *step_clock_hz);
         }
         Recorded::Record(record) => stored(out, record),
         Recorded::Begin(time) => {
             put(out, b"begin ");
-            whole(out, ticks(*time, hz));
+            moment(out, hz, *time);
         }
         Recorded::Noted(time, told) => {
-            whole(out, ticks(*time, hz));
+            moment(out, hz, *time);
             put(out, b" ");
             entry(out, told);
         }
@@ -39,27 +39,42 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
     put(out, END);
 }
 
-/// Seconds and the rest apart, so that days do not overflow.
-fn ticks(time: u64, hz: u32) -> u64 {
+/// Ticks of the step clock. Seconds and the rest apart, so that days do not overflow.
+#[inline(never)]
+fn moment(out: &mut Text, hz: u32, time: u64) {
     let hz = u64::from(hz);
-    time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS
+    count(out, time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS);
 }
 
 fn stored(out: &mut Text, record: &Record) {
     put(out, b"record ");
-    whole(out, u64::from(record.key));
+    number(out, u32::from(record.key));
     put(out, b" ");
     for byte in &record.value {
         hex(out, *byte);
     }
 }
 
+// What follows is called from many places, and seldom: it is small rather than fast.
+
+#[inline(never)]
+fn count(out: &mut Text, value: u64) {
+    whole(out, value);
+}
+
+#[inline(never)]
+fn number(out: &mut Text, value: u32) {
+    count(out, u64::from(value));
+}
+
+#[inline(never)]
 fn hex(out: &mut Text, byte: u8) {
     for digit in [byte >> 4, byte & 0xF] {
         put(out, &[if digit < 10 { b'0' + digit } else { b'a' - 10 + digit }]);
     }
 }
 
+#[inline(never)]
 fn hex_word(out: &mut Text, word: u16) {
     for byte in word.to_be_bytes() {
         hex(out, byte);
@@ -82,17 +97,17 @@ fn escaped(out: &mut Text, bytes: &[u8]) {
     }
 }
 
+/// A blank and a number.
+#[inline(never)]
 fn integer(out: &mut Text, value: i64) {
-    if value < 0 {
-        put(out, b"-");
-    }
-    whole(out, value.unsigned_abs());
+    put(out, if value < 0 { b" -" } else { b" " });
+    count(out, value.unsigned_abs());
 }
 
-fn integers(out: &mut Text, values: impl Iterator<Item = i64>) {
+#[inline(never)]
+fn integers(out: &mut Text, values: &[i32]) {
     for value in values {
-        put(out, b" ");
-        integer(out, value);
+        integer(out, i64::from(*value));
     }
 }
 
@@ -116,7 +131,7 @@ fn entry(out: &mut Text, entry: &Noted) {
         }
         Noted::Step(stopping, counters) => {
             put(out, stopping_name(*stopping));
-            integers(out, counters.iter().map(|axis| i64::from(*axis)));
+            integers(out, counters);
         }
         Noted::Stored(true) => put(out, b"stored"),
         Noted::Stored(false) => put(out, b"unstored"),
@@ -126,8 +141,8 @@ fn entry(out: &mut Text, entry: &Noted) {
         Noted::Cut => put(out, b"cut"),
         Noted::Rest { counters, blocks } => {
             put(out, b"rest ");
-            whole(out, u64::from(*blocks));
-            integers(out, counters.iter().map(|axis| i64::from(*axis)));
+            number(out, *blocks);
+            integers(out, counters);
         }
         Noted::Standing { standing, blocks } => state(out, standing, *blocks),
         Noted::Ended { crash, place, line } => {
@@ -135,7 +150,7 @@ fn entry(out: &mut Text, entry: &Noted) {
             put(out, crash.map_or(b"reset", crash_name));
             if crash.is_some() {
                 put(out, b" N");
-                whole(out, u64::from(*line));
+                number(out, *line);
                 for axis in place {
                     put(out, b" ");
                     length(out, Coordinate(i64::from(*axis) * 10_000), false);
@@ -153,13 +168,14 @@ fn state(out: &mut Text, standing: &Standing, blocks: u32) {
         put(out, &[letter]);
     }
     put(out, b". ");
-    whole(out, u64::from(blocks));
+    number(out, blocks);
     put(out, b" ");
-    whole(out, u64::from(standing.tool));
+    number(out, standing.tool);
     put(out, b" ");
     hex_word(out, standing.active);
     for (counter, place) in standing.counters.iter().zip(&standing.place) {
-        integers(out, [i64::from(*counter), place.0].into_iter());
+        integer(out, i64::from(*counter));
+        integer(out, place.0);
     }
     put(out, b" ");
     put(out, &standing.words);
