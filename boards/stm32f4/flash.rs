@@ -133,7 +133,7 @@ impl Flash for SettingsFlash {
 
     fn erase(&mut self, sector: Sector) -> Result<(), FlashError> {
         let number = (Self::address(sector) - FLASH_START) / SECTOR_BYTES;
-        // Sector 0 has the vectors, sector 3 or 4 and on the code.
+        // Sector 0 has the vectors, sector 3 and on the code.
         if !(1..=2).contains(&number) {
             return Err(FlashError::Refused(0));
         }

@@ -17,7 +17,14 @@ const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is
 
 fn board() -> Box<Board> {
     let rates = StepRates { safe_hz: 100_000 };
-    let profile = Profile { name: "test", step_clock_hz: 1_000_000, rates, has_second_motor: false, has_store: false };
+    let profile = Profile {
+        name: "test",
+        step_clock_hz: 1_000_000,
+        rates,
+        has_second_motor: false,
+        has_store: false,
+        program_pins: [0, 0],
+    };
     let mut board = Box::new(Controller::new(profile));
     board.start(Instant::from_ticks(0));
     board.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
@@ -207,7 +214,7 @@ proptest! {
             Noted::Host(bytes) => bytes.to_vec(),
             _ => Vec::new(),
         }).collect();
-        prop_assert!(text[..count].as_bytes().ends_with(&said));
+        prop_assert!(text.as_bytes()[..count].ends_with(&said));
         prop_assert!(said.len() == count || count > 1_500, "{} of {}", said.len(), count);
     }
 }
