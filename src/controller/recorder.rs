@@ -7,8 +7,8 @@
 //!     └── the oldest is taken ◀──┘
 //! ```
 //! A byte of a line is an entry of one byte; what happens less often has a tag (0x80 and above), and a change of time one of its
-//! own. Each page can be read by itself, so a ring that has gone round begins with a whole entry. A byte is counted when it has
-//! been written: whenever a reset comes, what is there is right, but for the last entry, which may be cut short.
+//! own. Each page can be read by itself, so a ring that has gone round begins with a whole entry. An entry is counted when it has
+//! been written: whenever a reset comes, what is there is right.
 //!
 //! RAM without power holds anything: marks, numbers in a row and the sums of the pages tell.
 //!
@@ -135,6 +135,26 @@ impl Page {
         compiler_fence(Ordering::SeqCst);
         let sum = add((self.state >> 16) as u16, u16::from(byte));
         self.state = u32::from(sum) << 16 | (used as u32 + 1);
+        compiler_fence(Ordering::SeqCst);
+        true
+    }
+
+    /// All of an entry, or nothing.
+    fn append(&mut self, tag: u8, rest: &[u8]) -> bool {
+        let used = self.used();
+        let end = used + 1 + rest.len();
+        let Some((first, others)) = self.bytes.get_mut(used..end).and_then(|place| place.split_first_mut()) else {
+            return false;
+        };
+        *first = tag;
+        let mut sum = add((self.state >> 16) as u16, u16::from(tag));
+        for (place, byte) in others.iter_mut().zip(rest) {
+            *place = *byte;
+            sum = add(sum, u16::from(*byte));
+        }
+        // Counted when it is there.
+        compiler_fence(Ordering::SeqCst);
+        self.state = u32::from(sum) << 16 | end as u32;
         compiler_fence(Ordering::SeqCst);
         true
     }
@@ -317,13 +337,12 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// An entry lies in one page.
     #[inline(never)]
     fn tagged(&mut self, tag: u8, rest: &[u8]) {
-        let used = self.pages.as_ref().get(self.slot).map_or(ROOM, Page::used);
-        if ROOM - used.min(ROOM) < 1 + rest.len() {
+        for _ in 0..2 {
+            let slot = self.slot;
+            if self.pages.as_mut().get_mut(slot).is_some_and(|page| page.append(tag, rest)) {
+                return;
+            }
             self.turn_page();
-        }
-        self.put(tag);
-        for byte in rest {
-            self.put(*byte);
         }
     }
 
@@ -609,7 +628,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             };
             let tag = *tag;
             let Some((used, found)) = decode(tag, rest) else {
-                // Cut short by the reset.
+                // Nothing that was written.
                 self.reading.number = None;
                 continue;
             };
