@@ -501,9 +501,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     #[inline(always)]
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
-            for word in steps_by_axis.iter().map(|axis| axis.word()).chain([u32::from(*directions)]) {
-                self.blocks = (self.blocks ^ word).wrapping_mul(PRIME);
+            let mut hash = self.blocks;
+            for axis in steps_by_axis {
+                hash = (hash ^ axis.word()).wrapping_mul(PRIME);
             }
+            self.blocks = (hash ^ u32::from(*directions)).wrapping_mul(PRIME);
         }
     }
 

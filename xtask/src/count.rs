@@ -84,9 +84,9 @@ const ROWS: [Row; 20] = [
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (12_300, 20_700))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("recorded_byte", "recording, per byte of a line", Figure::Mean, None, UNBOUNDED),
-    row("recorded_block", "recording, per message to the step task", Figure::Mean, None, UNBOUNDED),
-    row("recorded_rest", "recording, a pass at rest", Figure::Mean, None, UNBOUNDED),
+    row("recorded_byte", "recording, per byte of a line", Figure::Mean, None, (56, 90)),
+    row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (26, 38)),
+    row("recorded_rest", "recording, a pass at rest", Figure::Mean, None, (8, 13)),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
