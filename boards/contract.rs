@@ -77,10 +77,13 @@ impl Due {
     }
 }
 
+/// Combinations of steps of the axes of the board, bit 0 for X.
+pub const COMBINATIONS: usize = 1 << crate::AXES;
+
 /// Free places for events, in a row: none when there is no room, one while events are put out one by one.
 pub struct Free<'a> {
-    /// The words of the eight combinations of steps, with the directions that hold.
-    pub table: &'a [u32; 8],
+    /// The words of all combinations of steps, with the directions that hold.
+    pub table: &'a [u32; COMBINATIONS],
     /// For the word of each event.
     pub words: &'a mut [u32],
     /// For its moment.

@@ -47,7 +47,9 @@ pub use nucleo_f446re::*;
 pub use qemu_mps2::*;
 
 #[cfg(feature = "board")]
-pub use contract::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, input_bits};
+pub use contract::{
+    COMBINATIONS, Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, input_bits,
+};
 
 #[cfg(all(target_os = "none", not(feature = "board")))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
@@ -59,6 +61,7 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
         name: board.name,
         step_clock_hz: board.step_clock_hz,
         rates: oxmill_controller::StepRates { safe_hz: board.safe_step_hz },
+        axes: board.axes,
         has_second_motor,
         program_pins: board.program_pins,
         has_store: true,

@@ -15,7 +15,7 @@ pub use crate::stm32f4::{
     restart, safe_state,
 };
 use crate::stm32f4::{each, step::Rings};
-use crate::{NoPort, input_bits, stm32f4};
+use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
 /// The clock counts microseconds.
@@ -66,6 +66,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
         .with(input_bits::AT_SPEED, c.pc11.into_pull_up_input().erase())
         .with(input_bits::SECOND_LIMIT, b.pb15.into_pull_up_input().erase());
+    let inputs = if AXES > 3 { inputs.also(input_bits::LIMITS + 3) } else { inputs };
     let _pwm = a.pa7.into_alternate::<2>();
     let steps = each!([a.pa10, b.pb3, b.pb5, b.pb13].into_push_pull_output().speed(Speed::Medium));
     let directions = each!([b.pb4, b.pb10, a.pa8, b.pb14].into_push_pull_output());

@@ -169,6 +169,76 @@ fn thousands_of_connections_leave_nothing_behind() {
     }
 }
 
+/// Memory of a program that is in RAM, KiB.
+#[cfg(target_os = "linux")]
+fn resident(program: &Child) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", program.id())).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("its memory");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
+/// A line that does not end is refused, and neither that nor a client that does not read makes the program grow.
+#[cfg(target_os = "linux")]
+#[test]
+fn no_client_makes_the_server_grow() {
+    let server = Server::new(&[]);
+    let mut client = server.served();
+    assert_eq!(client.ask("G0X1"), "ok");
+    client.wait_for("<Idle");
+    let before = resident(&server.program);
+    // Polls are no line, however many there are.
+    for _ in 0..100 {
+        client.send([b'?'; 1000]);
+    }
+    assert!(client.line().starts_with('<'));
+    drop(client);
+    let mut endless = server.served_at_last();
+    assert_eq!(endless.ask("G21"), "ok");
+    let piece = [b'X'; 1 << 14];
+    endless.stream.set_write_timeout(Some(PATIENCE)).expect("a socket");
+    let end = Instant::now() + PATIENCE;
+    while endless.stream.write_all(&piece).is_ok() {
+        assert!(Instant::now() < end, "it is closed");
+    }
+    assert!(resident(&server.program) < before + 8192, "{before} {}", resident(&server.program));
+    // It is told why, if the end of the connection leaves it the time to read that.
+    let mut short = server.served_at_last();
+    assert_eq!(short.ask("G21"), "ok");
+    short.send([b'X'; (1 << 16) + 2000]);
+    assert_eq!(short.line(), "[MSG:The line has no end]");
+    let mut deaf = server.served_at_last();
+    deaf.stream.set_write_timeout(Some(Duration::from_millis(500))).expect("a socket");
+    let questions = b"$$\n".repeat(5000);
+    for _ in 0..4000 {
+        if deaf.stream.write_all(&questions).is_err() {
+            break;
+        }
+    }
+    assert!(resident(&server.program) < before + 40_000, "{before} {}", resident(&server.program));
+    drop(deaf);
+    // What the one that left had asked for is not said to the next one.
+    server.served_at_last();
+}
+
+/// A port without an address is one of the loopback, for the pins as well; connections that find no place are told.
+#[test]
+fn a_port_alone_is_of_the_loopback() {
+    for port in ["0", ":0"] {
+        let server = Server::started(&["serve", "--tcp", port], "tcp ");
+        assert!(server.address.starts_with("127.0.0.1:"), "{}", server.address);
+    }
+    let (server, words) = Server::with_words(&["serve", "--tcp", "127.0.0.1:0", "--pins", "0"], 1);
+    let address = words[0].strip_prefix("pins on ").expect("an address");
+    assert!(address.starts_with("127.0.0.1:"), "{address}");
+    let places: Vec<TcpStream> = (0..64).map(|_| TcpStream::connect(address).expect("it listens")).collect();
+    let mut crowded = String::new();
+    let mut more = TcpStream::connect(address).expect("it listens");
+    more.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    more.read_to_string(&mut crowded).expect("it is closed");
+    assert_eq!(crowded, "[MSG:Too many connections]\r\n");
+    drop((places, server));
+}
+
 /// A device, killed in the end.
 struct Server {
     program: Child,
@@ -287,11 +357,11 @@ impl Client {
         }
     }
 
-    /// Pours in until nothing more is taken, at most 24 MB.
+    /// Pours in until nothing more is taken, at most 12 MB.
     fn pour(&mut self) {
         let piece = b"G1 X1 F100\nG1 X0\n".repeat(1000);
         self.stream.set_write_timeout(Some(Duration::from_millis(500))).expect("a socket");
-        for _ in 0..24_000_000 / piece.len() {
+        for _ in 0..12_000_000 / piece.len() {
             match self.stream.write_all(&piece) {
                 Ok(()) => {}
                 Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => return,

@@ -185,7 +185,7 @@ pub struct StepPins {
 }
 
 /// An event holds its steps.
-const STEPS: [u32; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
+const STEPS: [u32; crate::COMBINATIONS] = [0, 1, 2, 3, 4, 5, 6, 7];
 
 impl StepPins {
     const EVENT: usize = 0;
@@ -526,6 +526,11 @@ fn follow_script() {
         match script.go_on() {
             script::Wanted::Nothing => break,
             script::Wanted::Mark(bytes) => send(format_args!("{bytes}\n")),
+            script::Wanted::Note(bytes, ms) => {
+                let [x, y, z] = critical_section::with(|cs| RECORD.borrow_ref(cs).net);
+                let (used, size) = (stack::used(), stack::size());
+                send(format_args!("note bytes={bytes} at={ms} steps={x},{y},{z} stack={used} of {size}\n"));
+            }
             script::Wanted::End => {
                 send_record();
                 semihosting::process::exit(0);

@@ -11,6 +11,8 @@
 //! | `W` | milliseconds `u32` | waits |
 //! | `I` | milliseconds `u32` | asks `?` with pauses of so much until the answer is `<Idle`, at most 4000 times |
 //! | `R` | | a record ends: tells the test stand how many bytes have been said so far |
+//! | `N` | | a record ends: tells that, the machine time, the steps of the motors and the stack |
+//! | `E` | milliseconds `u32` | the script ends here if the machine has run for so long |
 //!
 //! At its end the report of the test stand follows, and QEMU ends.
 
@@ -111,6 +113,9 @@ pub struct Script {
     answers_before: u32,
     /// Asked since the record began.
     questions: u32,
+    /// The step clock when it was looked at last, and its ticks since the start of the script.
+    looked: u32,
+    ticks: u64,
 }
 
 /// What the test stand has to do for the script.
@@ -119,6 +124,8 @@ pub enum Wanted {
     Nothing,
     /// To tell how many bytes have been said.
     Mark(u32),
+    /// The same, with the time in ms since the script began, and all else that the test stand knows.
+    Note(u32, u64),
     /// The script is at its end.
     End,
 }
@@ -126,11 +133,15 @@ pub enum Wanted {
 impl Script {
     /// At its beginning.
     pub fn new(text: &'static [u8]) -> Script {
-        Script { text, next: 0, wait: Wait::Nothing, answers_before: 0, questions: 0 }
+        Script { text, next: 0, wait: Wait::Nothing, answers_before: 0, questions: 0, looked: clock_ticks(), ticks: 0 }
     }
 
     /// Advances as far as it can, at most to the end of a record.
     pub fn go_on(&mut self) -> Wanted {
+        // The clock wraps after minutes; it is looked at much more often.
+        let now = clock_ticks();
+        self.ticks += u64::from(now.wrapping_sub(self.looked));
+        self.looked = now;
         loop {
             let (bytes, answers, reports, idle) = critical_section::with(|cs| {
                 let said = SAID.borrow_ref(cs);
@@ -176,9 +187,24 @@ impl Script {
                     self.questions = 0;
                     return Wanted::Mark(bytes);
                 }
+                b'N' => {
+                    self.answers_before = answers;
+                    self.questions = 0;
+                    return Wanted::Note(bytes, self.milliseconds());
+                }
+                b'E' => {
+                    let least = u64::from(self.take(4));
+                    if self.milliseconds() >= least {
+                        return Wanted::End;
+                    }
+                }
                 code => panic!("a script with the code {code}"),
             }
         }
+    }
+
+    fn milliseconds(&self) -> u64 {
+        self.ticks / u64::from(TICKS_PER_MS)
     }
 
     /// A number of so many bytes, the lowest first.

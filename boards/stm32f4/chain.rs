@@ -26,7 +26,7 @@
 //! Emulated; no bench has confirmed it yet.
 
 use super::registers::{Map, bsrr_of, read, timer::*, write};
-use crate::contract::{Due, Free};
+use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
 
@@ -231,7 +231,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
 
     /// Places for words of the last port, or for what is to become words (see `translate`), and for moments.
     #[inline(always)]
-    pub(super) fn free<'a>(&'a mut self, table: &'a [u32; 8]) -> Free<'a> {
+    pub(super) fn free<'a>(&'a mut self, table: &'a [u32; COMBINATIONS]) -> Free<'a> {
         let room = if self.one_by_one {
             1 - usize::from(self.pending)
         } else {
@@ -245,12 +245,12 @@ impl<M: Map, const P: usize> Chain<M, P> {
 
     /// Where words lie on several ports, an event holds the steps until it is committed: then each port gets its word.
     #[inline(always)]
-    pub(super) fn translate(&mut self, tables: &[[u32; 8]; P], events: usize) {
+    pub(super) fn translate(&mut self, tables: &[[u32; COMBINATIONS]; P], events: usize) {
         for at in (self.head..RING).take(events) {
             let steps = self.rings.words.last().and_then(|words| words.get(at)).copied().unwrap_or(0) as usize;
             for (words, table) in self.rings.words.iter_mut().zip(tables) {
                 if let Some(word) = words.get_mut(at) {
-                    *word = table.get(steps & 7).copied().unwrap_or(0);
+                    *word = table.get(steps % COMBINATIONS).copied().unwrap_or(0);
                 }
             }
         }

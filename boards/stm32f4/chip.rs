@@ -201,7 +201,7 @@ impl<U: Instance> Port for Usart<U> {
 }
 
 /// Inputs at most.
-const MOST_INPUTS: usize = 11;
+const MOST_INPUTS: usize = if crate::AXES > 3 { 12 } else { 11 };
 
 /// Inputs, with pull-ups until a setting wants something else.
 pub struct InputPins {
@@ -227,9 +227,22 @@ impl InputPins {
 
     /// And a pin for one more of [`input_bits`](crate::input_bits).
     pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
-        self.places[self.count] = (Place::from(&pin), bit);
         self._pins[self.count] = Some(pin);
-        self.count += 1;
+        let place = self._pins[self.count].as_ref().map(Place::from);
+        self.note(bit, place)
+    }
+
+    /// The last pin is this one of [`input_bits`](crate::input_bits), too: settings say as which it is used.
+    pub fn also(self, bit: u32) -> Self {
+        let place = self.places.get(self.count.wrapping_sub(1)).map(|(place, _)| *place);
+        self.note(bit, place)
+    }
+
+    fn note(mut self, bit: u32, place: Option<Place>) -> Self {
+        if let (Some(slot), Some(place)) = (self.places.get_mut(self.count), place) {
+            *slot = (place, bit);
+            self.count += 1;
+        }
         self
     }
 
@@ -256,11 +269,14 @@ impl InputPins {
 
     /// Pull-ups, but nothing for the inputs of one word, and pull-downs for those of the other.
     pub fn set_pulls(&mut self, none: u16, down: u16) {
-        for (place, bit) in self.places.iter().take(self.count) {
+        let places = self.places.get(..self.count).unwrap_or_default();
+        for (place, _) in places {
+            // A pin may have two bits.
+            let bits = places.iter().filter(|(other, _)| other == place).fold(0, |bits, (_, bit)| bits | 1 << bit);
             // PUPDR: 1 pulls up, 2 down.
-            let pull = match (down >> bit & 1, none >> bit & 1) {
-                (1, _) => 2,
-                (_, 1) => 0,
+            let pull = match (down & bits != 0, none & bits != 0) {
+                (true, _) => 2,
+                (_, true) => 0,
                 _ => 1,
             };
             set_pull(*place, pull);

@@ -4,14 +4,13 @@
 use super::chain::Chain;
 pub use super::chain::Rings;
 use super::registers::{Map, read_idr, timer::*, write, write_bsrr};
-use crate::contract::{Due, Free, SecondMotor, StepOutput, Undone};
+use crate::AXES;
+use crate::contract::{COMBINATIONS, Due, Free, SecondMotor, StepOutput, Undone};
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Ports A, B and C: all that these boards bring out.
 pub const PORTS: usize = 3;
-/// Motors that are told apart.
-const AXES: usize = crate::profiles::AXES;
 
 /// PWM of spindle and laser before the settings are known: `$33` of a new controller.
 const DEFAULT_PWM_HZ: u32 = 5_000;
@@ -43,13 +42,17 @@ pub const fn bsrr(pin: u32, high: bool) -> u32 {
     if high { 1 << pin } else { 0x1_0000 << pin }
 }
 
-/// Words for each combination of three bits, for each port.
-type Words<const P: usize> = [[u32; 8]; P];
+/// Words for each combination of a bit for each axis, for each port.
+type Words<const P: usize> = [[u32; COMBINATIONS]; P];
+/// All of the bits.
+const ALL: u8 = (COMBINATIONS - 1) as u8;
+/// The bit of A, whose motor is the fourth; on a board with three axes there is none.
+const FOURTH_AXIS: u8 = ALL & 8;
 
 /// Fills a table: which bits of a combination drive each pin, and a bit for each that is active low. `both` = a pin that is
 /// not driven gets the opposite level; otherwise it is left alone.
 fn fill<const P: usize>(ports: [usize; P], places: [Place; 4], driven: [u8; 4], invert: u8, both: bool) -> Words<P> {
-    let mut tables = [[0; 8]; P];
+    let mut tables = [[0; COMBINATIONS]; P];
     for (i, (place, driven)) in places.into_iter().zip(driven).enumerate() {
         let active_low = invert >> i & 1 != 0;
         let set = bsrr(place.pin, !active_low);
@@ -97,7 +100,7 @@ pub struct StepPins<M, const P: usize, O> {
     /// Of the directions that hold: words for each combination of steps.
     both: Words<P>,
     /// What an event holds until it is committed: its word, or on several ports its steps.
-    table: [u32; 8],
+    table: [u32; COMBINATIONS],
     clocks: Clocks,
     pwm_period: u32,
     /// Of the touch probe; the pin itself belongs to the inputs.
@@ -119,7 +122,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
         owned: O,
     ) -> Self {
         let ports = ports_of(step.into_iter().chain(direction));
-        let none = [[0; 8]; P];
+        let none = [[0; COMBINATIONS]; P];
         let mut pins = StepPins {
             chain: Chain::new(ports, rings),
             ports,
@@ -128,7 +131,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
             steps: none,
             directions: none,
             both: none,
-            table: [0, 1, 2, 3, 4, 5, 6, 7],
+            table: core::array::from_fn(|steps| steps as u32),
             clocks,
             pwm_period: 1,
             probe,
@@ -177,7 +180,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     fn direct(&mut self, directions: u8) {
         let tables = self.both.iter_mut().zip(&self.steps).zip(&self.directions);
         for ((both, steps), directed) in tables {
-            let directed = directed.get(usize::from(directions & 7)).copied().unwrap_or(0);
+            let directed = directed.get(usize::from(directions & ALL)).copied().unwrap_or(0);
             for (word, step) in both.iter_mut().zip(steps) {
                 *word = step | directed;
             }
@@ -232,7 +235,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     fn halt(&mut self) -> Undone<AXES> {
         let mut net = [0; AXES];
         // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
-        let of = |table: &[u32; 8], axis: usize| table.get(1 << axis & 7).copied().unwrap_or(0);
+        let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
             for ((mask, steps), directions) in masks.iter_mut().zip(&self.steps).zip(&self.directions) {
@@ -253,15 +256,16 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor) {
-        // The fourth pin is driven as that of its axis is.
-        let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & second.axis != 0) != turn) << 3;
+        // The fourth pin is driven as that of its axis is: as the second of another axis, or else as A.
+        let axis = if second.axis == 0 { FOURTH_AXIS } else { second.axis };
+        let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & axis != 0) != turn) << 3;
         let step_invert = fourth(step_invert, false);
         let direction_invert = fourth(direction_invert, second.inverted);
         let own = |stands: bool| [1, 2, 4].map(|axis| if stands && axis == second.axis { 0 } else { axis });
-        let ([x, y, z], motor) = (own(second.first_stands), if second.stands { 0 } else { second.axis });
+        let ([x, y, z], motor) = (own(second.first_stands), if second.stands { 0 } else { axis });
         self.steps = fill(self.ports, self.step, [x, y, z, motor], step_invert, false);
-        self.directions = fill(self.ports, self.direction, [1, 2, 4, second.axis], direction_invert, true);
-        let off = fill(self.ports, self.step, [7; 4], !step_invert, false).map(|words| words[7]);
+        self.directions = fill(self.ports, self.direction, [1, 2, 4, axis], direction_invert, true);
+        let off = fill(self.ports, self.step, [ALL; 4], !step_invert, false).map(|words| words[COMBINATIONS - 1]);
         for (i, place) in self.step.iter().enumerate() {
             note_safe_level(*place, step_invert >> i & 1 != 0);
         }

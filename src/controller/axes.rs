@@ -1,7 +1,9 @@
 //! Axes, and values that exist once for each of them.
 //!
 //! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
-//! three. X, Y and Z always exist; A, B and C when `N` reaches them.
+//! three. X, Y and Z always exist; A, B and C when `N` reaches them and the machine has them (`$930`): the others never
+//! move, and no report names them. X, Y and Z are lengths in millimetres; A, B and C are angles in degrees, and whatever
+//! is said of millimetres holds for their degrees.
 
 /// One axis of the machine, in the order of its letter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,11 +57,19 @@ impl Axis {
         }
     }
 
+    /// Whether it turns: its coordinates are degrees.
+    pub const fn is_rotary(self) -> bool {
+        self as usize >= LINEAR
+    }
+
     /// The axes of a machine with `N` axes, in order.
     pub fn of_machine<const N: usize>() -> impl Iterator<Item = Axis> {
         Axis::ALL.into_iter().take(N)
     }
 }
+
+/// The first axes, X to Z, move the tool along a line.
+pub const LINEAR: usize = 3;
 
 /// How the motors move the tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -90,7 +90,7 @@ codes! {
     CycleNeedsPerMinute = 120, "a canned cycle needs G94";
     NotSupported = 121, "the word is known but not supported: docs/gcode.md lists which are";
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
-    NothingSaved = 123, "there is no state that M72 could restore";
+    NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";
     ExtendedLeftOut = 124, "this board has no room for canned cycles, the tool table and words of state";
     DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
     NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
@@ -104,11 +104,17 @@ codes! {
     BlendingLeftOut = 134, "this board has no room for rounded corners";
     ToolSetterLeftOut = 135, "this board has no room for tool setters ($918=2)";
     RecorderLeftOut = 136, "this board has no room for a recording of what comes in";
-    SplineOutsideXy = 140, "a spline (G5, G5.1) needs G17 and has no axis words but X and Y";
-    SplinesLeftOut = 141, "this board has no room for splines (G5, G5.1)";
+    SplineOutsideXy = 140, "a spline (G5 to G5.3) needs G17 and has no axis words but X and Y";
+    SplinesLeftOut = 141, "this board has no room for splines (G5 to G5.3)";
     UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
     ScalingActs = 143, "the coordinates that the line sets are scaled by G51";
     ScalingLeftOut = 144, "this board has no room for scaled coordinates (G51)";
+    ControlPointsNotBegun = 145, "control points have to begin with G5.2 where the tool is";
+    ControlPointsNotEnded = 146, "control points (G5.2) come to their end with G5.3, or are given up with G80";
+    TooFewControlPoints = 147, "a curve (G5.3) has as many control points as its order L at least, its start included";
+    TooManyControlPoints = 148, "there is no room for more control points (G5.2)";
+    NoParallelAxes = 149, "there are no axes U, V and W";
+    OneRotaryAxis = 150, "A is the only axis that turns: there are no axes B and C";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

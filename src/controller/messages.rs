@@ -90,8 +90,7 @@ pub struct LineByte {
 /// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ToStep {
-    /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] and only by machines that have
-    /// them.
+    /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] if any of them moves.
     BlockRest {
         /// The parts of A, B, C.
         steps_by_axis: [AxisSteps; 3],

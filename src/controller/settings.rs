@@ -3,7 +3,7 @@
 //! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as
 //! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
 
-use crate::axes::{Arrangement, Axis, PerAxis};
+use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::error::{Error, codes};
 use crate::step_rates::StepRates;
 use crate::units::{Decimal, Duration, StepsPerMm};
@@ -53,6 +53,33 @@ pub struct Description {
     /// What the values 0, 1, 2 and so on choose, or what the bits of a mask mean, from the lowest; commas between. Empty
     /// for numbers that are quantities.
     pub labels: &'static str,
+}
+
+impl Description {
+    /// On a machine with so many axes.
+    fn with_axes(self, axes: usize) -> Self {
+        let labels = match axes {
+            0..=LINEAR => AXIS_LABELS,
+            4 => "X axis,Y axis,Z axis,A axis",
+            5 => "X axis,Y axis,Z axis,A axis,B axis",
+            _ => ALL_AXIS_LABELS,
+        };
+        if self.labels == AXIS_LABELS { Self { labels, ..self } } else { self }
+    }
+
+    /// Of a setting that exists once for each axis: those that turn have degrees.
+    fn of_axis(self, axis: Axis) -> Self {
+        let unit = match self.unit {
+            unit if !axis.is_rotary() => unit,
+            "mm" => "deg",
+            "steps/mm" => "steps/deg",
+            "mm/min" => "deg/min",
+            "mm/s2" => "deg/s2",
+            "mm/s3" => "deg/s3",
+            unit => unit,
+        };
+        Self { unit, ..self }
+    }
 }
 
 /// A row of `$$` as it is told to people and senders.
@@ -133,6 +160,8 @@ const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Em
 const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
 /// Axes by number or bit.
 const AXIS_LABELS: &str = "X axis,Y axis,Z axis";
+/// As far as any machine may have them.
+const ALL_AXIS_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis";
 
 table! {
     /// Settings that exist once.
@@ -171,7 +200,7 @@ table! {
         SpindlePwm: 33, "Spindle PWM frequency", "Hz", Spindle, "", Kind::Whole(1, 100_000), 5000.0, false;
         JogClip: 40, "Jogs end at the soft limits", "", Limits, "", Kind::Switch, 0.0, false;
         Parking: 41, "Parking", "", Door, "", Kind::Switch, 0.0, false;
-        ParkingAxis: 42, "Parking axis", "", Door, "X axis,Y axis,Z axis,A axis,B axis,C axis", Kind::Whole(0, 5), 2.0, false;
+        ParkingAxis: 42, "Parking axis", "", Door, ALL_AXIS_LABELS, Kind::Whole(0, 5), 2.0, false;
         HomingPasses: 43, "Homing locate passes", "", Homing, "", Kind::Whole(1, 128), 1.0, false;
         ParkingPullOut: 56, "Parking pull-out", "mm", Door, "", Kind::Real, 5.0, false;
         ParkingPullOutRate: 57, "Parking pull-out rate", "mm/min", Door, "", Kind::Real, 100.0, false;
@@ -217,6 +246,7 @@ table! {
         SpindleReaction: 927, "Reaction to a spindle that loses its speed", "", Spindle, REACTIONS, Kind::Whole(0, 5), 1.0, false;
         HostReaction: 928, "Reaction to a host that is silent or gone in mid-job", "", General, REACTIONS, Kind::Whole(0, 5), 4.0, false;
         SpeedLoss: 929, "Longest loss of spindle speed (0 = not watched)", "s", Spindle, "", Kind::Real, 1.0, false;
+        Axes: 930, "Axes in use (4: with A, which turns)", "", General, "", Kind::Whole(3, 6), 3.0, false;
     }
 }
 
@@ -274,21 +304,28 @@ pub struct Settings<const N: usize> {
     per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
     /// Counts changes: what follows from the values need be computed once for each.
     revision: u32,
+    /// Axes for which the board has motors, `N` at most.
+    present: usize,
 }
 
-/// Axes of the `n`-th homing cycle of a new controller: Z first, out of the way, then X and Y together, then each of the
-/// others.
+/// Axes of the `n`-th homing cycle of a new controller: Z first, out of the way, then X and Y together. Few rotary axes have a
+/// switch.
 pub const fn homing_cycle(n: usize) -> u8 {
     match n {
         0 => 0b100,
         1 => 0b011,
-        n => 1 << (n + 1),
+        _ => 0,
     }
 }
 
-/// All axes of the machine, bit 0 for X.
-const fn axes_mask<const N: usize>() -> u8 {
-    (1 << N) - 1
+/// So many axes, bit 0 for X.
+const fn axes_mask(axes: usize) -> u8 {
+    (1 << axes) - 1
+}
+
+/// How many rows `$$` has with so many axes in use.
+pub const fn lines(axes: usize) -> usize {
+    Key::COUNT + AxisKey::COUNT * axes
 }
 
 impl<const N: usize> Default for Settings<N> {
@@ -302,7 +339,7 @@ impl<const N: usize> Settings<N> {
     #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
     pub const fn new() -> Self {
         let mut settings =
-            Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT], revision: 0 };
+            Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT], revision: 0, present: N };
         let mut i = 0;
         while i < Key::COUNT {
             settings.scalars[i] = SCALARS[i].default;
@@ -315,14 +352,37 @@ impl<const N: usize> Settings<N> {
         }
         i = 0;
         while i < N {
-            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = (homing_cycle(i) & axes_mask::<N>()) as f32;
+            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = homing_cycle(i) as f32;
+            if i >= LINEAR {
+                // It turns without end.
+                settings.per_axis[AxisKey::Travel as usize].0[i] = 0.0;
+            }
             i += 1;
         }
         settings
     }
 
-    /// How many lines `$$` has.
-    pub const LINES: usize = Key::COUNT + AxisKey::COUNT * N;
+    /// The defaults of a board that has motors for so many axes.
+    pub const fn of_board(axes: usize) -> Self {
+        Self { present: if axes < N { axes } else { N }, ..Self::new() }
+    }
+
+    /// How many lines `$$` has with all axes in use.
+    pub const LINES: usize = lines(N);
+
+    /// How many axes the machine has (`$930`). To Grbl's dialect there are three.
+    #[inline]
+    pub fn axes_in_use(&self) -> usize {
+        if N <= LINEAR || self.value(Key::Dialect) == 0.0 {
+            return N.min(LINEAR);
+        }
+        (self.whole(Key::Axes) as usize).clamp(LINEAR, self.present.max(LINEAR))
+    }
+
+    /// How many axes have settings: those of A may come before `$930`, as a set is restored in any order.
+    fn axes_to_set(&self) -> usize {
+        if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.present.max(LINEAR) }
+    }
 
     /// A value of the first table.
     pub fn value(&self, key: Key) -> f32 {
@@ -351,6 +411,12 @@ impl<const N: usize> Settings<N> {
         self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
     }
 
+    /// The axes of each homing cycle, bit 0 for X: those of the machine.
+    pub fn homing_cycles(&self) -> PerAxis<u8, N> {
+        let axes = axes_mask(self.axes_in_use());
+        self.axes(AxisKey::HomingCycle).map(|cycle| cycle as u8 & axes)
+    }
+
     fn find(number: u16) -> Option<Index> {
         if let Some(i) = SCALARS.iter().position(|e| e.number == number) {
             return Some(Index::Scalar(i));
@@ -366,22 +432,28 @@ impl<const N: usize> Settings<N> {
         if let Some(entry) = SCALARS.get(line) {
             return Some((*entry, entry.number, self.scalars.get(line).copied()?));
         }
-        let line = line.checked_sub(Key::COUNT)?;
-        let entry = PER_AXIS.get(line / N)?;
-        let axis = Axis::ALL.get(line % N)?;
-        Some((*entry, entry.number + axis.index() as u16, self.per_axis.get(line / N)?.get(*axis)?))
+        let (line, axes) = (line.checked_sub(Key::COUNT)?, self.axes_in_use());
+        let entry = PER_AXIS.get(line.checked_div(axes)?)?;
+        let axis = Axis::ALL.get(line.checked_rem(axes)?)?;
+        Some((*entry, entry.number + axis.index() as u16, self.per_axis.get(line.checked_div(axes)?)?.get(*axis)?))
     }
 
-    /// What is told of the `line`-th row of `$$`.
-    pub fn described(line: usize) -> Option<Row> {
+    /// What is told of the `line`-th row of `$$` with so many axes in use.
+    pub fn described(line: usize, axes: usize) -> Option<Row> {
         if let (Some(entry), Some(description)) = (SCALARS.get(line), SCALAR_DESCRIPTIONS.get(line)) {
-            return Some(Row { number: entry.number, axis: None, entry: *entry, description: *description });
+            return Some(Row {
+                number: entry.number,
+                axis: None,
+                entry: *entry,
+                description: description.with_axes(axes),
+            });
         }
         let line = line.checked_sub(Key::COUNT)?;
-        let (entry, description) = (PER_AXIS.get(line / N)?, PER_AXIS_DESCRIPTIONS.get(line / N)?);
-        let axis = *Axis::ALL.get(line % N)?;
+        let row = line.checked_div(axes)?;
+        let (entry, description) = (PER_AXIS.get(row)?, PER_AXIS_DESCRIPTIONS.get(row)?);
+        let axis = *Axis::ALL.get(line.checked_rem(axes)?)?;
         let number = entry.number + axis.index() as u16;
-        Some(Row { number, axis: Some(axis), entry: *entry, description: *description })
+        Some(Row { number, axis: Some(axis), entry: *entry, description: description.of_axis(axis).with_axes(axes) })
     }
 
     /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
@@ -396,6 +468,9 @@ impl<const N: usize> Settings<N> {
             return Err(Error::NegativeValue);
         }
         let place = Self::find(number).ok_or(Error::InvalidStatement)?;
+        if matches!(place, Index::PerAxis(_, axis) if axis.index() >= self.axes_to_set()) {
+            return Err(Error::InvalidStatement);
+        }
         let entry = match place {
             Index::Scalar(i) => SCALARS.get(i),
             Index::PerAxis(i, _) => PER_AXIS.get(i),
@@ -417,7 +492,7 @@ impl<const N: usize> Settings<N> {
                 _ => return Err(Error::InvalidStatement),
             },
             Kind::Axes => match value.truncate() {
-                mask @ 0..=255 if mask as u8 & !axes_mask::<N>() == 0 => mask as f32,
+                mask @ 0..=255 if mask as u8 & !axes_mask(self.axes_to_set()) == 0 => mask as f32,
                 _ => return Err(Error::InvalidStatement),
             },
             Kind::Switch => match value.truncate() {
@@ -475,7 +550,7 @@ impl<const N: usize> Settings<N> {
 
     /// Takes over all values of others.
     pub fn replace(&mut self, others: Self) {
-        *self = Self { revision: self.revision.wrapping_add(1), ..others };
+        *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
     }
 
     fn put(&mut self, place: Index, value: f32) {
@@ -507,14 +582,15 @@ impl<const N: usize> Settings<N> {
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
     /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board
     /// can keep with a step pulse of this length (`$0`): too many pulses a second; a second motor that the board does not have or that CoreXY leaves
-    /// no place for.
+    /// no place for, or A; more axes than the board has motors for.
     pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
         let greatest_hz = rates.greatest_hz(self.value(Key::StepPulse));
         let core_xy = self.arrangement() == Arrangement::CoreXy;
         let resolution = self.axes(AxisKey::Resolution);
         let rate = self.axes(AxisKey::MaxRate);
         let acceleration = self.axes(AxisKey::Acceleration);
-        let of_axis = Axis::of_machine::<N>().find_map(|axis| {
+        let in_use = self.axes_in_use();
+        let of_axis = Axis::of_machine::<N>().take(in_use).find_map(|axis| {
             let offset = axis.index() as u16;
             let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
             // Along the diagonal one motor of a CoreXY machine turns by both ways.
@@ -536,8 +612,9 @@ impl<const N: usize> Settings<N> {
                 None
             }
         });
-        let ganged =
-            self.ganged_axis().filter(|axis| !has_second_motor || (core_xy && *axis != Axis::Z)).map(|_| GANGED_AXIS);
+        // The second motor of an axis is the fourth of the board, and so is that of A.
+        let cannot = |axis: &Axis| !has_second_motor || in_use > LINEAR || (core_xy && *axis != Axis::Z);
+        let ganged = self.ganged_axis().filter(cannot).map(|_| GANGED_AXIS);
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
     }
 
@@ -546,7 +623,9 @@ impl<const N: usize> Settings<N> {
         let homing = self.is_on(Key::Homing);
         let parking = homing && self.is_on(Key::Parking);
         let crawls = |key| !RATES.contains(&self.value(key));
-        if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
+        if self.whole(Key::Axes) as usize > self.present.max(LINEAR) && self.value(Key::Dialect) != 0.0 {
+            Some(const { Key::Axes.number() })
+        } else if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
             Some(const { Key::JunctionDeviation.number() })
         } else if self.value(Key::ArcTolerance) < LEAST_TOLERANCE {
             Some(const { Key::ArcTolerance.number() })
@@ -556,7 +635,7 @@ impl<const N: usize> Settings<N> {
             Some(const { Key::HomingLocate.number() })
         } else if homing && crawls(Key::HomingSeek) {
             Some(const { Key::HomingSeek.number() })
-        } else if parking && self.whole(Key::ParkingAxis) as usize >= N {
+        } else if parking && self.whole(Key::ParkingAxis) as usize >= self.axes_in_use().min(LINEAR) {
             Some(const { Key::ParkingAxis.number() })
         } else if parking && crawls(Key::ParkingPullOutRate) {
             Some(const { Key::ParkingPullOutRate.number() })
@@ -724,7 +803,58 @@ mod tests {
         assert_eq!(set(&mut s, 47, 1000), Err(Error::InvalidStatement));
         set(&mut s, 44, 1000).unwrap();
         assert_eq!(cycles(&s), [1.0, 3.0, 0.0]);
-        assert_eq!(Settings::<4>::default().axes(AxisKey::HomingCycle).0, [4.0, 3.0, 8.0, 0.0]);
+        assert_eq!(Settings::<4>::default().axes(AxisKey::HomingCycle).0, [4.0, 3.0, 0.0, 0.0], "A has no switch");
+    }
+
+    #[test]
+    fn axes_that_are_not_in_use_have_no_settings() {
+        let mut s = Settings::<4>::default();
+        let listed = |s: &Settings<4>| (0..).map_while(|line| s.row(line)).map(|row| row.1).collect::<Vec<_>>();
+        let three = listed(&s);
+        let of_three = Settings::<3>::default();
+        assert_eq!(three, (0..Settings::<3>::LINES).map(|line| of_three.row(line).unwrap().1).collect::<Vec<_>>());
+        // A set of settings may come in any order.
+        s.set(103, Decimal::from_int(7)).unwrap();
+        s.set(44, Decimal::from_int(12)).unwrap();
+        assert_eq!((listed(&s), s.homing_cycles().0), (three.clone(), [4, 3, 0, 0]));
+        s.set(930, Decimal::from_int(4)).unwrap();
+        assert_eq!(s.homing_cycles().0, [12, 3, 0, 0]);
+        assert_eq!((s.axes_in_use(), listed(&s).len()), (4, Settings::<4>::LINES));
+        s.set(103, Decimal::from_int(10)).unwrap();
+        s.set(44, Decimal::from_int(12)).unwrap();
+        s.set(103, Decimal::ZERO).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(103));
+        s.set(930, Decimal::from_int(3)).unwrap();
+        assert_eq!((s.unrunnable(rates(100_000), true), s.homing_cycles().0), (None, [4, 3, 0, 0]));
+        assert_eq!(listed(&s), three);
+        s.set(930, Decimal::from_int(4)).unwrap();
+        s.set(900, Decimal::ZERO).unwrap();
+        assert_eq!((s.axes_in_use(), listed(&s)), (3, three), "to Grbl");
+        assert_eq!(s.set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
+        assert_eq!(s.set(44, Decimal::from_int(8)), Err(Error::InvalidStatement));
+        assert_eq!(
+            Settings::<4>::of_board(3).set(103, Decimal::from_int(10)),
+            Err(Error::InvalidStatement),
+            "no motor"
+        );
+        assert_eq!(Settings::<3>::default().set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
+    }
+
+    #[test]
+    fn a_board_declines_axes_for_which_it_has_no_motors() {
+        for mut s in [Settings::<4>::of_board(3), Settings::<4>::of_board(4)] {
+            let has_four = s.present == 4;
+            s.set(930, Decimal::from_int(4)).unwrap();
+            assert_eq!(s.axes_in_use(), if has_four { 4 } else { 3 });
+            assert_eq!(s.unrunnable(rates(100_000), true), (!has_four).then_some(930));
+            s.set(905, Decimal::from_int(2)).unwrap();
+            assert!(s.unrunnable(rates(100_000), true).is_some(), "one motor too few");
+            s.set(930, Decimal::from_int(3)).unwrap();
+            assert_eq!(s.unrunnable(rates(100_000), true), None);
+        }
+        let mut s = Settings::<3>::default();
+        s.set(930, Decimal::from_int(4)).unwrap();
+        assert_eq!((s.axes_in_use(), s.unrunnable(rates(100_000), true)), (3, Some(930)));
     }
 
     #[test]

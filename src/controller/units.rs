@@ -262,6 +262,15 @@ pub fn per_minute(per_second: f32) -> f32 {
     per_second * 60.0
 }
 
+/// A control point of a curve, in X and Y of the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WeightedPoint {
+    /// Where it is.
+    pub place: [Coordinate; 2],
+    /// How strongly the curve is drawn to it, above 0.
+    pub weight: f32,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

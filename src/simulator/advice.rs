@@ -2,6 +2,74 @@
 
 use oxmill_controller::error::{Alarm, Error};
 
+/// Words that are refused, and what to write instead.
+const INSTEAD: [(&[&str], &str); 13] = [
+    (
+        &["G33", "G33.1", "G74", "G76", "G84"],
+        "The spindle is not measured, so nothing can follow its turns: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
+    ),
+    (&["G95"], "Write the feed per minute: G94, and F as feed per revolution times revolutions per minute."),
+    (&["G96"], "Write the speed of the spindle in revolutions per minute: G97 S1000."),
+    (&["G7", "G8"], "Leave the word out, and write X as it is to move: there is no lathe mode."),
+    (&["G12", "G13"], "Write the circle as an arc: G2 or G3 with I and J."),
+    (
+        &["G15", "G16"],
+        "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2.",
+    ),
+    (&["G31"], "Probe with G38.2 to G38.5, which say what happens without a contact; #5061 and on have the place."),
+    (
+        &["G41", "G41.1", "G42", "G42.1"],
+        "Let the CAM program offset the path by the radius of the cutter, and leave the word out.",
+    ),
+    (&["G51.1"], "Mirror with G51 and a negative I or J."),
+    (
+        &["G65", "G66", "M97", "M98", "M99"],
+        "Write sub-programs with O words in the same file: o100 sub, its lines, o100 endsub, then o100 call [5]; docs/expressions.md has more.",
+    ),
+    (&["G87"], "Write the back boring as single moves."),
+    (&["G54.1"], "Use G54 to G59.3: there are nine coordinate systems."),
+    (&["M19"], "Leave the word out: the spindle cannot be turned to an angle."),
+];
+
+/// What helps against an error with this number that a line has met: what to write instead of a word of it, if that is
+/// known.
+pub fn for_line(code: u8, line: &str) -> &'static str {
+    let refused =
+        [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
+    let instead = || {
+        let words = words(line);
+        INSTEAD.iter().find(|(refused, _)| words.iter().any(|word| refused.contains(&word.as_str())))
+    };
+    if !refused.iter().any(|error| error.code() == code) {
+        return for_code(code);
+    }
+    instead().map_or_else(|| for_code(code), |(_, advice)| advice)
+}
+
+/// The words of a line without its remarks, and without zeros before and behind a number: `g081.0` is `G81`.
+fn words(line: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut depth = 0_usize;
+    for character in line.split(';').next().unwrap_or_default().chars().filter(|c| !c.is_whitespace()) {
+        match character {
+            '(' => depth += 1,
+            ')' => depth = depth.saturating_sub(1),
+            _ if depth > 0 => {}
+            letter if letter.is_ascii_alphabetic() => words.push(letter.to_ascii_uppercase().into()),
+            _ => words.last_mut().into_iter().for_each(|word| word.push(character)),
+        }
+    }
+    words.iter().map(|word| plain(word)).collect()
+}
+
+fn plain(word: &str) -> String {
+    let (letter, number) = word.split_at(1);
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    let (whole, fraction) = (whole.trim_start_matches('0'), fraction.trim_end_matches('0'));
+    let point = if fraction.is_empty() { "" } else { "." };
+    format!("{letter}{}{point}{fraction}", if whole.is_empty() { "0" } else { whole })
+}
+
 /// What helps against an error with this number; empty for a number that does not exist.
 pub fn for_code(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("", |error| for_error(*error))
@@ -77,13 +145,20 @@ pub fn for_error(error: Error) -> &'static str {
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
-        Error::NothingSaved => "Save the state with M70 before M72.",
+        Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
+        Error::ControlPointsNotBegun => "Begin the control points with G5.2, and move nothing else before G5.3.",
+        Error::ControlPointsNotEnded => {
+            "End the control points with G5.3 before other motions, or give them up with G80."
+        }
+        Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
+        Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
+        Error::OneRotaryAxis => "Write the part with A, or have the post-processor turn it by hand between programs.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
         Error::ExtendedLeftOut
         | Error::ExpressionsLeftOut
@@ -100,6 +175,7 @@ pub fn for_error(error: Error) -> &'static str {
             "Leave the line out: a board with pins for programs is not there yet, but for the simulator."
         }
         Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
+        Error::NoParallelAxes => "Choose a post-processor for machines with the axes X, Y and Z.",
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
@@ -142,6 +218,26 @@ pub fn for_alarm(alarm: Alarm) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
+
+    #[test]
+    fn words_that_are_refused_have_something_to_write_instead() {
+        for (refused, advice) in INSTEAD {
+            assert!(advice.ends_with('.') && !advice.contains("  "), "{advice}");
+            for word in refused {
+                let line = format!("{word} X1 I1");
+                let mut checked = Checked::NOTHING;
+                let checked = Interpreter::<3>::new().check_into(line.as_bytes(), Dialect::Oxmill, &mut checked);
+                let code = checked.expect_err(word).code();
+                assert_eq!(for_line(code, &line), advice, "{word}");
+            }
+        }
+        assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("o100 call"));
+        assert!(for_line(121, "G00 g84.0X1").contains("G81"));
+        for (code, line) in [(20, "G0 X84"), (20, "(G84) D1"), (36, "G84 X1"), (22, "M98"), (121, "@5"), (20, "")] {
+            assert_eq!(for_line(code, line), for_code(code), "{line}");
+        }
+    }
 
     #[test]
     fn every_error_and_every_alarm_has_a_sentence() {

@@ -46,8 +46,8 @@ impl Outcome {
                 line,
                 code,
                 text: text.into(),
+                advice: advice::for_line(code, &source).into(),
                 source,
-                advice: advice::for_code(code).into(),
             });
         } else {
             self.more_errors += 1;
@@ -98,7 +98,7 @@ impl Check {
         simulator.begin_job();
         simulator.take_output();
         simulator.load_job(job);
-        let began_at = simulator.machine().position();
+        let began_at = simulator.machine().motors();
         Self { simulator, origin, began_at, outcome: Outcome::default(), done: false }
     }
 
@@ -189,9 +189,12 @@ impl Check {
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);
-            if let Some((line, behind)) = job.behind_end() {
+            if let Some((end, behind)) = job.behind_end() {
+                let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
+                let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
                 self.outcome.note(format!(
-                    "line {line} ended the program (M2 or M30); {behind} more lines behind it were carried out, as a sender sends them"
+                    "line {} ended the program ({word}); {behind} more {lines} behind it {were} carried out, as a sender sends them",
+                    end.line
                 ));
             }
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();
@@ -233,11 +236,12 @@ impl Check {
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
         // The step counter began at 0 at power-up; homing may have given the place another name since.
-        let here = simulator.machine_position();
-        let counted = simulator.meter().millimetres(machine.position());
-        let named = |steps: [i32; 3]| {
+        let here = simulator.machine_place();
+        let counted = simulator.meter().millimetres(machine.motors());
+        let axes = simulator.controller().settings().axes_in_use();
+        let named = |steps: [i32; AXES]| {
             let place = simulator.meter().carriages_mm(steps);
-            std::array::from_fn(|axis| round(place[axis] - counted[axis] + here[axis]))
+            (0..axes).map(|axis| round(place[axis] - counted[axis] + here[axis])).collect()
         };
         Summary {
             job: name.into(),
@@ -263,18 +267,18 @@ impl Check {
             spin_up_s: round(times.spin_up_s),
             tools: simulator.meter().times().rows().into_iter().map(rounded).collect(),
             moving_s: clock.seconds(simulator.busy_ticks()),
-            position_mm: here,
-            work_position_mm: simulator.work_position(),
-            steps: std::array::from_fn(|axis| i64::from(machine.position()[axis]) - i64::from(self.began_at[axis])),
-            pulses: machine.pulses(),
+            position_mm: here[..axes].to_vec(),
+            work_position_mm: simulator.work_place()[..axes].to_vec(),
+            steps: (0..axes).map(|axis| i64::from(machine.motors()[axis]) - i64::from(self.began_at[axis])).collect(),
+            pulses: machine.motor_pulses()[..axes].to_vec(),
             step_events: trace.events(),
             distance_mm: round(measured.distance),
             rapid_distance_mm: round(measured.rapid_distance),
             extents_mm: Extents { min: named(low), max: named(high) },
             peak_speed_mm_s: round(measured.speed),
             peak_acceleration_mm_s2: round(measured.acceleration),
-            peak_axis_speed_mm_s: measured.axis_speed.map(round),
-            peak_axis_acceleration_mm_s2: measured.axis_acceleration.map(round),
+            peak_axis_speed_mm_s: measured.axis_speed.map(round)[..axes].to_vec(),
+            peak_axis_acceleration_mm_s2: measured.axis_acceleration.map(round)[..axes].to_vec(),
             trace_hash: format!("{:016x}", trace.digest().time_hash()),
             order_hash: format!("{:016x}", trace.digest().order_hash()),
             host_s,

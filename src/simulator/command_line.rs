@@ -1,8 +1,9 @@
 //! The words of the command line, and nothing of what they do.
 
-use crate::boards::{self, AXES, Board};
+use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};
 use clap::{Args, Parser, Subcommand};
+use oxmill_controller::axes::LINEAR;
 use std::path::PathBuf;
 
 /// What the program's exit status says.
@@ -123,7 +124,7 @@ pub struct Serve {
     #[cfg_attr(unix, arg(conflicts_with = "pty"))]
     pub page: Option<PathBuf>,
     /// Takes lines such as `limit x 1` or `door 0` that move input pins.
-    #[arg(long, value_name = "ADDR:PORT")]
+    #[arg(long, value_name = "[ADDR:]PORT")]
     pub pins: Option<String>,
     /// Writes what comes in, for `replay`.
     #[arg(long, value_name = "FILE")]
@@ -147,8 +148,8 @@ pub struct Replay {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct Link {
-    /// Listens for clients, one after another.
-    #[arg(long, value_name = "ADDR:PORT")]
+    /// Listens for clients, one after another. A port alone is one of the loopback.
+    #[arg(long, value_name = "[ADDR:]PORT")]
     pub tcp: Option<String>,
     /// Makes a pseudo terminal and prints its path; LINK becomes a symbolic link to it.
     #[cfg(unix)]
@@ -209,7 +210,7 @@ pub struct Start {
 
 /// A place in mm of machine coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorkZero(pub [f64; AXES]);
+pub struct WorkZero(pub [f64; LINEAR]);
 
 impl std::str::FromStr for WorkZero {
     type Err = String;

@@ -194,7 +194,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         "What M6 does: note which tool is in the spindle, or stop and wait until the tool is changed by hand. With 2 the tool goes to G30 for that, and is measured at a tool setter at G59.3; the machine has to be homed.",
     ),
     (Key::OptionalStop, "M1 pauses the job. With 0 it is passed over."),
-    (Key::BlockDelete, "Lines that begin with a slash are skipped. With 0 they are carried out without it."),
+    (
+        Key::BlockDelete,
+        "Lines that begin with a slash, or with their number and a slash, are skipped. With 0 they are carried out without it.",
+    ),
     (Key::PeckClearance, "How far a drill goes back in G73, and how far above the ground its rapid ends in G83."),
     (
         Key::HostSilence,
@@ -221,6 +224,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     (
         Key::SpeedLoss,
         "How long the spindle may be below its speed in mid-job before it is a fault, on a machine with an at-speed input ($915).",
+    ),
+    (
+        Key::Axes,
+        "How many axes the machine has. With 4 there is A, which turns: its words and places are degrees, and its settings are listed. It needs a board with four axes.",
     ),
 ];
 
@@ -270,7 +277,7 @@ mod tests {
 
     #[test]
     fn every_setting_has_its_sentence() {
-        let rows = (0..Settings::<6>::LINES).filter_map(Settings::<6>::described);
+        let rows = (0..Settings::<6>::LINES).filter_map(|line| Settings::<6>::described(line, 6));
         let mut numbers = 0;
         for row in rows {
             let sentence = setting(row.number);

@@ -4,7 +4,7 @@
 use crate::boards::AXES;
 use crate::machine::Machine;
 use anyhow::{Context, Result, ensure};
-use oxmill_controller::axes::{Arrangement, Axis};
+use oxmill_controller::axes::{Arrangement, Axis, LINEAR};
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 
@@ -13,7 +13,7 @@ use serde::Deserialize;
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
 /// kinematics = "corexy"            # or "cartesian", which need not be said
-/// backlash_mm = [0.05, 0.03, 0]    # how far each motor turns before its carriage follows
+/// backlash_mm = [0.05, 0.03, 0]    # how far each motor turns before its carriage follows; each list may have A, in degrees
 /// racked_mm = 0.4                  # how far the second motor of an axis is ahead of the first at power-up
 /// [[switch]]                       # closes at and beyond a place, in mm from where the machine stood at power-up
 /// axis = "x"
@@ -29,11 +29,11 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Description {
-    steps_per_mm: [f64; AXES],
+    steps_per_mm: Vec<f64>,
     #[serde(default)]
     kinematics: Kinematics,
     #[serde(default)]
-    backlash_mm: [f64; AXES],
+    backlash_mm: Vec<f64>,
     #[serde(default)]
     racked_mm: f64,
     #[serde(default)]
@@ -93,6 +93,8 @@ pub struct HomeSwitches {
     pub arrangement: Arrangement,
     /// Places in mm from where the carriages are now. The sign is the direction in which the carriage closes the switch.
     pub at_mm: [f64; AXES],
+    /// The axes that have one.
+    pub axes: Vec<usize>,
     /// The axis that has another one, at its second motor.
     pub second_motor: Option<usize>,
     /// Whether they open their circuit where others close it (`$5`).
@@ -150,6 +152,15 @@ impl Fittings {
             });
         }
         let Description { steps_per_mm, kinematics, backlash_mm, racked_mm, .. } = description;
+        let told = steps_per_mm.len();
+        ensure!((LINEAR..=AXES).contains(&told), "steps_per_mm must have {LINEAR} to {AXES} numbers");
+        ensure!(
+            contacts.iter().all(|contact| contact.axis < told),
+            "steps_per_mm must have a number for each axis with a contact"
+        );
+        ensure!(backlash_mm.is_empty() || backlash_mm.len() == told, "backlash_mm must be as long as steps_per_mm");
+        let of = |list: &[f64], other: f64| std::array::from_fn(|axis| list.get(axis).copied().unwrap_or(other));
+        let (steps_per_mm, backlash_mm): ([f64; AXES], [f64; AXES]) = (of(&steps_per_mm, 1.0), of(&backlash_mm, 0.0));
         ensure!(backlash_mm.iter().all(|b| b.is_finite() && *b >= 0.0), "backlash_mm must not be negative");
         ensure!(steps_per_mm.iter().all(|s| s.is_finite() && *s > 0.0), "steps_per_mm must be above 0");
         Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
@@ -167,7 +178,7 @@ impl Fittings {
                 Arrangement::CoreXy => Kinematics::CoreXy,
             };
         }
-        let first = (0..AXES).map(|axis| (axis, false));
+        let first = switches.axes.iter().map(|axis| (*axis, false));
         for (axis, second_motor) in first.chain(switches.second_motor.map(|axis| (axis, true))) {
             let at_mm = switches.at_mm[axis];
             self.contacts.push(Fitted {
@@ -201,11 +212,13 @@ impl Fittings {
     }
 
     /// Where the carriages are when the drives of the motors are here, mm.
-    fn places(&self, [a, b, z]: [f64; AXES]) -> [f64; AXES] {
-        match self.kinematics {
-            Kinematics::Cartesian => [a, b, z],
-            Kinematics::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
+    fn places(&self, motors: [f64; AXES]) -> [f64; AXES] {
+        let mut places = motors;
+        if self.kinematics == Kinematics::CoreXy {
+            let [a, b, ..] = motors;
+            (places[0], places[1]) = (0.5 * (a + b), 0.5 * (a - b));
         }
+        places
     }
 
     /// Whether nothing is fitted that follows the motors.
@@ -218,7 +231,7 @@ impl Fittings {
         if self.is_empty() {
             return false;
         }
-        let motors = machine.position();
+        let motors = machine.motors();
         for (motor, driven) in self.driven_mm.iter_mut().enumerate() {
             let turned = f64::from(motors[motor]) / self.steps_per_mm[motor];
             *driven = driven.clamp(turned - self.backlash_mm[motor], turned);
@@ -301,7 +314,7 @@ mod tests {
         side = "negative"
     "#;
 
-    fn run(machine: &mut Machine, to: [i32; AXES]) {
+    fn run(machine: &mut Machine, to: [i32; LINEAR]) {
         while machine.position() != to {
             let here = machine.position();
             let off = |axis: usize| u8::from(here[axis] != to[axis]) << axis;

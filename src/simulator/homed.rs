@@ -4,6 +4,7 @@ use crate::boards::AXES;
 use crate::fittings::HomeSwitches;
 use crate::power_up::error_text;
 use crate::simulator::Simulator;
+use oxmill_controller::axes::LINEAR;
 use oxmill_controller::settings::{AxisKey, Key};
 use std::time::Duration;
 
@@ -18,7 +19,7 @@ const ROUNDING_MM: f64 = 1e-3;
 ///
 /// # Errors
 /// A text for people: homing is off (`$22`), or has failed, or the place is out of range.
-pub fn home(simulator: &mut Simulator, work_zero: [f64; AXES]) -> Result<(), String> {
+pub fn home(simulator: &mut Simulator, work_zero: [f64; LINEAR]) -> Result<(), String> {
     if !simulator.controller().settings().is_on(Key::Homing) {
         return Err("homing is needed ($22=1)".into());
     }
@@ -33,8 +34,8 @@ pub fn home(simulator: &mut Simulator, work_zero: [f64; AXES]) -> Result<(), Str
     }
     let [x, y, z] = work_zero;
     say(simulator, &format!("G10 L2 P1 X{x:.6} Y{y:.6} Z{z:.6}")).map_err(|why| format!("G10 {why}"))?;
-    let (machine, work) = (simulator.machine_position(), simulator.work_position());
-    if (0..AXES).any(|axis| (machine[axis] - work[axis] - work_zero[axis]).abs() > ROUNDING_MM) {
+    let (machine, work) = (simulator.machine_place(), simulator.work_place());
+    if (0..LINEAR).any(|axis| (machine[axis] - work[axis] - work_zero[axis]).abs() > ROUNDING_MM) {
         return Err("the controller has another one: a stored offset or start-up line is in force".into());
     }
     name_steps(simulator, machine);
@@ -45,11 +46,14 @@ pub fn home(simulator: &mut Simulator, work_zero: [f64; AXES]) -> Result<(), Str
 fn switches_of(simulator: &Simulator) -> HomeSwitches {
     let settings = simulator.controller().settings();
     let to_negative = settings.whole(Key::HomingDirection);
-    let half = settings.axes(AxisKey::Travel).0.map(|travel| f64::from(travel) / 2.0);
+    // An axis that turns without end meets its switch within a turn.
+    let half = settings.axes(AxisKey::Travel).0.map(|travel| if travel > 0.0 { f64::from(travel) / 2.0 } else { 90.0 });
+    let homed = settings.homing_cycles().iter().fold(0, |all, cycle| all | cycle);
     HomeSwitches {
         steps_per_mm: settings.axes(AxisKey::Resolution).0.map(f64::from),
         arrangement: settings.arrangement(),
         at_mm: std::array::from_fn(|axis| if to_negative & 1 << axis != 0 { -half[axis] } else { half[axis] }),
+        axes: (0..AXES).filter(|axis| *axis < LINEAR || homed >> axis & 1 != 0).collect(),
         second_motor: settings.ganged_axis().filter(|_| settings.is_on(Key::GangedSwitch)).map(|axis| axis.index()),
         opens: settings.is_on(Key::LimitInvert),
     }
@@ -74,7 +78,7 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
 fn name_steps(simulator: &mut Simulator, machine: [f64; AXES]) {
     simulator.learn_resolution();
     let world = &mut simulator.world;
-    let (named, counted) = (world.meter.steps_of(machine), world.machine.position());
+    let (named, counted) = (world.meter.steps_of(machine), world.machine.motors());
     let by = std::array::from_fn(|motor| named[motor].wrapping_sub(counted[motor]));
     world.machine.rename_place(by);
     world.fittings.rename_places(by);
@@ -96,7 +100,7 @@ mod tests {
         simulator
     }
 
-    fn run(mut simulator: Simulator, work_zero: Option<[f64; AXES]>, job: &'static str) -> Summary {
+    fn run(mut simulator: Simulator, work_zero: Option<[f64; LINEAR]>, job: &'static str) -> Summary {
         if let Some(place) = work_zero {
             home(&mut simulator, place).unwrap();
         }
@@ -113,7 +117,7 @@ mod tests {
         let bare = || machine(&SOFT, Fittings::default());
         let inside = run(bare(), Some([-40.0, -20.0, -10.0]), JOB);
         assert!(inside.is_good(), "{inside}");
-        assert_eq!((inside.position_mm, inside.work_position_mm), ([-35.0, -20.0, -10.0], [5.0, 0.0, 0.0]));
+        assert_eq!((inside.position_mm, inside.work_position_mm), (vec![-35.0, -20.0, -10.0], vec![5.0, 0.0, 0.0]));
         assert_eq!(inside.extents_mm.min, [-40.0, -20.0, -10.0]);
         let outside = run(bare(), Some([-30.0, -20.0, -10.0]), JOB);
         assert_eq!(outside.alarm.map(|alarm| (alarm.code, alarm.line)), Some((2, Some(4))));
@@ -129,7 +133,7 @@ mod tests {
     fn the_job_is_the_same_behind_a_homing() {
         let bare = || machine(&["22=1"], Fittings::default());
         let job = "G21 G91 G54\nG1 X3 Y-2 F600\nG2 X2 I1\nG0 Z-1\n";
-        let [cold, homed] = [None, Some([0.0; AXES])].map(|zero| run(bare(), zero, job));
+        let [cold, homed] = [None, Some([0.0; LINEAR])].map(|zero| run(bare(), zero, job));
         assert!(homed.is_good(), "{homed}");
         assert!((cold.distance_mm - homed.distance_mm).abs() < 1e-9, "{homed}");
         // Homing takes 13 s and more.
@@ -150,10 +154,10 @@ mod tests {
             let mut simulator = machine(settings, Fittings::default());
             let to_negative = simulator.controller().settings().whole(Key::HomingDirection);
             home(&mut simulator, [-3.0, -4.0, -5.0]).unwrap_or_else(|why| panic!("{settings:?}: {why}"));
-            let home: [f64; AXES] =
+            let home: [f64; LINEAR] =
                 std::array::from_fn(|axis| if to_negative & 1 << axis != 0 { -199.0 } else { -1.0 });
             for (here, counted) in
-                [simulator.machine_position(), simulator.meter().millimetres(simulator.machine().position())]
+                [simulator.machine_place(), simulator.meter().millimetres(simulator.machine().motors())]
                     .iter()
                     .flat_map(|place| place.iter().zip(home))
             {
@@ -169,22 +173,22 @@ mod tests {
             {"axis": "x", "at_mm": 7, "side": "positive"}, {"axis": "y", "at_mm": 8, "side": "positive"},
             {"axis": "z", "at_mm": 9, "side": "positive"}], "plate": {"axis": "z", "at_mm": -3, "side": "negative"}}"#;
         let mill = Fittings::new(serde_json::from_str(description).unwrap()).unwrap();
-        let found = run(machine(&["22=1"], mill.clone()), Some([0.0; AXES]), "G21 G90\nG38.2 Z-20 F300\n");
+        let found = run(machine(&["22=1"], mill.clone()), Some([0.0; LINEAR]), "G21 G90\nG38.2 Z-20 F300\n");
         assert!(found.is_good(), "{found}");
         assert_eq!(found.messages, ["[PRB:-1.000,-1.000,-12.000:1]"], "the plate is 12 mm below the switch");
-        let found = run(machine(&["22=1", "21=1"], mill), Some([0.0; AXES]), "G21 G91\nG0 Y5\n");
+        let found = run(machine(&["22=1", "21=1"], mill), Some([0.0; LINEAR]), "G21 G91\nG0 Y5\n");
         assert_eq!(found.alarm.map(|alarm| alarm.code), Some(1), "the switch of Y is 1 mm away");
     }
 
     #[test]
     fn what_hinders_homing_is_told() {
         let refused = |settings: &[&str], place| home(&mut machine(settings, Fittings::default()), place).unwrap_err();
-        assert!(refused(&[], [0.0; AXES]).contains("$22=1"));
-        let locked = refused(&["22=1", "110=1000000"], [0.0; AXES]);
+        assert!(refused(&[], [0.0; LINEAR]).contains("$22=1"));
+        let locked = refused(&["22=1", "110=1000000"], [0.0; LINEAR]);
         assert!(locked.contains("error:9") && locked.contains("mended: $110"), "{locked}");
         assert!(refused(&["22=1"], [1e9, 0.0, 0.0]).contains("G10 was refused"));
         let plate = r#"{"steps_per_mm": [250, 250, 250], "switch": [{"axis": "x", "at_mm": 7, "side": "positive"}]}"#;
         let mill = Fittings::new(serde_json::from_str(plate).unwrap()).unwrap();
-        assert!(home(&mut machine(&["22=1"], mill), [0.0; AXES]).unwrap_err().contains("ALARM:9"));
+        assert!(home(&mut machine(&["22=1"], mill), [0.0; LINEAR]).unwrap_err().contains("ALARM:9"));
     }
 }

@@ -5,6 +5,7 @@ use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZe
 use crate::field;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
+use crate::machine::linear;
 use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
@@ -253,14 +254,15 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let origin = simulator.clock().now();
     if let Some(trace) = trace {
         let path = trace.path().display().to_string();
-        let csv = trace.begin().and_then(|file| Csv::new(file, simulator.board().step_clock_hz, origin));
+        let axes = simulator.controller().settings().axes_in_use();
+        let csv = trace.begin().and_then(|file| Csv::new(file, simulator.board().step_clock_hz, origin, axes));
         let csv = csv.with_context(|| format!("cannot write the trace {path}"))?;
         simulator.trace_mut().write_csv(csv);
     }
     if !options.plot.is_empty() {
-        let start = simulator.meter().millimetres(simulator.machine().position());
+        let start = simulator.meter().millimetres(simulator.machine().motors());
         let seconds = simulator.clock().seconds(origin);
-        simulator.meter_mut().draw(Drawing::new(start, seconds));
+        simulator.meter_mut().draw(Drawing::new(linear(start), seconds));
     }
 
     let recorder = recorder.map(|recorder| Rc::new(RefCell::new(recorder)));

@@ -2,8 +2,13 @@
 
 use crate::boards::AXES;
 
-use oxmill_controller::axes::Arrangement;
+use oxmill_controller::axes::{Arrangement, LINEAR};
 use oxmill_controller::messages::{GangedMotors, Wiring};
+
+/// The values of X, Y and Z.
+pub fn linear<T>([x, y, z, ..]: [T; AXES]) -> [T; LINEAR] {
+    [x, y, z]
+}
 
 /// Motors and carriages, in steps from where they stood at power-up.
 #[derive(Clone, Debug, Default)]
@@ -65,8 +70,10 @@ impl Machine {
         match self.arrangement {
             Arrangement::Cartesian => self.position,
             Arrangement::CoreXy => {
-                let [a, b, z] = self.position;
-                [a.wrapping_add(b), a.wrapping_sub(b), z]
+                let mut places = self.position;
+                let [a, b, ..] = self.position;
+                (places[0], places[1]) = (a.wrapping_add(b), a.wrapping_sub(b));
+                places
             }
         }
     }
@@ -76,8 +83,13 @@ impl Machine {
         self.second
     }
 
-    /// Net steps since power-up.
-    pub fn position(&self) -> [i32; AXES] {
+    /// Net steps of X, Y and Z since power-up.
+    pub fn position(&self) -> [i32; LINEAR] {
+        linear(self.position)
+    }
+
+    /// Net steps of all motors since power-up, but for the second one of an axis.
+    pub fn motors(&self) -> [i32; AXES] {
         self.position
     }
 
@@ -86,8 +98,13 @@ impl Machine {
         (self.low, self.high)
     }
 
-    /// Pulses since power-up or the last [`Machine::restart`].
-    pub fn pulses(&self) -> [u64; AXES] {
+    /// Pulses of X, Y and Z since power-up or the last [`Machine::restart`].
+    pub fn pulses(&self) -> [u64; LINEAR] {
+        linear(self.pulses)
+    }
+
+    /// The same of all motors.
+    pub fn motor_pulses(&self) -> [u64; AXES] {
         self.pulses
     }
 
@@ -127,10 +144,10 @@ mod tests {
         }
         machine.step(0b001, 0b001);
         assert_eq!(machine.position(), [2, -3, 0]);
-        assert_eq!(machine.extents(), ([0, -3, 0], [3, 0, 0]));
+        assert_eq!(machine.extents(), ([0, -3, 0, 0], [3, 0, 0, 0]));
         assert_eq!(machine.pulses(), [4, 3, 0]);
         machine.restart();
-        assert_eq!(machine.extents(), ([2, -3, 0], [2, -3, 0]));
+        assert_eq!(machine.extents(), ([2, -3, 0, 0], [2, -3, 0, 0]));
     }
 
     #[test]
@@ -151,7 +168,7 @@ mod tests {
         machine.arrange(Arrangement::CoreXy);
         machine.step(0b011, 0b010);
         machine.step(0b011, 0b010);
-        assert_eq!(machine.extents(), ([0, 0, 0], [0, 4, 0]));
+        assert_eq!(machine.extents(), ([0, 0, 0, 0], [0, 4, 0, 0]));
     }
 
     fn wiring() -> Wiring {

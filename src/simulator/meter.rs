@@ -9,6 +9,7 @@
 //! reached for certain.
 
 use crate::boards::AXES;
+use crate::machine::linear;
 use crate::marks::Mark;
 use crate::path::{Drawing, Sample};
 use crate::times::Times;
@@ -174,6 +175,8 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
+    /// What has been told of A, B and C in the block that follows.
+    rest: Option<[AxisSteps; 3]>,
     next_block: Option<Coming>,
     upcoming: VecDeque<(Segment, Option<Coming>)>,
     block: Block,
@@ -200,6 +203,7 @@ impl Meter {
             hz: f64::from(hz.max(1)),
             steps_per_mm: [1.0; AXES],
             arrangement: Arrangement::Cartesian,
+            rest: None,
             next_block: None,
             upcoming: VecDeque::new(),
             block: Block::default(),
@@ -228,29 +232,32 @@ impl Meter {
     }
 
     /// Steps of the motors at a place of the carriages in mm, to the nearest.
-    pub fn steps_of(&self, [x, y, z]: [f64; AXES]) -> [i32; AXES] {
-        let motors = match self.arrangement {
-            Arrangement::Cartesian => [x, y, z],
-            Arrangement::CoreXy => [x + y, x - y, z],
-        };
+    pub fn steps_of(&self, places: [f64; AXES]) -> [i32; AXES] {
+        let mut motors = places;
+        if self.arrangement == Arrangement::CoreXy {
+            let [x, y, ..] = places;
+            (motors[0], motors[1]) = (x + y, x - y);
+        }
         std::array::from_fn(|motor| (motors[motor] * self.steps_per_mm[motor]).round() as i32)
     }
 
     fn place_of(&self, steps: [f64; AXES]) -> [f64; AXES] {
-        let [a, b, z] = std::array::from_fn(|motor| steps[motor] / self.steps_per_mm[motor]);
-        match self.arrangement {
-            Arrangement::Cartesian => [a, b, z],
-            Arrangement::CoreXy => [0.5 * (a + b), 0.5 * (a - b), z],
+        let mut places: [f64; AXES] = std::array::from_fn(|motor| steps[motor] / self.steps_per_mm[motor]);
+        if self.arrangement == Arrangement::CoreXy {
+            let [a, b, ..] = places;
+            (places[0], places[1]) = (0.5 * (a + b), 0.5 * (a - b));
         }
+        places
     }
 
     /// The place in mm of carriages as [`crate::machine::Machine::extents`] counts them.
     pub fn carriages_mm(&self, counts: [i32; AXES]) -> [f64; AXES] {
-        let [x, y, z] = std::array::from_fn(|axis| f64::from(counts[axis]) / self.steps_per_mm[axis]);
-        match self.arrangement {
-            Arrangement::Cartesian => [x, y, z],
-            Arrangement::CoreXy => [0.5 * x, 0.5 * y, z],
+        let mut places: [f64; AXES] = std::array::from_fn(|axis| f64::from(counts[axis]) / self.steps_per_mm[axis]);
+        if self.arrangement == Arrangement::CoreXy {
+            let [x, y, ..] = places;
+            (places[0], places[1]) = (0.5 * x, 0.5 * y);
         }
+        places
     }
 
     /// Also collects what a drawing needs.
@@ -292,9 +299,14 @@ impl Meter {
     /// A message was loaded into the step task. `mark` is what its move belongs to, if moves are marked.
     pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
+            ToStep::BlockRest { steps_by_axis } => self.rest = Some(*steps_by_axis),
             ToStep::Block { steps_by_axis, directions } => {
-                self.next_block =
-                    Some(Coming { steps_by_axis: *steps_by_axis, directions: *directions, entered: 0, mark });
+                let mut all = [AxisSteps::default(); AXES];
+                let rest = self.rest.take().unwrap_or_default();
+                for (own, told) in all.iter_mut().zip(steps_by_axis.iter().chain(&rest)) {
+                    *own = *told;
+                }
+                self.next_block = Some(Coming { steps_by_axis: all, directions: *directions, entered: 0, mark });
             }
             ToStep::Reenter { units } => {
                 if let Some(block) = &mut self.next_block {
@@ -448,8 +460,8 @@ impl Meter {
             speed,
             known_at: seconds + time - window / 2.0,
             rapid,
-            from: self.block.start,
-            to: self.block.place(done),
+            from: linear(self.block.start),
+            to: linear(self.block.place(done)),
             new_block: std::mem::take(&mut self.fresh),
             mark: self.block.mark,
         };
@@ -560,8 +572,8 @@ impl Meter {
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
         // How much a step of each motor moves the tool along the path.
-        let steps = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|step| {
-            let moved = self.place_of(step);
+        let steps: [f64; AXES] = std::array::from_fn(|motor| {
+            let moved = self.place_of(std::array::from_fn(|other| if other == motor { 1.0 } else { 0.0 }));
             (0..AXES).map(|axis| moved[axis] * unit[axis]).sum::<f64>().abs()
         });
         let error = ROUNDING * steps.iter().sum::<f64>();
@@ -618,7 +630,7 @@ mod tests {
     #[test]
     fn distance_and_speed_come_from_the_segments() {
         let mut meter = Meter::new(1_000_000);
-        meter.set_resolution([100.0, 100.0, 400.0], Arrangement::Cartesian);
+        meter.set_resolution([100.0, 100.0, 400.0, 1.0], Arrangement::Cartesian);
         // 3 mm and -4 mm: 5 mm in 400 ticks. 100 ticks of 2 ms, then 300 of 1 ms.
         for message in [
             ToStep::Block { steps_by_axis: [300, 400, 0].map(AxisSteps::on_steps), directions: 0b010 },
@@ -627,8 +639,8 @@ mod tests {
         ] {
             meter.loaded(&message, Mark::default());
         }
-        meter.begin(0.0, [0, 0, 0]);
-        meter.begin(0.2, [75, -100, 0]);
+        meter.begin(0.0, [0; AXES]);
+        meter.begin(0.2, [75, -100, 0, 0]);
         let m = meter.measured();
         assert!((m.distance - 5.0).abs() < 1e-9);
         assert!((m.speed - 12.5).abs() < 1e-9);

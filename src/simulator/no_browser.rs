@@ -48,7 +48,7 @@ fn is_request(first: &[u8]) -> Option<bool> {
 }
 
 /// Realtime commands of Grbl, which are carried out without a line.
-fn is_realtime(byte: u8) -> bool {
+pub fn is_realtime(byte: u8) -> bool {
     b"!?~\x18".contains(&byte) || byte >= 0x80
 }
 

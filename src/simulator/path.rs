@@ -1,7 +1,7 @@
 //! What a drawing needs of a job: places and speeds, of bounded number however long the job is.
 
-use crate::boards::AXES;
 use crate::marks::Mark;
+use oxmill_controller::axes::LINEAR;
 
 /// Points of the path, at most.
 const POINTS: usize = 300_000;
@@ -31,9 +31,9 @@ pub struct Sample {
     /// Whether its move is a rapid.
     pub rapid: bool,
     /// Where the straight move began, in mm.
-    pub from: [f64; AXES],
+    pub from: [f64; LINEAR],
     /// Where the piece ended, in mm.
-    pub to: [f64; AXES],
+    pub to: [f64; LINEAR],
     /// Whether it is the first piece of its move.
     pub new_block: bool,
     /// What its move belongs to, if moves are marked.
@@ -44,7 +44,7 @@ pub struct Sample {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Place in mm.
-    pub at: [f32; AXES],
+    pub at: [f32; LINEAR],
     /// Mean path speed on the way here, mm/s.
     pub speed: f32,
     /// Whether the way here is a rapid.
@@ -106,11 +106,11 @@ pub struct Drawing {
 
 impl Drawing {
     /// A drawing that begins at a place (mm) and a virtual time (s).
-    pub fn new(start: [f64; AXES], seconds: f64) -> Self {
+    pub fn new(start: [f64; LINEAR], seconds: f64) -> Self {
         Self::with_limit(start, seconds, POINTS)
     }
 
-    fn with_limit(start: [f64; AXES], seconds: f64, limit: usize) -> Self {
+    fn with_limit(start: [f64; LINEAR], seconds: f64, limit: usize) -> Self {
         Self {
             origin: seconds,
             end: seconds,
@@ -295,13 +295,13 @@ fn mean_speed(one: &Point, other: &Point) -> f32 {
 }
 
 /// Distance of a point from the line between two others.
-fn off_line(a: [f32; AXES], point: [f32; AXES], b: [f32; AXES]) -> f32 {
-    let line: [f32; AXES] = std::array::from_fn(|i| b[i] - a[i]);
-    let to: [f32; AXES] = std::array::from_fn(|i| point[i] - a[i]);
-    let dot = |u: &[f32; AXES], v: &[f32; AXES]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f32>();
+fn off_line(a: [f32; LINEAR], point: [f32; LINEAR], b: [f32; LINEAR]) -> f32 {
+    let line: [f32; LINEAR] = std::array::from_fn(|i| b[i] - a[i]);
+    let to: [f32; LINEAR] = std::array::from_fn(|i| point[i] - a[i]);
+    let dot = |u: &[f32; LINEAR], v: &[f32; LINEAR]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f32>();
     let length2 = dot(&line, &line);
     let along = if length2 > 0.0 { (dot(&to, &line) / length2).clamp(0.0, 1.0) } else { 0.0 };
-    let off: [f32; AXES] = std::array::from_fn(|i| to[i] - line[i] * along);
+    let off: [f32; LINEAR] = std::array::from_fn(|i| to[i] - line[i] * along);
     dot(&off, &off).sqrt()
 }
 

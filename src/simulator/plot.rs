@@ -4,11 +4,11 @@
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.
 
-use crate::boards::AXES;
 use crate::files::Output;
 use crate::path::{Column, Drawing, Point};
 use crate::summary::{Summary, clock_time, counted};
 use anyhow::{Context, Result, anyhow, bail};
+use oxmill_controller::axes::LINEAR;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -210,15 +210,15 @@ fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
 
 /// Least and greatest place of each axis, in mm.
 struct Bounds {
-    low: [f64; AXES],
-    high: [f64; AXES],
+    low: [f64; LINEAR],
+    high: [f64; LINEAR],
 }
 
 impl Bounds {
     fn of(points: &[Point]) -> Self {
-        let mut bounds = Self { low: [f64::INFINITY; AXES], high: [f64::NEG_INFINITY; AXES] };
+        let mut bounds = Self { low: [f64::INFINITY; LINEAR], high: [f64::NEG_INFINITY; LINEAR] };
         for point in points {
-            for axis in 0..AXES {
+            for axis in 0..LINEAR {
                 bounds.low[axis] = bounds.low[axis].min(f64::from(point.at[axis]));
                 bounds.high[axis] = bounds.high[axis].max(f64::from(point.at[axis]));
             }

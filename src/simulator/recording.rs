@@ -18,11 +18,12 @@
 //!
 //! Lines begin with their time but for those in front of `begin` and those of a job.
 
-use crate::boards::Board;
+use crate::boards::{AXES, Board};
 use crate::fittings::Fittings;
 use crate::power_up::board_named;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
+use oxmill_controller::axes::LINEAR;
 use oxmill_controller::messages::{Noted, Record, Standing, Stopping, Store as Change};
 use oxmill_controller::units::Coordinate;
 use std::cell::RefCell;
@@ -87,8 +88,11 @@ pub struct Recording {
 
 /// Where a machine is: what two runs are compared by.
 fn place(simulator: &Simulator) -> String {
-    let [x, y, z] = simulator.machine().position();
-    format!("{x} {y} {z} {:016x}", simulator.trace().digest().order_hash())
+    // A that has never turned is not told of, so that recordings of three axes stay what they are.
+    let position = simulator.machine().motors();
+    let axes = if simulator.machine().motor_pulses()[LINEAR..] == [0; AXES - LINEAR] { LINEAR } else { AXES };
+    let places: String = position[..axes].iter().map(|steps| format!("{steps} ")).collect();
+    format!("{places}{:016x}", simulator.trace().digest().order_hash())
 }
 
 /// Writes a recording while it happens.

@@ -10,7 +10,7 @@
 use crate::command_line::{Serve, Speed};
 use crate::files::{Output, check_apart};
 use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up};
-use crate::no_browser::NoBrowser;
+use crate::no_browser::{NoBrowser, is_realtime};
 use crate::recording::{Input, Recorder};
 use crate::simulator::Simulator;
 use crate::web_link::{self, Site};
@@ -27,8 +27,11 @@ use tungstenite::WebSocket;
 
 /// Bytes of a client that wait in front of the board's link, as in a host's port.
 const PORT: usize = 1 << 14;
-/// Bytes of a client that are read ahead of that. With more the client is told to wait.
-const AHEAD: usize = 1 << 26;
+/// Bytes of a client that are read ahead of that. With more the client is told to wait, and that it has gone is not seen before
+/// there is room: TCP tells so behind the last of its bytes.
+const AHEAD: usize = (1 << 24) - PIECE;
+/// Bytes without a line end after which a client is served no more; a board refuses a line of over 255 in the end.
+const LONGEST_LINE: usize = 1 << 16;
 /// Bytes that are read at a time.
 const PIECE: usize = 1024;
 /// Pieces of answers that may wait for a slow client.
@@ -43,6 +46,9 @@ const LOOK: Duration = Duration::from_millis(20);
 const SLICE: Duration = Duration::from_millis(20);
 /// What a second client is told, and for how long at most it is listened to, so that it can read that.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
+/// What is said to a client before it is closed because its line does not end, or because there is no place for it.
+pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
+pub(crate) const CROWDED: &[u8] = b"[MSG:Too many connections]\r\n";
 const CLOSING_TIME: Duration = Duration::from_secs(1);
 
 /// What the threads tell the loop.
@@ -82,7 +88,7 @@ impl Incoming {
     /// Is told why it is not served.
     fn turn_away(self) {
         match self.link {
-            Connection::Program(stream) => turn_away(&stream),
+            Connection::Program(stream) => turn_away(&stream, TURNED_AWAY),
             Connection::Page(socket) => web_link::turn_away(*socket, TURNED_AWAY),
         }
     }
@@ -92,6 +98,8 @@ impl Incoming {
 const CONNECTIONS: usize = 64;
 /// Longest line of the pin protocol, bytes.
 const PIN_LINE: u64 = 256;
+/// How long a client of that protocol may take for its first line.
+const FIRST_LINE: Duration = Duration::from_secs(60);
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
@@ -139,9 +147,11 @@ fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<thr
     Ok(None)
 }
 
-/// Says so if others than this computer can connect.
+/// A port alone, or with a colon before it, is one of the loopback. Says so if others than this computer can connect.
 fn listen(address: &str) -> Result<TcpListener> {
-    let listener = TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
+    let port = address.strip_prefix(':').unwrap_or(address).parse::<u16>();
+    let address = port.map_or_else(|_| address.to_owned(), |port| format!("127.0.0.1:{port}"));
+    let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
     let address = listener.local_addr()?;
     if !address.ip().is_loopback() {
         eprintln!("oxmill: {address} is open to other computers: whoever reaches it moves this machine");
@@ -173,6 +183,8 @@ pub(crate) struct Inbox {
 #[derive(Default)]
 struct InboxState {
     bytes: VecDeque<u8>,
+    /// Bytes since the last line end, without realtime commands.
+    line: usize,
     /// The client sends nothing more.
     ended: bool,
     /// The client is served no more.
@@ -185,15 +197,34 @@ impl Inbox {
     }
 
     pub(crate) fn push(&self, bytes: &[u8]) {
-        self.state().bytes.extend(bytes);
+        let mut state = self.state();
+        state.bytes.extend(bytes);
+        for byte in bytes {
+            match byte {
+                b'\n' | b'\r' => state.line = 0,
+                byte if is_realtime(*byte) => {}
+                _ => state.line += 1,
+            }
+        }
+    }
+
+    /// Whether the client's line is longer than any that may become one.
+    pub(crate) fn is_endless(&self) -> bool {
+        self.state().line > LONGEST_LINE
     }
 
     /// At most so many bytes.
     fn take(&self, most: usize) -> Vec<u8> {
         let mut state = self.state();
         let length = most.min(state.bytes.len());
-        self.changed.notify_all();
-        state.bytes.drain(..length).collect()
+        if length > 0 {
+            self.changed.notify_all();
+        }
+        let taken = state.bytes.drain(..length).collect();
+        if state.bytes.is_empty() {
+            state.bytes = VecDeque::new();
+        }
+        taken
     }
 
     fn is_empty(&self) -> bool {
@@ -217,17 +248,16 @@ impl Inbox {
         self.state().closed
     }
 
-    /// Waits until there is room for more. `false` if the client has gone meanwhile.
+    /// Waits until there is room for more. `false` if the client has gone meanwhile, or if its line does not end.
     pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
-            let (next, waited) = self.changed.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner);
-            state = next;
-            if waited.timed_out() && hung_up() {
+            state = self.changed.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner).0;
+            if hung_up() {
                 return false;
             }
         }
-        !state.closed
+        !state.closed && state.line <= LONGEST_LINE
     }
 }
 
@@ -432,7 +462,7 @@ impl Device {
                 self.connected(Client { inbox: inbox.clone(), answers, stream: Some(watched), is_program: false });
                 thread::spawn(move || {
                     let mut reader = NoBrowser::new(&stream);
-                    pass_bytes(&mut reader, &inbox, &sender, || hung_up(&stream));
+                    pass_bytes(&mut reader, &inbox, &sender, || hung_up(&stream), || turn_away(&stream, ENDLESS));
                     drop(place);
                 });
             }
@@ -523,8 +553,14 @@ impl Device {
     }
 }
 
-/// Reads until the other side is done or gone, or is served no more.
-fn pass_bytes(reader: &mut impl Read, inbox: &Inbox, sender: &SyncSender<Happened>, hung_up: impl Fn() -> bool) {
+/// Reads until the other side is done or gone, is served no more, or has a line without an end, of which it is told.
+fn pass_bytes(
+    reader: &mut impl Read,
+    inbox: &Inbox,
+    sender: &SyncSender<Happened>,
+    hung_up: impl Fn() -> bool,
+    tell_endless: impl FnOnce(),
+) {
     let mut buffer = [0; PIECE];
     while inbox.wait_for_room(&hung_up) {
         match reader.read(&mut buffer) {
@@ -539,6 +575,10 @@ fn pass_bytes(reader: &mut impl Read, inbox: &Inbox, sender: &SyncSender<Happene
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(_) => break,
         }
+    }
+    // Before the loop closes its side.
+    if inbox.is_endless() {
+        tell_endless();
     }
     inbox.end();
     // Without a loop there is no receiver.
@@ -574,21 +614,31 @@ fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> bool {
     link.flush().is_ok()
 }
 
-/// Tells a second client why it is not served. Nothing of what it says is looked at.
-fn turn_away(mut stream: &TcpStream) {
+/// Tells a client why it is served no more, or never. Nothing of what it says then is looked at.
+fn turn_away(mut stream: &TcpStream, why: &[u8]) {
     let end = Instant::now() + CLOSING_TIME;
     let _ = stream.set_write_timeout(Some(CLOSING_TIME));
     let _ = stream.set_read_timeout(Some(CLOSING_TIME));
-    let told = stream.write_all(TURNED_AWAY).and_then(|()| stream.shutdown(Shutdown::Write));
+    let told = stream.write_all(why).and_then(|()| stream.shutdown(Shutdown::Write));
     // A socket closed with unread bytes in it would take the line back.
     let mut thrown_away = [0; PIECE];
     while told.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
 }
 
+/// Tells one for whom there is no place, without waiting for it.
+pub(crate) fn refuse(mut stream: &TcpStream) {
+    let told = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
+    let _ = told.and_then(|()| stream.shutdown(Shutdown::Write));
+}
+
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
     for stream in listener.incoming() {
-        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
+        let Ok(stream) = stream else { continue };
+        let Some(place) = places.take() else {
+            refuse(&stream);
+            continue;
+        };
         let incoming = Incoming { link: Connection::Program(stream), place };
         if sender.send(Happened::Connecting(incoming, sender.clone())).is_err() {
             return;
@@ -600,14 +650,19 @@ fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
     // A pipe that has ended is read to its end all the same: it is a program, and all of it is there.
     if sender.send(Happened::Connected(client)).is_ok() {
-        pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false);
+        let tell = || eprintln!("oxmill: a line has more than {LONGEST_LINE} characters: nothing more is read");
+        pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);
     }
 }
 
 fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
     for stream in listener.incoming() {
-        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
+        let Ok(stream) = stream else { continue };
+        let Some(place) = places.take() else {
+            refuse(&stream);
+            continue;
+        };
         let sender = sender.clone();
         thread::spawn(move || {
             // Whoever says something else than lines is closed.
@@ -621,12 +676,15 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));
+    // Whoever says nothing holds no place for long; after its first line a bench may be silent for hours.
+    stream.set_read_timeout(Some(FIRST_LINE))?;
     loop {
         let mut line = String::new();
         reader.by_ref().take(PIN_LINE).read_line(&mut line)?;
         if !line.ends_with('\n') {
             return Ok(());
         }
+        stream.set_read_timeout(None)?;
         if line.trim().is_empty() {
             continue;
         }
@@ -642,7 +700,7 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
 mod pty {
     //! A pseudo terminal that a sender opens like a serial port. Several programs that have it open are one client.
 
-    use super::{Client, Happened, Inbox, LOOK, PIECE, hung_up, writer};
+    use super::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, hung_up, writer};
     use anyhow::{Context, Result, bail};
     use nix::fcntl::{FcntlArg, OFlag, fcntl};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -724,6 +782,9 @@ mod pty {
                         self.sender.send(Happened::Heard).ok()?;
                     }
                 } else if hung_up || readable {
+                    if client.inbox.is_endless() {
+                        let _ = (&self.master).write(ENDLESS);
+                    }
                     self.closed()?;
                 }
             }

@@ -2,6 +2,7 @@
 
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};
+use oxmill_controller::axes::Axis;
 use std::fmt;
 
 /// Refused lines that are shown.
@@ -51,10 +52,9 @@ impl fmt::Display for ShortReport<'_> {
         if let Some(more) = summary.several_tools().len().checked_sub(SHOWN_ERRORS).filter(|more| *more > 0) {
             writeln!(f, "           and {more} more tools")?;
         }
-        for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
-            let title = if axis == 0 { "extents" } else { "" };
-            let (low, high) = (summary.extents_mm.min[axis], summary.extents_mm.max[axis]);
-            writeln!(f, "  {title:<9}{name} {low:>10.3} to {high:>10.3} mm of machine coordinates")?;
+        for (axis, ends) in summary.extents_mm.rows() {
+            let title = if axis == Axis::X { "extents" } else { "" };
+            writeln!(f, "  {title:<9}{ends} of machine coordinates")?;
         }
         Ok(())
     }

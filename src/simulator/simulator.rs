@@ -14,13 +14,14 @@ use crate::clock::Clock;
 use crate::fittings::Fittings;
 use crate::host_link::HostLink;
 use crate::input_task::InputTask;
-use crate::machine::Machine;
+use crate::machine::{Machine, linear};
 use crate::marks::{Mark, Marks};
 use crate::meter::Meter;
 use crate::step_task::{StepTask, World};
 use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{Sole, Trace};
+use oxmill_controller::axes::LINEAR;
 use oxmill_controller::machine::filter::SAMPLE_HZ;
 use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
 use oxmill_controller::pump;
@@ -87,6 +88,7 @@ impl Simulator {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
             rates: StepRates { safe_hz: board.safe_step_hz },
+            axes: board.axes,
             has_second_motor: true,
             program_pins: board.program_pins,
             has_store: true,
@@ -219,9 +221,12 @@ impl Simulator {
     /// outputs have done: position of the motors, pulses of each, and the hash of all step events in their order.
     pub fn pin_line(&mut self, line: &str) -> String {
         if line.trim() == "steps" {
-            let ([x, y, z], [pulses_x, pulses_y, pulses_z]) = (self.machine().position(), self.machine().pulses());
+            let axes = self.controller.settings().axes_in_use();
+            let steps: String = self.machine().motors().iter().take(axes).map(|steps| format!(" {steps}")).collect();
+            let pulses: String =
+                self.machine().motor_pulses().iter().take(axes).map(|pulses| format!(" {pulses}")).collect();
             let order = self.trace().digest().order_hash();
-            return format!("steps {x} {y} {z} pulses {pulses_x} {pulses_y} {pulses_z} order {order:016x}");
+            return format!("steps{steps} pulses{pulses} order {order:016x}");
         }
         match crate::pins::disturbed(self.board.axes, line) {
             Some(Ok(bit)) => {
@@ -418,12 +423,22 @@ impl Simulator {
     }
 
     /// Machine position in mm.
-    pub fn machine_position(&self) -> [f64; AXES] {
+    pub fn machine_position(&self) -> [f64; LINEAR] {
+        linear(self.machine_place())
+    }
+
+    /// The same with the degrees of A.
+    pub fn machine_place(&self) -> [f64; AXES] {
         self.controller.machine_position().0.map(millimetres)
     }
 
     /// Work position in mm.
-    pub fn work_position(&self) -> [f64; AXES] {
+    pub fn work_position(&self) -> [f64; LINEAR] {
+        linear(self.work_place())
+    }
+
+    /// The same with the degrees of A.
+    pub fn work_place(&self) -> [f64; AXES] {
         self.controller.work_position().0.map(millimetres)
     }
 

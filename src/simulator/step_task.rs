@@ -174,12 +174,14 @@ impl StepTask {
                 inputs.sample_at(due);
                 contact = true;
             }
+            let [.., a] = world.machine.motors();
             world.trace.step(StepRecord {
                 at: due,
                 busy: self.busy,
                 steps: tick.steps,
                 directions: self.directions,
                 position: world.machine.position(),
+                rotary: [a],
             });
         }
         self.directions = tick.directions;
@@ -189,7 +191,7 @@ impl StepTask {
         if begun != self.begun {
             self.begun = begun;
             world.trace.segment(due);
-            world.meter.begin(clock.seconds(due), world.machine.position());
+            world.meter.begin(clock.seconds(due), world.machine.motors());
             self.segment_power(world);
         }
         let probed = self.stepper.is_watching() && self.look_at_probe(world, inputs);

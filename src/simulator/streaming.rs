@@ -3,6 +3,7 @@
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.
 
+use crate::machine::linear;
 use crate::path::Drawing;
 use crate::simulator::Simulator;
 use serde::Serialize;
@@ -69,9 +70,9 @@ impl Streaming {
         simulator.begin_job();
         simulator.mark_moves();
         simulator.take_output();
-        let start = simulator.meter().millimetres(simulator.machine().position());
+        let start = simulator.meter().millimetres(simulator.machine().motors());
         let seconds = simulator.clock().seconds(origin);
-        simulator.meter_mut().draw(Drawing::new(start, seconds));
+        simulator.meter_mut().draw(Drawing::new(linear(start), seconds));
         let lines_before = simulator.controller().lines_read();
         Self {
             simulator,

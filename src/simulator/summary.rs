@@ -1,7 +1,7 @@
 //! What a job did, for people and as JSON.
 
-use crate::boards::AXES;
 use crate::times::ToolTime;
+use oxmill_controller::axes::Axis;
 use serde::Serialize;
 use std::fmt;
 
@@ -33,16 +33,27 @@ pub struct AlarmReport {
     pub advice: String,
 }
 
-/// Where the machine went, in mm of machine coordinates.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+/// Where the machine went, in mm of machine coordinates, or in degrees.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Extents {
     /// Least position of each axis.
-    pub min: [f64; AXES],
+    pub min: Vec<f64>,
     /// Greatest position of each axis.
-    pub max: [f64; AXES],
+    pub max: Vec<f64>,
 }
 
-/// The whole report. Field names are a promise to those who read the JSON.
+impl Extents {
+    /// Each axis, and in words where it went.
+    pub fn rows(&self) -> impl Iterator<Item = (Axis, String)> {
+        Axis::ALL.into_iter().zip(self.min.iter().zip(&self.max)).map(|(axis, (low, high))| {
+            let unit = if axis.is_rotary() { "deg" } else { "mm" };
+            (axis, format!("{} {low:>10.3} to {high:>10.3} {unit}", char::from(axis.letter())))
+        })
+    }
+}
+
+/// The whole report. Field names are a promise to those who read the JSON. Lists of axes are as long as there are axes in use
+/// (`$930`); of A they are in degrees, and a way that it takes part in counts a degree as a millimetre.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs, reason = "names and units say it; the others are explained")]
 pub struct Summary {
@@ -88,13 +99,13 @@ pub struct Summary {
     /// The same by tool, in the order in which they came.
     pub tools: Vec<ToolTime>,
     /// Machine position at the end.
-    pub position_mm: [f64; AXES],
+    pub position_mm: Vec<f64>,
     /// Work position at the end.
-    pub work_position_mm: [f64; AXES],
+    pub work_position_mm: Vec<f64>,
     /// Net steps.
-    pub steps: [i64; AXES],
+    pub steps: Vec<i64>,
     /// Step pulses in either direction.
-    pub pulses: [u64; AXES],
+    pub pulses: Vec<u64>,
     /// Step events: pulses of several axes at once count once.
     pub step_events: u64,
     pub distance_mm: f64,
@@ -106,9 +117,9 @@ pub struct Summary {
     /// path is no part of it.
     pub peak_acceleration_mm_s2: f64,
     /// Greatest speed of each axis, measured likewise.
-    pub peak_axis_speed_mm_s: [f64; AXES],
+    pub peak_axis_speed_mm_s: Vec<f64>,
     /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
-    pub peak_axis_acceleration_mm_s2: [f64; AXES],
+    pub peak_axis_acceleration_mm_s2: Vec<f64>,
     /// Over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
     /// Over step and direction bits alone.
@@ -202,16 +213,12 @@ impl fmt::Display for Summary {
         }
         let cutting = self.distance_mm - self.rapid_distance_mm;
         row(f, "distance", format!("{:.3} mm, {:.3} mm of it at feed", self.distance_mm, cutting))?;
-        for (axis, name) in ['X', 'Y', 'Z'].into_iter().enumerate() {
-            row(
-                f,
-                if axis == 0 { "extents" } else { "" },
-                format!("{name} {:>10.3} to {:>10.3} mm", self.extents_mm.min[axis], self.extents_mm.max[axis]),
-            )?;
+        for (axis, ends) in self.extents_mm.rows() {
+            row(f, if axis == Axis::X { "extents" } else { "" }, ends)?;
         }
         row(f, "ends at", format!("machine {}, work {} mm", place(&self.position_mm), place(&self.work_position_mm)))?;
-        let [x, y, z] = self.steps;
-        row(f, "steps", format!("net {x}, {y}, {z}; {} step events", self.step_events))?;
+        let steps = self.steps.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
+        row(f, "steps", format!("net {steps}; {} step events", self.step_events))?;
         row(
             f,
             "peaks",
@@ -225,9 +232,14 @@ impl fmt::Display for Summary {
             f,
             "",
             format!(
-                "X, Y, Z: {} mm/min; {} mm/s2",
-                list(self.peak_axis_speed_mm_s.map(|v| v * 60.0)),
-                list(self.peak_axis_acceleration_mm_s2)
+                "{}: {} mm/min; {} mm/s2",
+                self.extents_mm
+                    .rows()
+                    .map(|(axis, _)| char::from(axis.letter()).to_string())
+                    .collect::<Vec<_>>()
+                    .join(", "),
+                list(self.peak_axis_speed_mm_s.iter().map(|v| v * 60.0)),
+                list(self.peak_axis_acceleration_mm_s2.iter().copied())
             ),
         )?;
         row(f, "hashes", format!("trace {}, order {}", self.trace_hash, self.order_hash))?;
@@ -242,12 +254,12 @@ impl fmt::Display for Summary {
     }
 }
 
-fn place(place: &[f64; AXES]) -> String {
-    place.map(|v| format!("{v:.3}")).join(", ")
+fn place(place: &[f64]) -> String {
+    place.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")
 }
 
-fn list(values: [f64; AXES]) -> String {
-    values.map(|v| format!("{v:.1}")).join(", ")
+fn list(values: impl Iterator<Item = f64>) -> String {
+    values.map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(", ")
 }
 
 /// A number of things.
@@ -309,18 +321,18 @@ pub(crate) mod tests {
             dwell_s: 20.0,
             spin_up_s: 6.5,
             tools: vec![ToolTime { tool: 1, feed_s: 3600.0, rapid_s: 99.0, dwell_s: 20.0, spin_up_s: 6.5 }],
-            position_mm: [1.0, -2.0, 0.0],
-            work_position_mm: [0.0; 3],
-            steps: [250, -500, 0],
-            pulses: [250, 500, 0],
+            position_mm: vec![1.0, -2.0, 0.0],
+            work_position_mm: vec![0.0; 3],
+            steps: vec![250, -500, 0],
+            pulses: vec![250, 500, 0],
             step_events: 500,
             distance_mm: 2.5,
             rapid_distance_mm: 0.5,
-            extents_mm: Extents { min: [0.0, -2.0, 0.0], max: [1.0, 0.0, 0.0] },
+            extents_mm: Extents { min: vec![0.0, -2.0, 0.0], max: vec![1.0, 0.0, 0.0] },
             peak_speed_mm_s: 10.0,
             peak_acceleration_mm_s2: 10.0,
-            peak_axis_speed_mm_s: [5.0, 10.0, 0.0],
-            peak_axis_acceleration_mm_s2: [5.0, 10.0, 0.0],
+            peak_axis_speed_mm_s: vec![5.0, 10.0, 0.0],
+            peak_axis_acceleration_mm_s2: vec![5.0, 10.0, 0.0],
             trace_hash: "00ff".into(),
             order_hash: "ff00".into(),
             host_s: 1.0,

@@ -53,9 +53,20 @@ pub struct JobText {
     marks: Vec<u64>,
     /// Answered lines that may have begun a block of O words.
     openers: Vec<Opener>,
+    /// A line with words has been given out.
+    has_words: bool,
     /// The line that has ended the program, and how many lines with words have been answered behind it.
-    ended_at: Option<u64>,
+    ended_at: Option<ProgramEnd>,
     behind_end: u64,
+}
+
+/// Where a program has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProgramEnd {
+    /// Number of the line in the file, from 1.
+    pub line: u64,
+    /// It is a tape mark, and no M2 or M30.
+    pub is_tape_mark: bool,
 }
 
 /// What the controller says at M2 and M30.
@@ -91,6 +102,7 @@ impl JobText {
             lines_before: 0,
             marks: Vec::new(),
             openers: Vec::new(),
+            has_words: false,
             ended_at: None,
             behind_end: 0,
         }
@@ -234,8 +246,12 @@ impl JobText {
         if is_tape_mark(text) {
             self.marks.push(self.lines - 1 - self.tape_marks);
             self.tape_marks += 1;
+            if self.has_words && self.ended_at.is_none() {
+                self.ended_at = Some(ProgramEnd { line: self.lines, is_tape_mark: true });
+            }
             return;
         }
+        self.has_words |= !is_remark(text);
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
         let shown = text.trim().chars().take(120).map(shown_character).collect();
@@ -256,9 +272,10 @@ impl JobText {
         }
     }
 
-    /// The line that has ended the program (M2, M30), and how many lines with words behind it have been answered.
-    pub fn behind_end(&self) -> Option<(u64, u64)> {
-        self.ended_at.filter(|_| self.behind_end > 0).map(|line| (line, self.behind_end))
+    /// The line that has ended the program (M2, M30, a tape mark behind words), and how many lines with words behind it have
+    /// been answered.
+    pub fn behind_end(&self) -> Option<(ProgramEnd, u64)> {
+        self.ended_at.filter(|_| self.behind_end > 0).map(|end| (end, self.behind_end))
     }
 
     fn reply_line(&mut self, reply: &str) {
@@ -268,14 +285,17 @@ impl JobText {
             text => text,
         };
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
-        if reply == PROGRAM_END && self.ended_at.is_none() {
-            self.ended_at = self.unanswered.front().map(|(line, _)| *line);
+        if reply == PROGRAM_END
+            && let Some((line, _)) = self.unanswered.front()
+            // A tape mark behind it may have been read already.
+            && self.ended_at.is_none_or(|end| *line < end.line)
+        {
+            self.ended_at = Some(ProgramEnd { line: *line, is_tape_mark: false });
         }
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text) = self.unanswered.pop_front().unwrap_or_default();
-            let is_remark = text.trim_start().is_empty() || text.trim_start().starts_with(['(', ';']);
-            self.behind_end += u64::from(!is_remark && self.ended_at.is_some_and(|end| line > end));
+            self.behind_end += u64::from(!is_remark(&text) && self.ended_at.is_some_and(|end| line > end.line));
             if let Some(code) = code {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }
@@ -306,6 +326,12 @@ fn is_tape_mark(text: &str) -> bool {
             None => return rest.is_empty() || rest.starts_with(';'),
         }
     }
+}
+
+/// Whether a line is empty or begins with a remark.
+fn is_remark(text: &str) -> bool {
+    let text = text.trim_start();
+    text.is_empty() || text.starts_with(['(', ';'])
 }
 
 /// A character as people are shown it.
@@ -349,7 +375,22 @@ mod tests {
         job.answered(b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n");
         assert_eq!(job.behind_end(), None);
         job.answered(b"ok\r\n");
-        assert_eq!(job.behind_end(), Some((2, 1)));
+        assert_eq!(job.behind_end(), Some((ProgramEnd { line: 2, is_tape_mark: false }, 1)));
+    }
+
+    #[test]
+    fn a_tape_mark_behind_words_ends_the_program() {
+        let end = |text: &'static str, said: &[u8]| {
+            let mut job = JobText::new(text.as_bytes());
+            drain(&mut job);
+            job.answered(said);
+            job.behind_end().map(|(end, behind)| (end.line, end.is_tape_mark, behind))
+        };
+        assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(6)), Some((4, true, 3)));
+        assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
+        // The one that comes first.
+        assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, false, 1)));
+        assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }
 
     #[test]

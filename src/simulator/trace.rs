@@ -1,5 +1,6 @@
 //! What the step outputs did, step event by step event: digests always, a CSV file or a list in memory on request.
 
+use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
 use std::io::{self, BufWriter, Write};
@@ -17,8 +18,10 @@ pub struct StepRecord {
     pub steps: u8,
     /// Axes whose direction is negative, bit 0 for X.
     pub directions: u8,
-    /// Step counters after the step.
-    pub position: [i32; AXES],
+    /// Step counters of X, Y and Z after the step.
+    pub position: [i32; LINEAR],
+    /// That of A.
+    pub rotary: [i32; AXES - LINEAR],
 }
 
 /// What a copy of its owner is without: a file has one reader or writer.
@@ -143,6 +146,7 @@ pub struct Csv {
     out: BufWriter<Box<dyn Write>>,
     hz: u64,
     origin: u64,
+    axes: usize,
     row: Vec<u8>,
     shown: Option<(SlowOutputs, u16)>,
     current: Option<(SlowOutputs, u16)>,
@@ -156,15 +160,20 @@ impl std::fmt::Debug for Csv {
 }
 
 impl Csv {
-    /// Writes the head into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0.
+    /// Writes the head into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0; so many axes have a
+    /// column.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn new(file: impl Write + 'static, hz: u32, origin: u64) -> io::Result<Self> {
+    pub fn new(file: impl Write + 'static, hz: u32, origin: u64, axes: usize) -> io::Result<Self> {
         let mut out = BufWriter::with_capacity(1 << 18, Box::new(file) as Box<dyn Write>);
-        writeln!(out, "t_s,x,y,z,spindle,power,coolant,outputs")?;
+        write!(out, "t_s")?;
+        for axis in Axis::ALL.iter().take(axes) {
+            write!(out, ",{}", char::from(axis.letter().to_ascii_lowercase()))?;
+        }
+        writeln!(out, ",spindle,power,coolant,outputs")?;
         let row = Vec::with_capacity(64);
-        Ok(Self { out, hz: u64::from(hz), origin, row, shown: None, current: None, failed: None })
+        Ok(Self { out, hz: u64::from(hz), origin, axes, row, shown: None, current: None, failed: None })
     }
 
     fn outputs(&mut self, outputs: &SlowOutputs, power: u16) {
@@ -181,7 +190,7 @@ impl Csv {
         push_number(&mut self.row, ticks / self.hz, 1);
         self.row.push(b'.');
         push_number(&mut self.row, nanoseconds, 9);
-        for steps in record.position {
+        for steps in record.position.into_iter().chain(record.rotary).take(self.axes) {
             self.row.push(b',');
             if steps < 0 {
                 self.row.push(b'-');
@@ -236,8 +245,8 @@ mod tests {
     use oxmill_controller::messages::Coolant;
     use std::fs::File;
 
-    fn step(at: u64, position: [i32; AXES]) -> StepRecord {
-        StepRecord { at, busy: at, steps: 1, directions: 0, position }
+    fn step(at: u64, position: [i32; LINEAR]) -> StepRecord {
+        StepRecord { at, busy: at, steps: 1, directions: 0, position, rotary: [0] }
     }
 
     #[test]
@@ -245,7 +254,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.csv");
         let mut trace = Trace::default();
-        trace.write_csv(Csv::new(File::create(&path).unwrap(), 1_000_000, 500).unwrap());
+        trace.write_csv(Csv::new(File::create(&path).unwrap(), 1_000_000, 500, 3).unwrap());
         trace.step(step(500, [1, 0, 0]));
         let outputs = SlowOutputs {
             spindle: SpindleDirection::Clockwise,

@@ -4,7 +4,7 @@
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
 
-use crate::server::{Connection, Happened, Inbox, Incoming, Places, Taken, hung_up};
+use crate::server::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use anyhow::{Context, Result, ensure};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -172,6 +172,9 @@ pub fn pass_messages(
     inbox.end();
     // Without a loop there is no receiver.
     let _ = sender.send(Happened::Heard);
+    if inbox.is_endless() {
+        let _ = socket.send(Message::binary(ENDLESS.to_vec()));
+    }
     let _ = socket.close(None);
     let _ = socket.flush();
 }

@@ -19,7 +19,9 @@
 //! follow; a report to `control` is kept until it has been
 //! sent. It leaves when and what to step to the stepper, and edges to the board.
 
-use crate::boards::{AXES, CORE_HZ, Due, Free, PROFILE, RUN_CYCLES, SecondMotor, StepOutput, StepPins, Undone};
+use crate::boards::{
+    AXES, COMBINATIONS, CORE_HZ, Due, Free, PROFILE, RUN_CYCLES, SecondMotor, StepOutput, StepPins, Undone,
+};
 use crate::shared::{self, Power, STEP, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
@@ -583,7 +585,7 @@ impl Step {
     fn commit(&mut self, steps: u8, at: u32) -> bool {
         let Free { table, words, moments } = self.output.free();
         let (Some(word), Some(moment)) = (words.first_mut(), moments.first_mut()) else { return false };
-        *word = table.get(usize::from(steps & 7)).copied().unwrap_or(0);
+        *word = table.get(usize::from(steps) % COMBINATIONS).copied().unwrap_or(0);
         *moment = at;
         let by = self.output.commit(1);
         if by != 0 {

@@ -1,3 +1,5 @@
+//! The settings log on a flash memory in RAM whose power is cut after any operation: each record is the old or the new one.
+
 #[path = "damage_tests.rs"]
 mod damage;
 

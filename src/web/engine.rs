@@ -1,13 +1,15 @@
 //! What the module does, without pointers: orders as JSON in; reports, tables of the firmware and the path of a job out.
 
+use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::protocol::descriptions;
 use oxmill_controller::protocol::text::Text;
-use oxmill_controller::settings::{Kind, Row, Settings};
+use oxmill_controller::settings::{Kind, Row, Settings, lines};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
 use oxmill_simulator::fittings::Description;
 use oxmill_simulator::homed::home;
+use oxmill_simulator::machine::linear;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
 use oxmill_simulator::streaming::Streaming;
@@ -36,7 +38,7 @@ pub struct Order {
     pub machine: Option<Description>,
     /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
     /// For [`check`] and [`stream`] only.
-    pub work_zero: Option<[f64; AXES]>,
+    pub work_zero: Option<[f64; LINEAR]>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
 }
@@ -89,9 +91,9 @@ fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     let mut simulator = power_up_for_job(order)?;
     if order.path {
-        let start = simulator.meter().millimetres(simulator.machine().position());
+        let start = simulator.meter().millimetres(simulator.machine().motors());
         let seconds = simulator.clock().seconds(simulator.clock().now());
-        simulator.meter_mut().draw(Drawing::new(start, seconds));
+        simulator.meter_mut().draw(Drawing::new(linear(start), seconds));
     }
     Ok(Check::new(simulator, JobText::new(Cursor::new(job.to_vec()))))
 }
@@ -138,10 +140,10 @@ pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
     // The step counter began at 0 at power-up; the machine's own name of the place may be another.
-    let here = simulator.machine_position();
-    let counted = simulator.meter().millimetres(simulator.machine().position());
+    let here = simulator.machine_place();
+    let counted = simulator.meter().millimetres(simulator.machine().motors());
     let row = |point: &Point| {
-        let [x, y, z] = std::array::from_fn(|axis| point.at[axis] + (here[axis] - counted[axis]) as f32);
+        let [x, y, z]: [f32; LINEAR] = std::array::from_fn(|axis| point.at[axis] + (here[axis] - counted[axis]) as f32);
         [x, y, z, point.speed, point.seconds[0] as f32, point.seconds[1] as f32]
     };
     let line = |point: &Point| {
@@ -174,8 +176,9 @@ pub fn describe() -> Value {
         .map(|a| json!({ "code": a.code(), "text": a.text(), "advice": advice::for_alarm(*a) }))
         .collect();
     let settings = Settings::<AXES>::default();
-    let rows: Vec<Value> = (0..Settings::<AXES>::LINES)
-        .filter_map(Settings::<AXES>::described)
+    // The page shows the axes that a new machine has.
+    let rows: Vec<Value> = (0..lines(LINEAR))
+        .filter_map(|line| Settings::<AXES>::described(line, LINEAR))
         .map(|row| setting(&row, &settings))
         .collect();
     json!({ "version": env!("CARGO_PKG_VERSION"), "boards": boards::ALL.iter().map(board).collect::<Vec<_>>(),
@@ -188,7 +191,7 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
         Kind::Whole(min, max) => ("whole", Some(min), Some(max)),
         Kind::Mask(bits) => ("mask", Some(0), Some(bits)),
         Kind::Switch => ("switch", Some(0), Some(1)),
-        Kind::Axes => ("axes", Some(0), Some((1 << AXES) - 1)),
+        Kind::Axes => ("axes", Some(0), Some((1 << LINEAR) - 1)),
         Kind::Real | Kind::Speed => ("real", Some(0), None),
         Kind::Place => ("place", None, None),
     };
@@ -272,7 +275,7 @@ mod tests {
         assert_eq!(row(121)["axis"], "Y");
         assert_eq!((&row(11)["unit"], &row(11)["default"]), (&json!("mm"), &json!(0.01)));
         assert!(row(11)["axis"].is_null());
-        assert_eq!(settings.len(), Settings::<AXES>::LINES);
+        assert_eq!(settings.len(), lines(LINEAR));
         assert!(description["errors"].as_array().unwrap().len() > 50);
     }
 }

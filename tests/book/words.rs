@@ -15,6 +15,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G2 G3", "arc clockwise, counter-clockwise: centre by I, J, K, or radius by R; turns by P (not *grbl*)"),
     ("G5", "[spline](#splines) of third degree: control points by I, J and P, Q"),
     ("G5.1", "[spline](#splines) of second degree: control point by I, J"),
+    ("G5.2 G5.3", "[control points](#control-points) of a curve, a line each; their end: along the curve"),
     ("G38.2 G38.3", "probe towards a contact, with and without an alarm if there is none"),
     ("G38.4 G38.5", "probe away from a contact, with and without an alarm if it stays closed"),
     ("G73 G81 G82 G83 G85 G86 G88 G89", "[canned cycles](#canned-cycles)"),
@@ -61,7 +62,10 @@ const MEANINGS: &[(&str, &str)] = &[
     ("M8 M9", "flood; coolant off"),
     ("M48 M49 M50 M51 M52 M53", "which overrides act ([state](#state-and-flow))"),
     ("M56", "parking override, P0 or P1"),
-    ("M70 M71 M72", "keep, forget, restore the state ([state](#state-and-flow))"),
+    (
+        "M70 M71 M72 M73",
+        "keep, forget, restore the state, keep it until the subroutine ends ([state](#state-and-flow))",
+    ),
 ];
 
 /// Letters of values, and what they are for.

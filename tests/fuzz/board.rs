@@ -79,6 +79,11 @@ pub struct Board {
     moments: u32,
     /// The events are what a board can tell: else of what is told only that the controller stands it is asked.
     pub is_true: bool,
+    /// The motors' least and greatest places, in steps, while soft limits are in force and the position is trusted.
+    pub travel: Option<[(i32, i32); AXES]>,
+    /// Rounds without time in between, and how often a program had not come to its end after so many.
+    pub most_rounds: usize,
+    pub unended: usize,
     book: Book,
 }
 
@@ -158,6 +163,7 @@ impl Board {
             name: "test",
             step_clock_hz: 1_000_000,
             rates: StepRates { safe_hz: 100_000 },
+            axes: AXES,
             has_second_motor: false,
             program_pins: [0; 2],
             has_store: true,
@@ -195,6 +201,9 @@ impl Board {
             round_replies: 0,
             moments: 0,
             is_true: true,
+            travel: None,
+            most_rounds: MOST_ROUNDS,
+            unended: 0,
             book: Book { is_sure: true, ..Book::default() },
         };
         board.settle();
@@ -206,6 +215,11 @@ impl Board {
     /// Whether there is room for a line of this length.
     pub fn has_room(&self, bytes: usize) -> bool {
         self.lines.len() + bytes <= LINES_DEPTH
+    }
+
+    /// Whether all lines have been read, and the controller wants another.
+    pub fn is_read(&self) -> bool {
+        self.lines.is_empty() && self.controller.wants_line()
     }
 
     pub fn send(&mut self, bytes: &[u8]) {
@@ -327,6 +341,10 @@ impl Board {
                 *motor += if self.directions >> axis & 1 != 0 { -1 } else { 1 };
             }
         }
+        if let Some(travel) = self.travel.filter(|_| tick.steps != 0 && self.controller.is_trusted()) {
+            let is_within = self.motors.iter().zip(travel).all(|(place, (least, most))| (least..=most).contains(place));
+            assert!(is_within, "a step to {:?}, out of the travel {travel:?}", self.motors);
+        }
         self.directions = tick.directions;
         self.due = (tick.interval != 0).then(|| self.now + u64::from(tick.interval));
         if self.stepper.is_watching() && self.stepper.probe(self.signals.probe) {
@@ -373,7 +391,7 @@ impl Board {
 
     /// Rounds until there is nothing to do.
     pub fn settle(&mut self) {
-        for _ in 0..MOST_ROUNDS {
+        for _ in 0..self.most_rounds {
             self.round_replies = 0;
             let begun = self.stepper.segments_begun();
             if !round(self) {
@@ -393,6 +411,7 @@ impl Board {
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
         // A loop of a program has no end of its own; nothing else has none.
+        self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }
 

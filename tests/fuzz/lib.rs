@@ -7,7 +7,9 @@ mod board;
 pub mod events;
 pub mod hosts;
 pub mod lines;
+pub mod programs;
 pub mod session;
+pub mod settings;
 pub mod steps;
 pub mod stored;
 pub mod usb;
@@ -16,13 +18,15 @@ pub mod usb;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 7] = [
+pub const TARGETS: [Target; 9] = [
     ("lines", lines::run),
+    ("programs", programs::run),
     ("session", session::run),
     ("stored", stored::run),
     ("steps", steps::run),
     ("hosts", hosts::run),
     ("events", events::run),
+    ("settings", settings::run),
     ("usb", usb::run),
 ];
 
@@ -62,5 +66,5 @@ mod tests {
             }
         };
     }
-    replays!(lines, session, stored, steps, hosts, events, usb);
+    replays!(lines, programs, session, stored, steps, hosts, events, settings, usb);
 }

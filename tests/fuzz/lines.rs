@@ -1,5 +1,5 @@
 //! G-code as a host sends it, in each dialect: lines, remarks, expressions, parameters, O words, lines of macros. The first byte chooses the
-//! dialect and whether block delete is on.
+//! dialect, whether block delete is on, and whether there is a fourth axis.
 //!
 //! Promises: a refused line changes nothing; every position stays within reach; what a line gives is a number; text that
 //! is held comes to an end or goes on in bounded steps.
@@ -9,7 +9,8 @@ use oxmill_controller::gcode::{
 };
 use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
 
-const AXES: usize = 3;
+/// X, Y, Z and A, of which the first byte may leave A out.
+const AXES: usize = 4;
 /// Lines that a program may execute: a loop has no end of its own.
 const MOST_LINES: usize = 2_000;
 
@@ -32,6 +33,7 @@ pub fn run(data: &[u8]) {
         block_delete: first & 0x40 != 0,
     };
     let mut program = Program { interpreter: Interpreter::new(), checked: Checked::NOTHING, dialect, lines: 0 };
+    program.interpreter.set_axes(if first & 0x20 != 0 { AXES } else { 3 });
     let mut line = Line::new();
     for byte in text {
         match line.push(*byte, rules) {

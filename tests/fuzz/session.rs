@@ -216,8 +216,16 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The first line is the end of one that a reset has cut off at its head.
-    mill.send("\n$X\n$RST=*\n");
+    // The first line is the end of one that a reset has cut off at its head. Where a power cut has looked like damage, a
+    // second `$X` confirms it.
+    mill.take_output();
+    mill.send("\n$X\n");
+    mill.run_for(Duration::from_millis(100));
+    if mill.take_output().contains("settings were damaged") {
+        mill.run_for(Duration::from_secs(3));
+        ask_all(mill, ["$X"]);
+    }
+    mill.send("$RST=*\n");
     mill.run_for(Duration::from_secs(1));
     reset(mill);
     ask_all(mill, ["$X"].into_iter().chain(SETTINGS.split(' ')));

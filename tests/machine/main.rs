@@ -21,6 +21,7 @@ mod programs;
 mod reactions;
 mod resets;
 mod rig;
+mod rotary;
 mod seed;
 mod splines;
 mod stream;

@@ -211,3 +211,31 @@ fn inverse_time() {
     let found = seconds("G93\nG5 X30 Y0 I10 J20 P-10 Q20 F6\n");
     assert!((9.99..10.1).contains(&found), "{found} s");
 }
+
+/// Four quarters of a circle by control points, each with the root of 1/2 as the weight of its corner: the steps are on the
+/// circle, end where it ends, and take the time of the arc, with a hold and an override in between.
+#[test]
+fn a_circle_of_control_points_is_the_circle() {
+    for (radius, feed) in [(10.0, 1200), (3.0, 6000), (30.0, 6000)] {
+        let quarter = |[a, b]: Point, [c, d]: Point| format!("G5.2 P1 L3\nX{a} Y{b} P.7071068\nX{c} Y{d} P1\nG5.3\n");
+        let r: f64 = radius;
+        let circle = quarter([r, r], [0.0, r])
+            + &quarter([-r, r], [-r, 0.0])
+            + &quarter([-r, -r], [0.0, -r])
+            + &quarter([r, -r], [r, 0.0]);
+        let mut rig = Rig::with(CARVER);
+        rig.run_clean(&format!("F{feed}\nG0 X{r}\n"));
+        let start = rig.place_mm(CARVER_STEPS);
+        rig.trace.clear();
+        rig.send(circle.as_bytes());
+        assert!(rig.run_until(600.0, |rig| rig.is_idle()));
+        assert!(!rig.take_output().contains("error"));
+        assert_near(rig.place_mm(CARVER_STEPS), [r, 0.0, 0.0], 0.5 / CARVER_STEPS + 1e-6);
+        let found = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
+        for [x, y, _] in places(&rig.trace, start, [CARVER_STEPS; AXES]) {
+            assert!((x.hypot(y) - r).abs() < MOST_OFF, "{x} {y} on a circle of {r}");
+        }
+        let arc = seconds(&format!("F{feed}\nG3 I-{r}\n"));
+        assert!((found / arc - 1.0).abs() < 0.03, "{found} s, the arc {arc} s, radius {r} at F{feed}");
+    }
+}

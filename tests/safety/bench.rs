@@ -4,7 +4,7 @@ use oxmill_simulator::{Fittings, Options, Simulator, boards};
 use oxmill_test_support::numbers;
 use std::time::Duration;
 
-pub const AXES: usize = boards::AXES;
+pub const AXES: usize = oxmill_controller::axes::LINEAR;
 /// Step clock.
 pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
 /// Steps/mm of all machines here; a step is 0.004 mm, so that a report shows it exactly.

@@ -52,6 +52,8 @@ fn any_set(random: &mut Random, listed: &Set) -> Set {
     set.insert(0, 1000 * (1 + random.below(30) as i64));
     set.insert(5, 0);
     set.insert(21, 0);
+    // More than four axes no machine has.
+    set.insert(930, 1000 * (3 + random.below(2) as i64));
     set
 }
 

@@ -1,5 +1,7 @@
 //! What several suites of tests share: random numbers that can be had again, and the numbers of a report.
 
+pub mod program;
+
 /// A generator of pseudo-random numbers (xorshift, Marsaglia 2003): a seed other than 0 always gives the same ones.
 pub struct Random(pub u64);
 

@@ -1316,6 +1316,81 @@ def second_motor(bench):
     yield f"squared: the second motor is {second - first} steps further, its switch 60"
 
 
+def fourth_axis(bench):
+    """An axis that turns ($930=4) on the pins of the second motor: steps, polarities, the safe rate on all four, its switch. A board
+    without it locks motion."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    bench.settings(s930=4)
+    if wiring.axes < 4:
+        for line, wanted in (("G91 G1 X1 F600", "error:9"), ("$103=10", "error:3")):
+            if (found := error_of(bench, line)) != wanted:
+                raise Failure(f"{line} was answered by {found} without a fourth axis")
+        yield "none: motion is locked until $930 is 3 again"
+        return
+    bench.settings(s110=1000, s111=1000, s112=1000, s113=3000, s120=500, s121=500, s122=500, s123=500, s103=100)
+
+    def moved(line):
+        scope = Scope(board, second=True)
+        bench.ask(f"G91 G1 {line} F600")
+        bench.wait_state("Idle", 3)
+        return scope.counts()
+
+    for settings, line, counts in (
+        ({}, "X-1 Y2 Z1 A-4.5", [-250, 500, 250, -450]),
+        ({"s3": 8}, "A3", [0, 0, 0, -300]),
+        ({"s3": 7}, "X1 A-3", [-250, 0, 0, -300]),
+        ({"s3": 0, "s930": 3}, "X1", [250, 0, 0, 0]),
+        ({"s905": 2}, "Y1", [0, 250, 0, 250]),
+        ({"s905": 0, "s930": 4}, "Y1 A1", [0, 250, 0, 100]),
+    ):
+        bench.settings(**settings)
+        if (found := moved(line)) != counts:
+            raise Failure(f"{settings} {line}: motors at {found} instead of {counts}")
+    bench.settings(s2=8)
+    if [board.level(pin) for pin in (*wiring.step, wiring.second_step)] != [0, 0, 0, 1]:
+        raise Failure("$2=8 does not invert A alone")
+    bench.settings(s2=0)
+    yield "A steps, and turns the other way, by itself"
+    bench.settings(s22=1, s44=8, s45=0, s46=0, s24=600, s25=3000, s26=5, s27=1, s133=90)
+    scope = Scope(board, second=True)
+    answered, begin = len(host.answers), board.now
+    host.send("$HA\n")
+    while len(host.answers) == answered and board.seconds(board.now) - board.seconds(begin) < 20:
+        board.run(seconds=0.004)
+        board.drive(wiring.second_limit, 0 if scope.counts()[3] >= 1200 else 1)
+    counts = scope.counts()
+    if host.answers[answered:] != ["ok"] or counts[:3] != [0, 0, 0] or not 1080 <= counts[3] <= 1120:
+        raise Failure(f"$HA was answered by {host.answers[answered:]}, the motors are at {counts}")
+    yield f"homed at its own switch, {1200 - counts[3]} steps before it"
+    yield from all_four_fast(bench)
+
+
+def all_four_fast(bench):
+    """Back and forth at the safe rate, all four together: no period is off."""
+    safe = bench.wiring.safe_step_hz
+    bench.boot()
+    bench.settings(s930=4)
+    fast(bench, 6_000)
+    greatest = round(safe * 60 / 1000, 3)
+    bench.settings(s0=1, s103=1000, s123=6_000, s110=greatest, s111=greatest, s112=greatest, s113=greatest)
+    bench.forget_masks()
+    scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / 6e6 + 2000)
+    way = steps / 1000
+    # F is along X, Y and Z.
+    for sign in ("", "-"):
+        bench.ask(f"G91 G1 X{sign}{way:.3f} Y{sign}{way:.3f} Z{sign}{way:.3f} A{sign}{way:.3f} F{greatest * 3**0.5:.3f}")
+    bench.wait_state("Idle", 5)
+    events, widths, _, _ = scope.read()
+    if scope.counts() != [0] * 4 or len(events) != 2 * steps or any(event.axes != 15 for event in events):
+        raise Failure(f"{len(events)} steps, ends at {scope.counts()}")
+    found = steady(events[:steps], bench.wiring.core_hz, 1 / safe, round(1.05 * safe**2 / 2 / 6e6) + 5)
+    if found is None or found["period_error"] > JITTER_S or max(widths) > US + LATEST_PULSE_END_S:
+        raise Failure(f"at {safe} steps/s: {found}, pulses up to {us(max(widths))}")
+    mask, where = bench.longest_mask()
+    yield f"four axes at {safe} steps/s: period error {us(found['period_error'])}, pulses {us(min(widths))} to {us(max(widths))}, masked {us(mask)} ({where})"
+
+
 def spindle_pwm(bench):
     """Frequency and share of the spindle's PWM, from an opto-coupler's to a laser's, also when it is changed while it turns."""
     bench.boot()
@@ -1668,6 +1743,7 @@ def all_cases(root):
         ("flood of realtime commands", flood),
         ("bursts of overrides", override_bursts),
         ("second motor", second_motor),
+        ("fourth axis", fourth_axis),
         ("spindle PWM", spindle_pwm),
         ("settings write", settings_write),
         ("power cut", power_cut),

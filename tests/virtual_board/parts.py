@@ -97,6 +97,12 @@ class Wiring:
     def safe_step_hz(self):
         return self.promised("safe_step_hz")
 
+    @property
+    def axes(self):
+        """Most boards have three; one row says that its board has as many as the simulator."""
+        row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1].split("};", 1)[0]
+        return 4 if "axes: AXES," in row else 3
+
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
         period = pulse_us + min(pulse_us, 1.9) + 0.04

@@ -11,9 +11,7 @@ use crate::reach::demangled;
 use crate::thumb::{Kind, Meter, decode};
 use crate::{Failure, QEMU_BOARD, TARGET, qemu, root, run};
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::io::{BufRead, BufReader, Read};
 
 /// Instructions and cycles.
 type Cost = (u64, u64);
@@ -79,10 +77,10 @@ const ROWS: [Row; 20] = [
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_400)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_930, 5_160)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_900, 3_020))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_720, 2_680))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (12_300, 20_700))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (10_350, 17_600))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_byte", "recording, per byte of a line", Figure::Mean, None, (56, 90)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (26, 38)),
@@ -138,13 +136,8 @@ fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     build.args(["build", "--quiet", "--locked", "--profile", profile, "--package", "oxmill-on-target"]);
     run(build.args(["--bin", "count", "--target", TARGET, "--features", QEMU_BOARD]))?;
     let elf = root().join("target").join(TARGET).join(profile).join("count");
-    let trace = root().join("target/count.trace");
-    qemu::trace(&elf, &trace)?;
     let bytes = std::fs::read(&elf).map_err(|error| format!("{}: {error}", elf.display()))?;
-    let measured = measure(&bytes, &trace, row)?;
-    // Some hundred megabytes that tell nothing more.
-    let _ = std::fs::remove_file(&trace);
-    Ok(measured)
+    qemu::trace(&elf, |log| measure(&bytes, log, row))
 }
 
 /// The address in a line of QEMU's log: `Trace 0: host address [flags/address/more] name`.
@@ -154,7 +147,7 @@ fn address(line: &str) -> Option<u32> {
 }
 
 /// The costs of all calls of each row, and those of each instruction of the row `profiled`.
-fn measure(bytes: &[u8], trace: &Path, profiled: &str) -> Result<Traced, Failure> {
+fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failure> {
     let mut spent: HashMap<u32, Cost> = HashMap::new();
     let elf = Elf { bytes };
     let symbols = elf.symbols().ok_or("the program is no ELF file")?;
@@ -174,8 +167,7 @@ fn measure(bytes: &[u8], trace: &Path, profiled: &str) -> Result<Traced, Failure
     let mut before: Option<(u32, Kind)> = None;
     let mut masked: Option<Meter> = None;
     let mut last = 0;
-    let file = File::open(trace).map_err(|error| format!("{}: {error}", trace.display()))?;
-    let mut reader = BufReader::new(file);
+    let mut reader = BufReader::new(log);
     let mut line = String::new();
     while reader.read_line(&mut line).map_err(|error| error.to_string())? > 0 {
         let Some(at) = address(&line) else {

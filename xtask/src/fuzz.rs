@@ -9,22 +9,65 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-/// What libFuzzer needs of the compiler: a pass that counts edges, and what is compared.
+/// What libFuzzer needs of the compiler: a pass that counts edges.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
-    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
-    -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1";
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table -Ccodegen-units=1";
+/// What it can use besides: the two sides of each comparison. They show it values that chance does not find, and take two
+/// thirds of the time.
+const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
 /// A target that reaches fewer does not do its work.
 const LEAST_EDGES: u64 = 100;
-/// Bytes of the longest input.
-const LONGEST: &str = "-max_len=2048";
+/// Bytes of the longest input of a search by time.
+const LONGEST: u64 = 2048;
+/// Of a thousand executions those of each target, about as fast as it is, and the bytes of its longest input then: of many
+/// executions most are short.
+const SHARES: [(&str, u64, u64); 9] = [
+    ("hosts", 320, 96),
+    ("lines", 240, 128),
+    ("usb", 220, 96),
+    ("steps", 150, 128),
+    ("stored", 50, 128),
+    ("programs", 12, 192),
+    ("events", 5, 384),
+    ("settings", 1, 192),
+    ("session", 2, 192),
+];
 
-/// `cargo xtask fuzz [--seconds N|--hours N] [TARGET..]`, or `minimise`.
+/// How much is to be done.
+#[derive(Clone, Copy)]
+enum Amount {
+    /// For so long, with the comparisons.
+    Seconds(u64),
+    /// So many executions, without them.
+    Executions(u64),
+}
+
+impl Amount {
+    /// How libFuzzer is told the part of one of the targets.
+    fn options(self, target: &str, targets: &[&str], workers: u64) -> Vec<String> {
+        match self {
+            Amount::Seconds(seconds) => {
+                let each = (seconds * workers / targets.len() as u64).max(1);
+                vec![format!("-max_total_time={each}"), format!("-max_len={LONGEST}"), "-use_value_profile=1".into()]
+            }
+            Amount::Executions(all) => {
+                let share = |target: &str| SHARES.iter().find(|(name, ..)| *name == target);
+                let whole: u64 = targets.iter().filter_map(|target| share(target)).map(|(_, parts, _)| parts).sum();
+                let (_, parts, longest) = share(target).copied().unwrap_or((target, 1, LONGEST));
+                vec![format!("-runs={}", all * parts / whole.max(1)), format!("-max_len={longest}")]
+            }
+        }
+    }
+}
+
+/// `cargo xtask fuzz [--seconds N|--hours N|--executions N] [TARGET..]`, or `minimise`.
 pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
-    let (seconds, targets) = match arguments {
+    let (amount, targets) = match arguments {
         ["minimise"] => return minimise(),
-        ["--hours", hours, targets @ ..] => (number(hours)? * 3600, targets),
-        ["--seconds", seconds, targets @ ..] => (number(seconds)?, targets),
-        targets => (300, targets),
+        ["--hours", hours, targets @ ..] => (Amount::Seconds(number(hours)? * 3600), targets),
+        ["--seconds", seconds, targets @ ..] => (Amount::Seconds(number(seconds)?), targets),
+        ["--executions", executions, targets @ ..] => (Amount::Executions(number(executions)?), targets),
+        targets => (Amount::Seconds(300), targets),
     };
     let all = all_targets()?;
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
@@ -32,19 +75,18 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     if let Some(unknown) = targets.iter().find(|target| !all.contains(target)) {
         return Err(format!("there is no target `{unknown}`; there are {}", all.join(", ")));
     }
-    let program = build()?;
+    let program = build(matches!(amount, Amount::Seconds(_)))?;
     for target in targets {
         replay(&program, target)?;
     }
     let workers = std::thread::available_parallelism().map_or(1, usize::from).min(targets.len());
-    let each = (seconds * workers as u64 / targets.len() as u64).max(1);
     let left = Mutex::new(targets.iter());
     let rows = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
         for _ in 0..workers {
             scope.spawn(|| {
                 while let Some(target) = next(&left) {
-                    let row = one(&program, target, each);
+                    let row = one(&program, target, &amount.options(target, targets, workers as u64));
                     rows.lock().expect("no thread panics").push((*target, row));
                 }
             });
@@ -139,8 +181,8 @@ fn kept(target: &str) -> PathBuf {
 }
 
 /// The program with all targets.
-fn build() -> Result<PathBuf, Failure> {
-    let folder = root().join("target/fuzz/build");
+fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
+    let folder = root().join(if with_comparisons { "target/fuzz/build" } else { "target/fuzz/fast" });
     let host = host()?;
     run(cargo()
         .args([
@@ -158,7 +200,7 @@ fn build() -> Result<PathBuf, Failure> {
         .env("CARGO_TARGET_DIR", &folder)
         .env("CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS", "true")
         .env("CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS", "true")
-        .env("RUSTFLAGS", COVERAGE))?;
+        .env("RUSTFLAGS", [COVERAGE, if with_comparisons { COMPARISONS } else { "" }].concat()))?;
     Ok(folder.join(host).join("release/fuzz"))
 }
 
@@ -180,18 +222,13 @@ fn seeds(target: &str) -> Result<PathBuf, Failure> {
     Ok(folder)
 }
 
-fn one(program: &Path, target: &str, seconds: u64) -> Result<Row, Failure> {
+fn one(program: &Path, target: &str, options: &[String]) -> Result<Row, Failure> {
     let found = folder("found", target)?;
     let before = files(&found)?;
     let mut command = Command::new(program);
-    command.env("OXMILL_FUZZ_TARGET", target).args([
-        LONGEST,
-        "-print_final_stats=1",
-        "-timeout=20",
-        "-use_value_profile=1",
-    ]);
-    command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
-    if matches!(target, "lines" | "session" | "events") {
+    command.env("OXMILL_FUZZ_TARGET", target).args(["-print_final_stats=1", "-timeout=20"]).args(options);
+    command.arg(format!("-artifact_prefix={}/", found.display()));
+    if matches!(target, "lines" | "programs" | "session" | "events" | "settings") {
         command.arg(format!("-dict={}", root().join("tests/fuzz/gcode.dict").display()));
     }
     let output =
@@ -225,7 +262,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 /// Writes the smallest set that reaches as much as all that has been kept into the tree.
 fn minimise() -> Result<(), Failure> {
-    let program = build()?;
+    let program = build(false)?;
     for target in &all_targets()? {
         let small = emptied("small", target)?;
         run(Command::new(&program)
@@ -243,6 +280,17 @@ fn minimise() -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_target_has_its_share() {
+        let mut shares: Vec<String> = SHARES.iter().map(|(name, ..)| name.to_string()).collect();
+        shares.sort();
+        assert_eq!(all_targets().expect("corpora"), shares);
+        let names: Vec<&str> = shares.iter().map(String::as_str).collect();
+        let options = Amount::Executions(1_000_000).options("lines", &names, 2);
+        assert_eq!(options, ["-runs=240000", "-max_len=128"]);
+        assert_eq!(Amount::Executions(1_000).options("usb", &["usb"], 2)[0], "-runs=1000");
+    }
 
     #[test]
     fn reads_what_libfuzzer_says() {

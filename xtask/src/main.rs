@@ -19,7 +19,9 @@ mod qemu;
 mod reach;
 mod recordings;
 mod rs274;
+mod script;
 mod sizes;
+mod soak;
 mod suites;
 mod thumb;
 mod tree;
@@ -50,13 +52,16 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so
+                             long in machine time, in QEMU or on a virtual board: every step accounted for, and the deepest stack
   cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
                              `--test [NAME..]` tries it in headless Chromium (needs Debian's package chromium);
                              `--pictures` takes the screenshots of the README
   cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
-  cargo xtask fuzz [--seconds N|--hours N] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets together;
+  cargo xtask fuzz [--seconds N|--hours N|--executions N] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets
+                             together, or so many executions of inputs that are short;
                              `fuzz minimise` keeps in the tree what reaches most (needs a C++ compiler)
   cargo xtask dist [--tag TAG] [--check] [PART..]  what a release has, in target/dist: docs/release.md. PART is a board, `boards`,
                              `program`, `page` or `book`, all if none is named; `--check` builds it on two paths and compares
@@ -89,6 +94,7 @@ fn main() -> ExitCode {
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
+        ["soak", ref arguments @ ..] => soak::run(arguments),
         ["web"] => web::build(),
         ["web", "--test", ref names @ ..] => web::test(names),
         ["web", "--pictures"] => web::pictures(),

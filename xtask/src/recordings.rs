@@ -12,6 +12,7 @@ mod record;
 mod rules;
 
 use crate::qemu::{self, Preload};
+use crate::script::Script;
 use crate::{Failure, QEMU_BOARD, image, root};
 use record::{Record, Tally, read};
 use std::fs;
@@ -62,7 +63,7 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
 
 /// Holds a group with a machine that was just switched on.
 fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Result<(), Failure> {
-    let mut script = Script(Vec::new());
+    let mut script = Script::default();
     // What comes before the first record: the greeting, the dialect, and a reset, whose greeting belongs to the recording.
     script.wait(SILENCE);
     script.send(b"$900=0\n");
@@ -75,12 +76,12 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
         // Where a listed difference is silence there is no answer to wait for.
         let listed = differences::DIFFERENCES.iter().find(|d| d.group == group && d.n == record.n);
         let silent = listed.is_some_and(|d| d.answers.is_some_and(|answers| answers.is_empty()));
-        script.hold(record, silent)?;
+        hold(&mut script, record, silent)?;
         script.end_record();
     }
     let folder = root().join("target/recordings");
     let path = folder.join(group);
-    let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &script.0));
+    let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, script.codes()));
     written.map_err(|error| format!("{}: {error}", path.display()))?;
     let (said, report) =
         qemu::preloaded(elf, Preload::Script, &path, LIMIT).map_err(|why| format!("{group}: {why}"))?;
@@ -97,60 +98,32 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     Ok(())
 }
 
-/// What the host inside the machine does, as its codes.
-struct Script(Vec<u8>);
-
-impl Script {
-    fn code(&mut self, code: u8, number: u32) {
-        self.0.push(code);
-        self.0.extend(number.to_le_bytes());
-    }
-
-    fn send(&mut self, bytes: &[u8]) {
-        self.0.push(b'S');
-        self.0.extend((bytes.len() as u16).to_le_bytes());
-        self.0.extend(bytes);
-    }
-
-    fn answers(&mut self, count: u32) {
-        self.code(b'A', count);
-    }
-
-    fn wait(&mut self, ms: u32) {
-        self.code(b'W', ms);
-    }
-
-    fn end_record(&mut self) {
-        self.0.push(b'R');
-    }
-
-    /// What the recording host did.
-    fn hold(&mut self, record: &Record, silent: bool) -> Result<(), Failure> {
-        match record.kind.as_str() {
-            "boot" => {}
-            "line" => {
-                let mut line = record.send.clone();
-                line.push(b'\n');
-                self.send(&line);
-                if record.acked && !silent {
-                    self.answers(if record.send.ends_with(b"\r") { 2 } else { 1 });
-                    self.wait(LOOK);
-                } else {
-                    self.wait(SILENCE);
-                }
+/// What the recording host did.
+fn hold(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
+    match record.kind.as_str() {
+        "boot" => {}
+        "line" => {
+            let mut line = record.send.clone();
+            line.push(b'\n');
+            script.send(&line);
+            if record.acked && !silent {
+                script.answers(if record.send.ends_with(b"\r") { 2 } else { 1 });
+                script.wait(LOOK);
+            } else {
+                script.wait(SILENCE);
             }
-            "raw" => {
-                self.send(&record.send);
-                self.wait(SILENCE);
-            }
-            "rt" => {
-                self.send(&record.send);
-                self.wait(if record.reply.is_empty() { SILENCE } else { LOOK });
-            }
-            "wait" => self.wait((record.wait * 1000.0) as u32),
-            "idle" => self.code(b'I', POLL),
-            kind => return Err(format!("a record of unknown kind {kind}")),
         }
-        Ok(())
+        "raw" => {
+            script.send(&record.send);
+            script.wait(SILENCE);
+        }
+        "rt" => {
+            script.send(&record.send);
+            script.wait(if record.reply.is_empty() { SILENCE } else { LOOK });
+        }
+        "wait" => script.wait((record.wait * 1000.0) as u32),
+        "idle" => script.wait_for_idle(POLL),
+        kind => return Err(format!("a record of unknown kind {kind}")),
     }
+    Ok(())
 }

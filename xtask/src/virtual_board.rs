@@ -64,6 +64,23 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed: {}", failed.join(", "))) }
 }
 
+/// Plays a script beside one board, to the first rest after so many seconds if they are given: what it said, and the notes of
+/// its test stand.
+pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
+    if !BOARDS.iter().any(|(name, _)| *name == board) {
+        return Err(format!("there is no such virtual board: {board}"));
+    }
+    let python = environment()?;
+    let (answers, report) = (script.with_extension("answers"), script.with_extension("report"));
+    run(module(&python, "virtual_board.soak")
+        .arg(board)
+        .args([elf, script])
+        .args([&answers, &report])
+        .args(wall.map(|seconds| seconds.to_string())))?;
+    let read = |path: &Path| fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()));
+    Ok((read(&answers)?, read(&report)?))
+}
+
 /// Runs the commands, a new one as soon as one of two has ended, and prints what each says at its end: the names of those that
 /// failed.
 fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {

@@ -7,7 +7,7 @@ use crate::gcode::{Dialect, WITH_VALUES};
 use crate::machine::inputs;
 use crate::machine::state::Mode;
 use crate::messages::Signals;
-use crate::protocol::report;
+use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
 use crate::units::per_minute;
@@ -98,8 +98,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.dialect() != Dialect::Grbl
         {
             let position = self.machine_position();
-            let inches = self.settings.is_on(Key::ReportInches);
-            self.say(|out| report::trip(out, &tripped, &position, line, inches));
+            let form = self.place_form();
+            self.say(|out| report::trip(out, &tripped, &position, line, form));
         }
     }
 
@@ -166,8 +166,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.accessories.coolant(),
             )),
         };
-        let inches = self.settings.is_on(Key::ReportInches);
-        self.say(|out| report::status(out, &status, inches));
+        let form = self.place_form();
+        self.say(|out| report::status(out, &status, form));
+    }
+
+    /// How the host is told of places.
+    pub(super) fn place_form(&self) -> PlaceForm {
+        PlaceForm { axes: self.settings.axes_in_use(), inches: self.settings.is_on(Key::ReportInches) }
     }
 
     /// The inputs as a report shows them.

@@ -36,7 +36,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Some(CycleStep::Dwell(time)) => {
                 job.spindle_delay = Duration::from_ticks(0);
-                return Some(self.cycle_waits(time));
+                return Some(self.cycle_waits(time, job));
             }
             Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off, job)),
             Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
@@ -49,8 +49,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Some(Stage::Target)
     }
 
-    fn cycle_waits(&self, time: Duration) -> Stage {
-        if time.is_zero() { Stage::Target } else { Stage::Dwell(self.now + time) }
+    fn cycle_waits(&self, time: Duration, job: &mut Job) -> Stage {
+        if time.is_zero() { Stage::Target } else { job.wait(Stage::Dwell, self.now + time) }
     }
 
     /// With the delays of M3 to M5.
@@ -60,9 +60,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_accessories(direction, self.accessories.coolant());
         self.replies.overrides_changed();
         if self.accessories.must_tell_speed(&self.settings) {
-            Stage::SpinningUp(self.now + delay)
+            job.wait(Stage::SpinningUp, self.now + delay)
         } else {
-            self.cycle_waits(delay)
+            self.cycle_waits(delay, job)
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, `$REC`, startup lines, macros.
 
 use super::Controller;
-use super::task::{Answer, Ask, Listing, Task};
+use super::task::{Answer, Ask, Caller, Listing, Task};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
@@ -15,6 +15,7 @@ use crate::units::Decimal;
 
 /// Numbers of settings that are more than values.
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
+const AXES: u16 = Key::Axes.number();
 const HOMING: u16 = Key::Homing.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
@@ -118,7 +119,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return Ok(());
         }
         self.records.validate(stored);
-        self.gcode(text, Answer::Validation(index))
+        self.startup_line(text, Caller::Validation(index))
     }
 
     fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
@@ -136,7 +137,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.settings.is_on(Key::Homing) {
             return Err(Error::HomingDisabled);
         }
-        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= N) {
+        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= self.settings.axes_in_use()) {
             return Err(Error::InvalidStatement);
         }
         self.begin_homing(axis)
@@ -171,13 +172,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         // Another resolution is another position for the same steps; homing that is switched on has not been done.
         self.interpreter.set_position(self.motion.machine_position());
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
-        if moves_places || (number == HOMING && self.settings.is_on(Key::Homing)) {
+        if moves_places || (matches!(number, HOMING | AXES) && self.settings.is_on(Key::Homing)) {
             self.reference.lose();
         }
         if moves_places {
             self.interpreter.end_cycles();
         }
-        if number == REPORT_INCHES {
+        if matches!(number, REPORT_INCHES | AXES) {
             self.replies.offset_changed();
         }
         if number == HOMING {

@@ -4,7 +4,7 @@
 use super::Controller;
 use super::limits::{geometry, spline_geometry};
 use super::moves::speed;
-use super::task::{Answer, Job, Stage, Task};
+use super::task::{Answer, Caller, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
@@ -23,21 +23,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn begin(&mut self, answer: Answer, jog: bool) {
         let checked = &self.line.checked;
         let checking = matches!(self.mode, Mode::Check);
-        let now = self.interpreter.modal();
-        let drain = !checking
-            && (checked.spindle.is_some()
-                || checked.coolant.is_some()
-                || checked.dwell.is_some()
-                || checked.work_offset_changed
-                || checked.store.is_some()
-                || checked.tool_change && self.prompts_for_tools()
-                || matches!(checked.motion, gcode::Motion::Probe { .. })
-                || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
-                || checked.modal().overrides_held != now.overrides_held
-                || !jog && now.path == PathControl::ExactStop && self.ends_line_before()
-                || self.speed_needs_rest());
+        let stops_before = !jog && self.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
+        let drain = !checking && (stops_before || !checked.moves_only && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
-        self.task = Task::Job(Job { answer, stage, jog, spindle_delay: Duration::from_ticks(0) });
+        self.task = Task::Job(Job::new(answer, stage, jog));
+    }
+
+    /// Whether the line has something to do for which the machine has to be at rest.
+    fn acts_at_rest(&self) -> bool {
+        let checked = &self.line.checked;
+        checked.spindle.is_some()
+            || checked.coolant.is_some()
+            || checked.dwell.is_some()
+            || checked.work_offset_changed
+            || checked.store.is_some()
+            || checked.tool_change && self.prompts_for_tools()
+            || matches!(checked.motion, gcode::Motion::Probe { .. })
+            || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
+            || checked.modal().overrides_held != self.interpreter.modal().overrides_held
+            || self.speed_needs_rest()
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
@@ -67,6 +71,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
     #[inline(never)]
     pub(super) fn advance(&mut self) -> bool {
+        if let Task::Job(job) = self.task {
+            return !self.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+        }
+        let progressed = self.advance_task() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog();
+        if progressed {
+            self.pins.disturb();
+        }
+        progressed
+    }
+
+    /// A line of G-code. Outputs and all that waits stay as they are where it only moves.
+    fn advance_job(&mut self, mut job: Job) -> bool {
+        self.task = Task::None;
+        let progressed = self.advance_line(&mut job);
+        let only_moved = self.line.checked.moves_only
+            && !job.jog
+            && matches!(self.mode, Mode::Normal)
+            && matches!(job.answer, Answer::Host | Answer::Held(_));
+        if progressed && !only_moved {
+            self.pins.disturb();
+        }
+        match job.stage {
+            Stage::Done if progressed => self.finish(job.answer),
+            _ => self.task = Task::Job(job),
+        }
+        progressed
+    }
+
+    /// The same for all that is no such line.
+    fn advance_task(&mut self) -> bool {
         if self.stops.is_awaited() {
             return false;
         }
@@ -74,27 +108,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Task::None => return matches!(self.mode, Mode::Home(_)) && self.advance_homing(),
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
             _ if self.mode.is_suspended() => return false,
-            Task::Job(mut job) => {
-                self.task = Task::None;
-                let progressed = self.advance_line(&mut job);
-                match job.stage {
-                    Stage::Done if progressed => self.finish(job.answer),
-                    _ => self.task = Task::Job(job),
-                }
-                return progressed;
-            }
             Task::Startup(index, then) if self.inputs.are_known() => {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
             // Each line may have something to say.
-            Task::Held if self.replies.has_room() => {
+            Task::Held(caller) if self.replies.has_room() => {
                 self.task = Task::None;
-                self.run_held_line();
+                self.run_held_line(caller);
             }
             Task::SoftLimit(_) if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
             Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
-            Task::Startup(..) | Task::Held | Task::SoftLimit(_) | Task::Storing(_) | Task::JogWaits => return false,
+            Task::Startup(..)
+            | Task::Held(_)
+            | Task::SoftLimit(_)
+            | Task::Storing(_)
+            | Task::JogWaits
+            | Task::Job(_) => return false,
         }
         true
     }
@@ -115,26 +145,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let mut progressed = false;
         loop {
             let next = match job.stage {
-                Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change()),
+                Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
                 Stage::ToolChange => Some(Stage::Apply),
-                Stage::SpinningDown(until) => (self.now >= until).then(|| self.leave_for_tool()),
+                Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
                 Stage::Measuring => self.advance_tool_change(),
                 Stage::Drain => {
                     self.start_queued();
                     None
                 }
                 Stage::Apply if !self.has_room_for_pins() => None,
+                // There is nothing to wait for but a record of a line before.
+                Stage::Apply if self.line.checked.moves_only && self.records.are_stored() => {
+                    self.interpreter.commit(&self.line.checked);
+                    // A stop may have left another one.
+                    self.accessories.set_speed(self.line.checked.speed);
+                    Some(Stage::Target)
+                }
                 Stage::Apply => {
                     job.spindle_delay = self.apply(checking);
                     Some(Stage::Storing)
                 }
                 Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_waiting(job.spindle_delay, checking)),
-                Stage::Input(until, before) => {
-                    self.has_read_input(until, before, job).then(|| self.begin_dwell(job.spindle_delay, false))
-                }
-                Stage::Dwell(until) => (self.now >= until).then_some(Stage::Via),
-                Stage::SpinningUp(until) => self.has_spun_up(until).then_some(Stage::Via),
+                Stage::Storing => Some(self.begin_waiting(job, checking)),
+                Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
+                Stage::Dwell => (self.now >= job.until).then_some(Stage::Via),
+                Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
                 Stage::Via => match self.line.checked.motion {
                     gcode::Motion::Line { via: Some(via), .. } if !checking => {
                         self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
@@ -143,7 +178,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 },
                 Stage::Target if checking => Some(self.check_target()),
                 Stage::Target => self.begin_motion(job),
-                Stage::Chords(feed) => self.next_chord(feed, job),
+                Stage::Chords => self.next_chord(job),
                 Stage::Probing => {
                     let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
                     // A failed probe has locked the machine: no M0 may open it again.
@@ -152,7 +187,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Stage::Flow => self.flow(job, checking),
                 Stage::Paused => Some(Stage::Done),
                 Stage::CyclePaused => Some(Stage::Target),
-                Stage::DwellSuspended(_) | Stage::InputSuspended(..) => None,
+                Stage::DwellSuspended | Stage::InputSuspended => None,
                 Stage::Done => return true,
             };
             let Some(next) = next else { break };
@@ -174,7 +209,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Stage::Via => matches!(self.line.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
             Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
             // One chord a call.
-            Stage::Chords(_) => matches!(next, Stage::Chords(_)),
+            Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
         }
@@ -191,21 +226,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// M66, then what [`Controller::begin_dwell`] waits for.
-    fn begin_waiting(&self, spindle_delay: Duration, checking: bool) -> Stage {
-        let input = if checking { None } else { self.begin_wait() };
-        input.unwrap_or_else(|| self.begin_dwell(spindle_delay, checking))
+    fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
+        let input = if checking { None } else { self.begin_wait(job) };
+        input.unwrap_or_else(|| self.begin_dwell(job, checking))
     }
 
     /// G4 and the time of the spindle, if there is any to wait for.
-    fn begin_dwell(&self, spindle_delay: Duration, checking: bool) -> Stage {
+    fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
-        let wait = dwell + spindle_delay;
+        let wait = dwell + job.spindle_delay;
         if self.accessories.must_tell_speed(&self.settings) && self.line.checked.spindle.is_some() && !checking {
-            Stage::SpinningUp(self.now + wait)
+            job.wait(Stage::SpinningUp, self.now + wait)
         } else if wait.is_zero() {
             Stage::Via
         } else {
-            Stage::Dwell(self.now + wait)
+            job.wait(Stage::Dwell, self.now + wait)
         }
     }
 
@@ -216,18 +251,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
             gcode::Motion::Arc(ref arc) => {
                 let (geometry, feed) = (geometry(arc), arc.feed);
-                Some(self.begin_arc(&geometry, feed))
+                Some(self.begin_arc(&geometry, feed, job))
             }
             gcode::Motion::Spline(ref spline) if SPLINES => {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
-                Some(self.begin_spline(&geometry, feed))
+                Some(self.begin_spline(&geometry, feed, job))
             }
+            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
             gcode::Motion::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
             gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Spline(_) => Some(Stage::Flow),
+            gcode::Motion::None | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => Some(Stage::Flow),
         }
     }
 
@@ -283,7 +319,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let single_block = || {
             self.line.is_single_block()
                 && !job.jog
-                && matches!(job.answer, Answer::Host | Answer::Held)
+                && matches!(job.answer, Answer::Host | Answer::Held(Caller::Host))
                 && self.line.checked.motion != gcode::Motion::None
         };
         match self.line.checked.flow {
@@ -330,10 +366,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.task = Task::None;
         match answer {
             Answer::Host => self.say(report::ok),
-            Answer::Held => self.task = Task::Held,
+            Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
+                self.echo_startup_line(index);
                 self.say(report::ok);
-                self.task = Task::Startup(index + 1, host_waits.then_some(Answer::Host));
+                self.begin_startup_line(index + 1, host_waits);
             }
             Answer::Validation(index) => {
                 self.records.save_validated(index);
@@ -403,14 +440,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The next line of held text. An error ends all of it, and is the answer to the line that it was called by.
     #[inline(never)]
-    fn run_held_line(&mut self) {
+    fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
         let next = self.interpreter.next_held(&mut line);
         let (words, remark) = gcode::split_remark(&line);
         let carried_out = match next {
-            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held),
+            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
             Ok(Held::Line | Held::Again) => {
-                self.task = Task::Held;
+                self.task = Task::Held(caller);
                 Ok(())
             }
             Ok(Held::End) => Ok(()),
@@ -421,12 +458,29 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Err(error) => {
                 self.interpreter.abandon_held();
                 self.refuse(error);
-                self.stop_at_error();
+                match caller {
+                    Caller::Host => self.stop_at_error(),
+                    Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
+                    Caller::Validation(_) => {}
+                }
             }
         }
         if next == Ok(Held::End) {
-            self.say(report::ok);
+            self.finish(caller.answer());
         }
+    }
+
+    fn begin_startup_line(&mut self, index: usize, host_waits: bool) {
+        self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
+    }
+
+    /// A startup line. One that calls a subroutine is over when that is.
+    pub(super) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
+        if self.dialect() != gcode::Dialect::Grbl && self.interpreter.begin_call(line)? {
+            self.task = Task::Held(caller);
+            return Ok(());
+        }
+        self.gcode(line, caller.answer())
     }
 
     #[inline(never)]
@@ -439,12 +493,22 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         };
         if !line.is_empty() {
-            self.say(|out| report::startup_echo(out, &line));
-            match self.gcode(&line, Answer::Startup(index, then.is_some())) {
+            match self.startup_line(&line, Caller::Startup(index, then.is_some())) {
                 Ok(()) => return,
-                Err(error) => self.refuse(error),
+                Err(error) => {
+                    self.echo_startup_line(index);
+                    self.refuse(error);
+                }
             }
         }
         self.task = Task::Startup(index + 1, then);
+    }
+
+    /// The line of the answer that is said next. What the startup line itself has said, and reports meanwhile, come before
+    /// it on lines of their own.
+    fn echo_startup_line(&mut self, index: usize) {
+        if let Some(line) = self.records.startup_line(index).cloned() {
+            self.say(|out| report::startup_echo(out, &line));
+        }
     }
 }

@@ -25,10 +25,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(error) = self.motion_locked() {
             return Err(error);
         }
-        if only.is_none() && self.settings.axes(AxisKey::HomingCycle).iter().all(|cycle| *cycle == 0.0) {
+        let cycles = self.settings.homing_cycles().0.map(AxisMask);
+        if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
             return Err(Error::HomingDisabled);
         }
-        let cycles = self.settings.axes(AxisKey::HomingCycle).0.map(|mask| AxisMask(mask as u8));
         let settings = HomingSettings {
             cycles,
             passes: self.settings.whole(Key::HomingPasses),
@@ -78,8 +78,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                         position.set(axis, home);
                     }
                 }
-                let cycles = self.settings.axes(AxisKey::HomingCycle);
-                self.reference.homed(axes, cycles.iter().map(|cycle| *cycle as u8));
+                self.reference.homed(axes, self.settings.homing_cycles().iter().copied());
                 self.pins.drive(GangedMotors::Both);
                 self.motion.set_machine_position(&position);
                 self.interpreter.set_position(self.motion.machine_position());

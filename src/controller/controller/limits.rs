@@ -2,10 +2,10 @@
 //! limits.
 
 use super::Controller;
-use crate::axes::{Arrangement, PerAxis};
+use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::error::Error;
-use crate::gcode::{self, ArcMove, Dialect, SPLINES, SplineMove};
-use crate::motion::{ArcGeometry, SplineGeometry, extent};
+use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SPLINES, SplineMove};
+use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
@@ -56,6 +56,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             gcode::Motion::Probe { target, .. } if belts => outside(target),
             // The curve lies within its polygon.
             gcode::Motion::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
+            gcode::Motion::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
             _ => false,
         }
@@ -66,12 +67,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
             && self.limits_travel()
         {
-            let travel = self.settings.axes(AxisKey::Travel).0.map(|mm| -Coordinate::from_mm_f32(mm));
-            let ends = self.interpreter.position().zip(&PerAxis(travel), |here, end| (here.min(end), here));
-            let within = |position: Coordinate, (least, here): (Coordinate, Coordinate)| {
-                position.clamp(least, here.max(Coordinate::ZERO))
-            };
-            let end = target.zip(&ends, within);
+            let travel = self.settings.axes(AxisKey::Travel);
+            let here = self.interpreter.position();
+            let mut end = *target;
+            for (axis, end) in Axis::ALL.into_iter().zip(end.iter_mut()) {
+                if let (Some(travel), Some(here)) = (travel.get(axis), here.get(axis))
+                    && is_bounded(axis, travel)
+                {
+                    let least = here.min(-Coordinate::from_mm_f32(travel));
+                    *end = (*end).clamp(least, here.max(Coordinate::ZERO));
+                }
+            }
             self.line.checked.redirect(end);
         }
     }
@@ -98,19 +104,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 let (least, greatest) = spline_geometry(spline).extent();
                 outside(&least) || outside(&greatest)
             }
-            gcode::Motion::Spline(_) => false,
+            gcode::Motion::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => false,
             gcode::Motion::Probe { target, .. } => outside(target),
             gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
         }
     }
 
+    /// The curve of the control points that the interpreter keeps.
+    pub(super) fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
+        NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order }
+    }
+
     /// Whether a place lies outside of the travel.
     pub(super) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
         let travel = self.settings.axes(AxisKey::Travel);
-        position
-            .zip(&travel, |p, t| p > Coordinate::ZERO || p < -Coordinate::from_mm_f32(t))
-            .iter()
-            .any(|outside| *outside)
+        let axes = Axis::ALL.into_iter().take(self.settings.axes_in_use());
+        axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
+            let beyond = *place > Coordinate::ZERO || *place < -Coordinate::from_mm_f32(*travel);
+            beyond && is_bounded(axis, *travel)
+        })
     }
 
     /// The setting that allows no motion at all.
@@ -154,6 +167,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.settings.is_on(Key::Homing)
             && self.settings.is_on(Key::TrustNeeded)
     }
+}
+
+/// Whether an axis of this travel has ends: one that turns and has no travel turns without end.
+fn is_bounded(axis: Axis, travel: f32) -> bool {
+    !axis.is_rotary() || travel > 0.0
 }
 
 /// The circle of an arc.

@@ -1,10 +1,10 @@
 //! The line of G-code that is carried out.
 
-use crate::axes::PerAxis;
-use crate::gcode::Checked;
+use crate::axes::{LINEAR, PerAxis};
+use crate::gcode::{Checked, TOOL_SETTER};
 use crate::machine::tool_change::ToolChange;
-use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Spline, SplineGeometry};
-use crate::units::Coordinate;
+use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
+use crate::units::{Coordinate, WeightedPoint};
 
 /// A checked line, and its curve once that has begun.
 #[derive(Clone, Debug)]
@@ -13,14 +13,18 @@ pub(super) struct LineInWork<const N: usize> {
     pub(super) checked: Checked<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
-    /// The tool change of the line, if its tool is measured.
-    pub(super) change: ToolChange<N>,
+    /// The tool change of the line, if its tool is measured: there is none without tool setters.
+    change: [ToolChange<N>; TOOL_SETTER as usize],
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(super) const NONE: Self =
-        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
+    pub(super) const NONE: Self = Self {
+        checked: Checked::NOTHING,
+        curve: None,
+        single_block: false,
+        change: [ToolChange::NONE; TOOL_SETTER as usize],
+    };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(super) fn is_single_block(&self) -> bool {
@@ -38,12 +42,22 @@ impl<const N: usize> LineInWork<N> {
         self.single_block = false;
     }
 
-    /// Its arc begins. The length of the chords, mm.
-    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> f32 {
+    /// Its tool is changed and measured; see [`LineInWork::change`].
+    pub(super) fn begin_change(&mut self, change: ToolChange<N>) {
+        self.change.fill(change);
+    }
+
+    /// The tool change of the line.
+    pub(super) fn change(&mut self) -> Option<&mut ToolChange<N>> {
+        self.change.first_mut()
+    }
+
+    /// Its arc begins. The length of the chords, mm, and how many times as long that is as their way along X, Y and Z.
+    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
         let arc = Arc::new(geometry, tolerance);
-        let length = arc.length();
+        let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });
         self.curve = Some(Curve::Arc(arc));
-        length
+        lengths
     }
 
     /// Its spline begins.
@@ -51,10 +65,15 @@ impl<const N: usize> LineInWork<N> {
         self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
     }
 
+    /// Its curve of control points begins.
+    pub(super) fn begin_nurbs(&mut self, geometry: &NurbsGeometry<N>, tolerance: f32) {
+        self.curve = Some(Curve::Nurbs(Nurbs::new(geometry, tolerance)));
+    }
+
     /// End of the next chord of the curve, and how that bends.
-    pub(super) fn next_chord(&mut self) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
+    pub(super) fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
         let curve = self.curve.as_mut()?;
-        let end = curve.next_chord()?;
+        let end = curve.next_chord(points)?;
         Some((end, curve.curvature()))
     }
 }

@@ -1,7 +1,7 @@
 //! Received bytes become lines, and each line goes to where it is carried out.
 
 use super::Controller;
-use super::task::{Answer, Task};
+use super::task::{Answer, Caller, Task};
 use super::view::dialect;
 use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
@@ -9,8 +9,10 @@ use crate::machine::state::Mode;
 use crate::messages::LineByte;
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
+use crate::protocol::line_intake::Taken;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
+use crate::units::Instant;
 
 /// The message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
@@ -18,12 +20,22 @@ type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn release_held(&mut self) {
         if let Some(byte) = self.lines.release() {
-            self.line_byte(byte);
+            self.line_byte(self.now, byte);
         }
     }
 
-    pub(super) fn line_byte(&mut self, byte: LineByte) {
+    #[inline(never)]
+    pub(super) fn line_byte(&mut self, now: Instant, byte: LineByte) {
+        self.now = now;
         let taken = self.lines.take(byte, || line_rules(&self.settings));
+        if taken.pushed != Pushed::More || taken.cut || taken.lost {
+            self.taken(taken);
+        }
+    }
+
+    /// A byte has brought something about.
+    #[inline(never)]
+    fn taken(&mut self, taken: Taken) {
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.interpreter.abandon_program();
@@ -44,10 +56,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.stop_at_error();
             }
             Pushed::Complete => {
-                // Filled where it is: a returned value would be copied with its whole capacity.
-                let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+                // Filled where they are: a returned value would be copied with its whole capacity.
+                let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
                 let _ = text.extend_from_slice(self.lines.text());
-                let remark = self.remark();
+                self.read_remark(&mut remark);
                 if self.must_wait(&text) {
                     self.task = Task::JogWaits;
                 } else {
@@ -55,6 +67,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.dispatch(&text, &remark);
                 }
             }
+        }
+        // A line that is yet to be carried out has changed nothing.
+        if !matches!(self.task, Task::Job(_)) {
+            self.pins.disturb();
         }
     }
 
@@ -69,15 +85,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The message of the line that has been read, with its mark; nothing if it has none.
-    fn remark(&self) -> Remark {
-        let mut remark = Remark::new();
+    fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.lines.message()
             && self.dialect() != Dialect::Grbl
         {
             let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
             let _ = remark.extend_from_slice(text);
         }
-        remark
     }
 
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
@@ -93,9 +107,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.stops.is_awaited() {
             return false;
         }
-        let mut text = heapless::Vec::<u8, { line::LENGTH }>::new();
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.lines.text());
-        let remark = self.remark();
+        self.read_remark(&mut remark);
         self.lines.clear();
         self.task = Task::None;
         self.dispatch(&text, &remark);
@@ -110,6 +124,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             // A tape mark; Grbl's dialect has none.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            // It would be told now, and not when the line is carried out.
+            Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
@@ -152,12 +168,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Direction::LeftOut => self.say(report::ok),
             Direction::Call => {
                 self.tell_remark(remark);
-                self.task = Task::Held;
+                self.task = Task::Held(Caller::Host);
             }
-            Direction::Run => self.task = Task::Held,
+            Direction::Run => self.task = Task::Held(Caller::Host),
         }
         Ok(())
     }
+}
+
+/// Whether a `$` line sets a startup line or a macro.
+fn keeps_line(line: &[u8]) -> bool {
+    matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
 /// How lines are read.

@@ -3,8 +3,9 @@
 use super::Controller;
 use super::records::STORED_TEXT;
 use super::task::{Ask, Listing, Task};
+use crate::axes::{Axis, LINEAR};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
-use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::report::{self, ParserState};
@@ -35,7 +36,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     Some(text) => {
                         let text = text.unwrap_or_default();
                         if !text.is_empty() {
-                            self.say(|out| report::macro_line(out, line, &text));
+                            self.say(|out| report::kept_line(out, b'M', line, &text));
                         }
                         true
                     }
@@ -44,7 +45,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Listing::StartupLines => match self.records.startup_line(line).cloned() {
                 Some(text) => {
-                    self.say(|out| report::startup_line(out, line, &text));
+                    self.say(|out| report::kept_line(out, b'N', line, &text));
                     true
                 }
                 None => false,
@@ -71,28 +72,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn list_parameter(&mut self, line: usize) -> bool {
-        let inches = self.settings.is_on(Key::ReportInches);
+        let form = self.place_form();
         let systems =
             if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         let offsets = *self.interpreter.offsets();
         if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
-            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), inches));
+            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), form));
             return true;
         }
         match line - systems {
-            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), inches)),
-            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), inches)),
-            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, inches)),
-            3 => self.say(|out| report::tool_length(out, &offsets.tool_length, inches)),
+            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), form)),
+            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), form)),
+            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, form)),
+            3 => self.say(|out| report::tool_length(out, &offsets.tool_length, form)),
             4 => {
                 let (position, success) = self.probe.result();
-                self.say(|out| report::probe(out, &position, success, inches));
+                self.say(|out| report::probe(out, &position, success, form));
             }
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.interpreter.tools().entries().get(entry - 5).copied()
                     && tool.is_stored()
                 {
-                    self.say(|out| report::tool(out, tool.number, &tool.offset, inches));
+                    self.say(|out| report::tool(out, tool.number, &tool.offset, form));
                 }
             }
             entry if self.dialect() != Dialect::Grbl && ROTATION => {
@@ -108,7 +109,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
-        if view.fitted >> bit & 1 != 0 {
+        // The switch of an axis that is not in use is none, and beside A there is no second motor.
+        let axes = self.settings.axes_in_use();
+        let counts =
+            if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
+        if counts && view.fitted >> bit & 1 != 0 {
             let (active, wiring) = (self.inputs.pins().word() >> bit & 1 != 0, self.inputs.wiring());
             self.say(|out| report::pin(out, bit, view, active, &wiring));
         }
@@ -116,9 +121,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn describe(&mut self, what: Described, line: usize) -> bool {
-        let is_there = line < descriptions::lines::<N>(what);
+        let axes = self.settings.axes_in_use();
+        let is_there = line < descriptions::lines(what, axes);
         if is_there {
-            self.say(|out| descriptions::line::<N>(out, what, line));
+            self.say(|out| descriptions::line::<N>(out, what, line, axes));
         }
         is_there
     }
@@ -139,7 +145,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(report::firmware);
         }
         if with_options {
-            self.say(|out| report::more_options(out, N, OPTIONS));
+            let axes = self.settings.axes_in_use();
+            self.say(|out| report::more_options(out, axes, OPTIONS));
         }
         self.say(report::ok);
     }

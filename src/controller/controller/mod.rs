@@ -96,7 +96,9 @@ pub struct Profile {
     pub rates: StepRates,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
-    /// Whether there are pins for a motor more than there are axes.
+    /// Axes that have motors, `N` of the controller at most; a fourth motor is that of A or the second one of another axis.
+    pub axes: usize,
+    /// Whether there are pins for a motor more than X, Y and Z.
     pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
@@ -138,7 +140,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
     pub const fn new(profile: Profile) -> Self {
         Self {
-            settings: Settings::new(),
+            settings: Settings::of_board(profile.axes),
             interpreter: Interpreter::new(),
             motion: Motion::unconfigured(profile.step_clock_hz),
             door: SafetyDoor::new(profile.step_clock_hz),
@@ -205,24 +207,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The path of a line: its bytes come in here and are collected by [`LineIntake`]. The last one leads through `lines` to
     /// `execute`, which checks the line and keeps it as a task. That is all an event does; what the line asks for is done by
     /// [`Controller::output`].
-    #[inline]
+    // Always, so that the middle of a line costs no call.
+    #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
-        self.now = now;
         match event {
-            // Nearly all events.
+            // Nearly all events, and those to which the time means nothing.
             Event::Line(byte) if self.lines.take_plain(byte) => {}
-            event => self.take(event),
+            Event::Line(byte) => self.line_byte(now, byte),
+            event => self.take(now, event),
         }
     }
 
-    fn take(&mut self, event: Event<N>) {
+    /// All events but bytes of lines, for which there is [`Controller::line_byte`].
+    #[inline(never)]
+    fn take(&mut self, now: Instant, event: Event<N>) {
+        self.now = now;
         self.pins.disturb();
         match event {
             Event::Realtime(command) => {
                 self.lines.heartbeat_mut().hear();
                 self.realtime(command);
             }
-            Event::Line(byte) => self.line_byte(byte),
+            Event::Line(byte) => self.line_byte(now, byte),
             Event::Step(event) => self.step_event(&event),
             Event::Signals(sensed) => self.signals_changed(&sensed),
             Event::Pins(view) => self.inputs.viewed(view),
@@ -299,7 +305,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(output);
         }
-        let short = self.step_supply.is_short(self.motion.queued_us());
+        let short = self.step_supply.is_short(|us| self.motion.holds_time(us));
         let urgent = short && !self.motion.ends_at_rest();
         if urgent
             && room.step
@@ -313,8 +319,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         {
             return Some(Output::Reply(chunk));
         }
-        if self.may_advance() && self.advance() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
-            self.pins.disturb();
+        if self.may_advance() && self.advance() {
             return Some(Output::Worked);
         }
         self.auto_start();
@@ -337,6 +342,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         matches!(self.mode, Mode::Normal)
             && self.probe.is_over()
             && self.stops.is_idle()
+            && self.stops.is_open()
+            && !self.door.motion().hands_over()
             && self.drivers.off_at().is_none()
             && !self.accessories.is_on()
             && !self.accessories.digital().is_waiting()
@@ -380,6 +387,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn step_message(&mut self) -> Option<ToStep> {
+        let mut message = if self.pins.are_calm() { self.motion.next_message() } else { self.message_in_turn() };
+        if let Some(ToStep::Segment(segment)) = &mut message {
+            segment.power = self.overridden_power(segment.power);
+        }
+        if message.is_some() && self.drivers.switch_on() {
+            self.pins.disturb();
+        }
+        message
+    }
+
+    /// What comes before the motion of a job.
+    #[inline(never)]
+    fn message_in_turn(&mut self) -> Option<ToStep> {
         if !self.stops.is_open() {
             return None;
         }
@@ -392,14 +412,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(watch) = self.probe.take_watch() {
             return Some(watch);
         }
-        let mut message = self.door.next_message().or_else(|| self.motion.next_message());
-        if let Some(ToStep::Segment(segment)) = &mut message {
-            segment.power = self.overridden_power(segment.power);
-        }
-        if message.is_some() && self.drivers.switch_on() {
-            self.pins.disturb();
-        }
-        message
+        self.door.next_message().or_else(|| self.motion.next_message())
     }
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.

@@ -2,12 +2,12 @@
 
 use super::Controller;
 use super::task::{Job, Stage};
-use crate::axes::PerAxis;
-use crate::gcode::{Feed, Motion, PathControl};
+use crate::axes::{LINEAR, PerAxis};
+use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
-use crate::motion::{ArcGeometry, Move, Speed, SplineGeometry, Tolerance};
+use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
 use crate::units::Coordinate;
 
@@ -52,52 +52,79 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             line_number: self.line.checked.line_number,
             no_feed_override: jog,
             digit: self.line.checked.digit,
-            tolerance: self.tolerance(speed),
+            tolerance: self.tolerance(target, speed),
         }
     }
 
-    /// How far a move may be from its path: lines at a feed only.
-    fn tolerance(&self, speed: Speed) -> Tolerance {
+    /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
+    /// A turns back, F would say nothing.
+    fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.checked.motion, self.interpreter.modal().path) {
             (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
             _ => return Tolerance::EXACT,
         };
+        if N > LINEAR && turns(&self.motion.planned_position(), target) {
+            return Tolerance::EXACT;
+        }
         let mm = |units: u32| Coordinate(i64::from(units)).to_mm();
         Tolerance { path: mm(within.path), merging: mm(within.merging) }
     }
 
-    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed) -> Stage {
-        let length = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
-        let feed = match feed {
+    pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
+        let (length, stretch) = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
+        job.chord_feed = match feed {
+            // F is along X, Y and Z.
+            Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
             Feed::Rapid => f32::MAX,
         };
-        Stage::Chords(feed)
+        Stage::Chords
     }
 
     #[inline(never)]
-    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed) -> Stage {
+    pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
         self.line.begin_spline(geometry, self.settings.value(Key::ArcTolerance));
-        Stage::Chords(match feed {
+        job.chord_feed = match feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => geometry.length() / seconds,
             Feed::Rapid => f32::MAX,
-        })
+        };
+        Stage::Chords
+    }
+
+    #[inline(never)]
+    pub(super) fn begin_nurbs(&mut self, nurbs: &NurbsMove<N>, job: &mut Job) -> Stage {
+        let geometry =
+            NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order };
+        self.line.begin_nurbs(&geometry, self.settings.value(Key::ArcTolerance));
+        job.chord_feed = match nurbs.feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
     }
 
     /// The next chord of the curve under way. What follows; `None` if there is no room for it.
-    pub(super) fn next_chord(&mut self, feed: f32, job: &Job) -> Option<Stage> {
+    pub(super) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.motion.free_blocks() == 0 {
             self.start_queued();
             return None;
         }
-        let Some((end, curvature)) = self.line.next_chord() else { return Some(Stage::Flow) };
-        let mv = self.move_of(&end, Speed::Feed(feed), job.jog);
+        let Some((end, curvature)) = self.line.next_chord(self.interpreter.control_points()) else {
+            return Some(Stage::Flow);
+        };
+        let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
         // There is room for a block, so the move is taken.
         self.motion.chord(&mv, curvature);
-        Some(Stage::Chords(feed))
+        Some(Stage::Chords)
     }
+}
+
+/// Whether a rotary axis moves.
+fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
+    from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
 }
 
 /// The speed that a feed asks for.

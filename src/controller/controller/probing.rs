@@ -6,7 +6,6 @@ use crate::error::Alarm;
 use crate::machine::stops::StopReason;
 use crate::motion::{Move, Speed, Tolerance};
 use crate::protocol::report;
-use crate::settings::Key;
 use crate::units::Coordinate;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -57,9 +56,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !touched && must_touch {
             self.lock(Alarm::ProbeNoContact);
         }
-        let ((position, _), inches) = (self.probe.result(), self.settings.is_on(Key::ReportInches));
+        let ((position, _), form) = (self.probe.result(), self.place_form());
         self.interpreter.set_probed(&position, touched);
-        self.say(|out| report::probe(out, &position, touched, inches));
+        self.say(|out| report::probe(out, &position, touched, form));
         true
     }
 }

@@ -3,7 +3,6 @@
 use super::Controller;
 use super::task::{Job, Stage};
 use crate::gcode::ProgramPins;
-use crate::units::Instant;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the line asks for a pin that the board does not have. None has analog ones.
@@ -52,23 +51,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Before the dwell of a line: M66, if it has one.
-    pub(super) fn begin_wait(&self) -> Option<Stage> {
+    pub(super) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
         match self.line.checked.pins() {
             Some(ProgramPins::Wait { longest, .. }) => {
-                Some(Stage::Input(self.now + longest, self.inputs.signals().program))
+                job.input_before = self.inputs.signals().program;
+                Some(job.wait(Stage::Input, self.now + longest))
             }
             _ => None,
         }
     }
 
-    /// Whether M66 has ended, whose input was `before` when it was looked at last.
+    /// Whether M66 has ended.
     #[inline(never)]
-    pub(super) fn has_read_input(&mut self, until: Instant, before: bool, job: &mut Job) -> bool {
+    pub(super) fn has_read_input(&mut self, job: &mut Job) -> bool {
         let Some(ProgramPins::Wait { until: wait, .. }) = self.line.checked.pins() else { return true };
         let now = self.inputs.signals().program;
-        let is_over = wait.is_over(before, now);
-        if !is_over && self.now < until {
-            job.stage = Stage::Input(until, now);
+        let is_over = wait.is_over(job.input_before, now);
+        if !is_over && self.now < job.until {
+            job.input_before = now;
             return false;
         }
         self.interpreter.set_input_read(is_over.then_some(now));

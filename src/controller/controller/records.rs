@@ -1,6 +1,6 @@
 //! What outlives the power: records that are read at power-up, written when something changes, and their damage.
 
-use crate::axes::{Axis, PerAxis};
+use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};
 use crate::messages::{Record, STORE_DAMAGED, Store};
 use crate::protocol::system::Restore;
@@ -190,7 +190,9 @@ impl Records {
         } else {
             StoredOffset::all().position(|o| o == offset).map(|index| KEY_OFFSETS + index as u16)
         };
-        for value in position.iter() {
+        // A, B and C only if they have a place: what a machine with three axes writes is the same whatever it was compiled for.
+        let places = position.0.iter().rposition(|value| *value != Coordinate::ZERO).map_or(0, |last| last + 1);
+        for value in position.iter().take(places.max(LINEAR)) {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
         }
         if let StoredOffset::System(system) = offset {
@@ -399,6 +401,42 @@ mod tests {
         value.extend_from_slice(&i32::MAX.to_le_bytes()).unwrap();
         records.restore(&Record { key: KEY_OFFSETS + 1, value }, &mut settings, &mut interpreter);
         assert_eq!(interpreter.offsets().angle(system), Angle::ZERO);
+    }
+
+    /// Images of three axes are read with four, and what those write is as long as it was where A has no place.
+    #[test]
+    fn records_of_three_axes_and_of_four() {
+        let places = [Coordinate::mm(1), Coordinate::mm(-2), Coordinate::mm(3)];
+        let (mut of_three, mut of_four) = (Interpreter::<3>::new(), Interpreter::<4>::new());
+        let [x, y, z] = places;
+        let which = StoredOffset::System(CoordinateSystem::G54);
+        let written = |records: &mut Records| match records.next_store() {
+            Some(Store::Put(record)) => record,
+            other => panic!("{other:?}"),
+        };
+        for angle in [Angle::ZERO, Angle::of(Decimal::from_int(30))] {
+            let mut records = Records::new(true);
+            of_three.set_stored(which, PerAxis(places));
+            of_three.set_angle(CoordinateSystem::G54, angle);
+            records.save_offset(which, &of_three);
+            let three = written(&mut records);
+            records.restore(&three, &mut Settings::<4>::default(), &mut of_four);
+            assert_eq!(of_four.offsets().stored(which), PerAxis([x, y, z, Coordinate::ZERO]));
+            assert_eq!(of_four.offsets().angle(CoordinateSystem::G54), angle);
+            records.save_offset(which, &of_four);
+            assert_eq!(written(&mut records), three);
+            of_four.set_stored(which, PerAxis([x, y, z, Coordinate::mm(90)]));
+            records.save_offset(which, &of_four);
+            let four = written(&mut records);
+            let (mut again, mut fewer) = (Interpreter::<4>::new(), Interpreter::<3>::new());
+            records.restore(&four, &mut Settings::<4>::default(), &mut again);
+            records.restore(&four, &mut Settings::<3>::default(), &mut fewer);
+            assert_eq!(again.offsets().stored(which), of_four.offsets().stored(which));
+            assert_eq!(
+                (fewer.offsets().stored(which), fewer.offsets().angle(CoordinateSystem::G54)),
+                (PerAxis(places), angle)
+            );
+        }
     }
 
     #[test]

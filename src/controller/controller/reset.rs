@@ -69,6 +69,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
     pub(super) fn reconfigure(&mut self) {
         self.inputs.configure(&self.settings);
+        self.interpreter.set_axes(self.settings.axes_in_use());
         let step_clock_hz = self.motion.settings().step_clock_hz;
         self.motion.configure(motion_settings(&self.settings, step_clock_hz));
     }

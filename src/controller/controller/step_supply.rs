@@ -78,11 +78,11 @@ impl StepSupply {
         self.running = false;
     }
 
-    /// Takes the step time queued. Whether segments come before planning.
+    /// Whether segments come before planning. `holds`: whether the step queue holds so many microseconds.
     #[inline]
-    pub(super) fn is_short(&mut self, queued_us: u32) -> bool {
-        self.well_filled = (self.well_filled || queued_us >= WELL_FILLED_US) && self.running;
-        !self.well_filled || queued_us < LOW_WATER_US
+    pub(super) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
+        self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
+        !self.well_filled || !holds(LOW_WATER_US)
     }
 }
 
@@ -105,11 +105,12 @@ mod tests {
     fn segments_come_first_at_a_start_and_at_low_water() {
         let mut feed = StepSupply::AT_REST;
         feed.start();
-        assert!(feed.is_short(11_999));
-        assert!(!feed.is_short(12_000));
-        assert!(!feed.is_short(6_000) && feed.is_short(5_999));
+        let holding = |queued: u32| move |us: u32| queued >= us;
+        assert!(feed.is_short(holding(11_999)));
+        assert!(!feed.is_short(holding(12_000)));
+        assert!(!feed.is_short(holding(6_000)) && feed.is_short(holding(5_999)));
         feed.end();
-        assert!(feed.is_short(12_000), "the next motion is filled again");
+        assert!(feed.is_short(holding(12_000)), "the next motion is filled again");
     }
 
     #[test]

@@ -12,8 +12,8 @@ pub(super) enum Task {
     None,
     /// The startup line of this number is next; when all have been run, someone may get an answer.
     Startup(usize, Option<Answer>),
-    /// The next line of held text is to be run.
-    Held,
+    /// The next line of held text is to be run, for whom.
+    Held(Caller),
     /// An answer of many lines; the number is the next of them.
     Listing(Listing, usize),
     /// A record is being stored; then the answer is given.
@@ -35,12 +35,34 @@ pub(super) enum Answer {
     Startup(usize, bool),
     /// The host, for a startup line that is stored once it has been run without error; its text waits in the controller.
     Validation(usize),
-    /// The host, once the held text has come to its end.
-    Held,
+    /// Whoever has called the held text, once that has come to its end.
+    Held(Caller),
     /// The host, for the setting of this number.
     Setting(u16),
     /// The host, and then the controller is initialised (`$RST`).
     Restart,
+}
+
+/// Whose line runs held text; who is waiting for its end as in [`Answer`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Caller {
+    /// The host's.
+    Host,
+    /// A startup line.
+    Startup(usize, bool),
+    /// A startup line that is to be stored.
+    Validation(usize),
+}
+
+impl Caller {
+    /// Who gets the answer.
+    pub(super) fn answer(self) -> Answer {
+        match self {
+            Caller::Host => Answer::Host,
+            Caller::Startup(index, host_waits) => Answer::Startup(index, host_waits),
+            Caller::Validation(index) => Answer::Validation(index),
+        }
+    }
 }
 
 /// A line under way.
@@ -49,19 +71,48 @@ pub(super) struct Job {
     pub(super) answer: Answer,
     pub(super) stage: Stage,
     pub(super) jog: bool,
+    /// The input that M66 waits for was so when it was looked at last.
+    pub(super) input_before: bool,
+    /// Feed of the chords that are still to come, mm/s.
+    pub(super) chord_feed: f32,
+    /// Until when a stage waits, and with how much left when a hold has suspended it.
+    pub(super) until: Instant,
+    left: Duration,
     /// How long the spindle takes to turn, or to come to rest, after this line has switched it.
     pub(super) spindle_delay: Duration,
 }
 
-#[derive(Clone, Copy, Debug)]
-#[repr(u8)]
+impl Job {
+    /// Nothing is done yet.
+    pub(super) fn new(answer: Answer, stage: Stage, jog: bool) -> Self {
+        Self {
+            answer,
+            stage,
+            jog,
+            input_before: false,
+            chord_feed: 0.0,
+            until: Instant::from_ticks(0),
+            left: Duration::from_ticks(0),
+            spindle_delay: Duration::from_ticks(0),
+        }
+    }
+
+    /// The stage that waits until a moment.
+    pub(super) fn wait(&mut self, stage: Stage, until: Instant) -> Stage {
+        self.until = until;
+        stage
+    }
+}
+
+/// How far a line is. What a stage waits for is in the [`Job`]: stages are passed on at each step of each line, as a byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
     /// Motion that was queued before has to end first.
     Drain,
     /// Another tool is being put into the spindle: ends with `~`.
     ToolChange,
     /// The spindle comes to rest for a tool change with measuring, until a moment.
-    SpinningDown(Instant),
+    SpinningDown,
     /// A tool change with measuring: `LineInWork` knows how far it is.
     Measuring,
     /// New modal state, spindle, coolant.
@@ -69,23 +120,23 @@ pub(super) enum Stage {
     /// A changed coordinate system is being stored.
     Storing,
     /// G4 until a moment.
-    Dwell(Instant),
+    Dwell,
     /// Spindle on: it has turned long enough at this moment, and tells that it is up to speed.
-    SpinningUp(Instant),
-    /// G4 with this much left when the hold ends.
-    DwellSuspended(Duration),
-    /// M66 until a moment at most; the input was so when it was looked at last.
-    Input(Instant, bool),
-    /// The same with this much left when the hold ends.
-    InputSuspended(Duration, bool),
+    SpinningUp,
+    /// G4 goes on when the hold ends.
+    DwellSuspended,
+    /// M66 until a moment at most.
+    Input,
+    /// The same, which goes on when the hold ends.
+    InputSuspended,
     /// G28, G30: the intermediate point.
     Via,
     /// The motion itself.
     Target,
     /// The probe moves.
     Probing,
-    /// Chords of the line's curve that are still to come, at this feed.
-    Chords(f32),
+    /// Chords of the line's curve that are still to come.
+    Chords,
     /// Motion has to end before the program pauses or ends.
     Flow,
     /// Paused: ends with `~`.
@@ -110,9 +161,10 @@ impl Task {
     pub(super) fn answers_host(&self) -> bool {
         match self {
             Task::Job(Job { answer, .. }) | Task::Storing(answer) | Task::SoftLimit(answer) => {
-                !matches!(answer, Answer::Startup(_, false))
+                !matches!(answer, Answer::Startup(_, false) | Answer::Held(Caller::Startup(_, false)))
             }
-            Task::Held | Task::Listing(..) | Task::JogWaits => true,
+            Task::Held(caller) => !matches!(caller, Caller::Startup(_, false)),
+            Task::Listing(..) | Task::JogWaits => true,
             Task::Startup(_, answer) => answer.is_some(),
             Task::None => false,
         }
@@ -121,44 +173,36 @@ impl Task {
     /// `late`: when a spindle is too late that should have turned long enough at a moment.
     pub(super) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
-            Task::Job(Job { stage: Stage::SpinningUp(until), .. }) => Some(late(*until)),
-            Task::Job(Job {
-                stage: Stage::Dwell(until) | Stage::SpinningDown(until) | Stage::Input(until, _), ..
-            }) => Some(*until),
+            Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
+            Task::Job(Job { stage: Stage::Dwell | Stage::SpinningDown | Stage::Input, until, .. }) => Some(*until),
             _ => None,
         }
     }
 
     /// Whether a spindle is given the time to come up to speed.
     pub(super) fn is_spinning_up(&self) -> bool {
-        matches!(self, Task::Job(Job { stage: Stage::SpinningUp(_), .. }))
+        matches!(self, Task::Job(Job { stage: Stage::SpinningUp, .. }))
     }
 
     /// A hold stops the clock of a dwell.
     pub(super) fn suspend(&mut self, now: Instant) {
-        if let Task::Job(job) = self
-            && let Stage::Dwell(until) = job.stage
-        {
-            job.stage = Stage::DwellSuspended(left(until, now));
-        }
-        if let Task::Job(job) = self
-            && let Stage::Input(until, before) = job.stage
-        {
-            job.stage = Stage::InputSuspended(left(until, now), before);
-        }
+        let Task::Job(job) = self else { return };
+        job.stage = match job.stage {
+            Stage::Dwell => Stage::DwellSuspended,
+            Stage::Input => Stage::InputSuspended,
+            _ => return,
+        };
+        job.left = job.until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0));
     }
 
     pub(super) fn resume(&mut self, now: Instant) {
-        if let Task::Job(job) = self
-            && let Stage::DwellSuspended(left) = job.stage
-        {
-            job.stage = Stage::Dwell(now + left);
-        }
-        if let Task::Job(job) = self
-            && let Stage::InputSuspended(left, before) = job.stage
-        {
-            job.stage = Stage::Input(now + left, before);
-        }
+        let Task::Job(job) = self else { return };
+        job.stage = match job.stage {
+            Stage::DwellSuspended => Stage::Dwell,
+            Stage::InputSuspended => Stage::Input,
+            _ => return,
+        };
+        job.until = now + job.left;
     }
 
     /// What was under way cannot be carried out any more. Whether the host waits for an answer.
@@ -176,10 +220,6 @@ impl Task {
             job.stage = Stage::Done;
         }
     }
-}
-
-fn left(until: Instant, now: Instant) -> Duration {
-    until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0))
 }
 
 /// An answer of many lines.

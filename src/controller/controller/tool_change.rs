@@ -2,7 +2,7 @@
 
 use super::Controller;
 use super::probing::seek;
-use super::task::Stage;
+use super::task::{Job, Stage};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
@@ -38,12 +38,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
     #[inline(never)]
-    pub(super) fn begin_tool_change(&mut self) -> Stage {
+    pub(super) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
         if !(self.line.checked.tool_change && self.prompts_for_tools()) {
             return Stage::Apply;
         }
         if self.measures_tools() {
-            return self.stop_for_tool();
+            return self.stop_for_tool(job);
         }
         self.line.checked.spindle_stopped_for_tool();
         self.accessories.stop_spindle();
@@ -90,25 +90,27 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Spindle and coolant off. The program has them on again when the new tool is over the work.
-    fn stop_for_tool(&mut self) -> Stage {
+    fn stop_for_tool(&mut self, job: &mut Job) -> Stage {
         let delay = self.accessories.set_spindle(SpindleDirection::Off, &self.settings);
         self.accessories.switch_off();
         self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
         self.replies.overrides_changed();
-        Stage::SpinningDown(self.now + delay)
+        job.wait(Stage::SpinningDown, self.now + delay)
     }
 
     /// The spindle has come to rest: the tool leaves the work.
     pub(super) fn leave_for_tool(&mut self) -> Stage {
-        self.line.change = ToolChange::new(self.plan_tool_change());
-        let order = self.line.change.begin();
-        self.carry_out_change(order)
+        self.line.begin_change(ToolChange::new(self.plan_tool_change()));
+        match self.line.change().map(ToolChange::begin) {
+            Some(order) => self.carry_out_change(order),
+            None => Stage::Apply,
+        }
     }
 
     /// What follows when the last order has ended; `None` until then.
     #[inline(never)]
     pub(super) fn advance_tool_change(&mut self) -> Option<Stage> {
-        let touched = match self.line.change.is_probing() {
+        let touched = match self.line.change()?.is_probing() {
             true => self.take_probe(true)?,
             false if !self.motion.is_idle() => {
                 self.start_queued();
@@ -116,7 +118,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             false => false,
         };
-        let order = self.line.change.next(touched.then(|| self.probe.result().0));
+        let place = touched.then(|| self.probe.result().0);
+        let order = self.line.change()?.next(place);
         Some(self.carry_out_change(order))
     }
 
@@ -142,8 +145,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.prompt();
             }
             ChangeOrder::Measured(place) => {
-                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
-                    self.line.change.is_first_tool();
+                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place)
+                    && let Some(change) = self.line.change()
+                {
+                    change.is_first_tool();
                 }
                 self.replies.offset_changed();
             }
@@ -163,7 +168,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
         let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
         let clear = Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut));
-        let way = self.line.change.way_back(longer, clear);
+        let Some(way) = self.line.change().map(|change| change.way_back(longer, clear)) else { return Stage::Apply };
         let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);

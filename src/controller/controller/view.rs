@@ -129,16 +129,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the line that is carried out is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
-        matches!(self.task, Task::Job(_)) && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_))
+        matches!(self.task, Task::Job(_))
+            && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_) | Motion::Nurbs(_))
     }
 
     /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.checked.dwell) {
-            (Stage::Dwell(_), _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
-            (Stage::Dwell(until) | Stage::SpinningUp(until), Some(dwell)) => Some(until - dwell),
-            (Stage::Dwell(_) | Stage::SpinningUp(_), None) => Some(NEVER),
+            (Stage::Dwell, _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
+            (Stage::Dwell | Stage::SpinningUp, Some(dwell)) => Some(job.until - dwell),
+            (Stage::Dwell | Stage::SpinningUp, None) => Some(NEVER),
             _ => None,
         }
     }

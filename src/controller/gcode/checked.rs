@@ -1,7 +1,8 @@
 //! The result of a check: what a line asks for, as data that the controller carries out.
 
+use super::control_points::Addition;
 use super::cycle::Cycle;
-use super::modal::{Modal, PROGRAM_PINS, PlaneAxes};
+use super::modal::{Modal, PROGRAM_PINS, PlaneAxes, SPLINES};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
@@ -35,6 +36,9 @@ pub struct Checked<const N: usize> {
     pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
+    /// It is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by it, and nothing
+    /// waits for it. Nearly all lines are like that.
+    pub moves_only: bool,
     /// The motion.
     pub motion: Motion<N>,
     /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
@@ -164,6 +168,7 @@ impl<const N: usize> Checked<N> {
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
+        moves_only: false,
         store: None,
         motion: Motion::None,
         digit: 0.0,
@@ -189,6 +194,7 @@ impl<const N: usize> Checked<N> {
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
+        self.moves_only = false;
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;
@@ -305,6 +311,8 @@ pub enum Motion<const N: usize> {
     Arc(ArcMove<N>),
     /// A Bezier curve in X and Y.
     Spline(SplineMove<N>),
+    /// A rational B-spline in X and Y.
+    Nurbs(NurbsMove<N>),
     /// A straight move until the probe changes.
     Probe {
         /// Where it ends if the probe does not change.
@@ -374,12 +382,27 @@ impl<const N: usize> SplineMove<N> {
     }
 }
 
+/// A rational B-spline in X and Y, whose control points the interpreter keeps until the next G5.2. The other axes stay where
+/// they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NurbsMove<const N: usize> {
+    /// Where it begins.
+    pub start: PerAxis<Coordinate, N>,
+    /// Where it ends.
+    pub target: PerAxis<Coordinate, N>,
+    /// The degree and one more.
+    pub order: u8,
+    /// How fast.
+    pub feed: Feed,
+}
+
 /// Speed of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94: along the path, in mm/s.
+    /// G94: in mm/s. Of straight moves along the path of all axes, in which a degree counts as a millimetre; of arcs and
+    /// cycles along that of X, Y and Z.
     PerMinute(f32),
     /// G93: seconds for the whole motion.
     InverseTime(f32),
@@ -399,13 +422,20 @@ pub enum Flow {
     End,
 }
 
-/// What a line does with the state that M70 keeps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What a line does with the states that M70 and M73 keep, or with the control points of G5.2.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
     /// Nothing.
     Leave,
-    /// M70.
-    Save,
+    /// M70, M73.
+    Save {
+        /// M73.
+        until_return: bool,
+    },
     /// M71.
     Forget,
+    /// M72.
+    Restore,
+    /// G5.2.
+    Add([Addition; SPLINES as usize]),
 }

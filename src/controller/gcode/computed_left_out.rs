@@ -25,6 +25,10 @@ impl<const N: usize> Computed<N> {
 
     pub fn commit(&mut self) {}
 
+    pub fn level(&self) -> u8 {
+        0
+    }
+
     pub fn end_program(&mut self) {}
 
     /// Nothing can be left behind.
@@ -40,6 +44,11 @@ impl<const N: usize> Interpreter<N> {
     /// Every line is to be checked.
     pub fn direct(&mut self, _: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
         Ok(Direction::Check)
+    }
+
+    /// There are no subroutines.
+    pub fn begin_call(&mut self, _: &[u8]) -> Result<bool, Error> {
+        Ok(false)
     }
 
     /// There are no blocks.

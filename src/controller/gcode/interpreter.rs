@@ -5,8 +5,9 @@ use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
+use super::saved::Saved;
 use super::scaling::NO_REST;
-use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Saved, Tangent};
+use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Tangent};
 use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -20,7 +21,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_acts = false;
-        self.saved = None;
+        self.saved.clear();
         self.rotation = None;
         self.scaling = None;
         self.rest = NO_REST;
@@ -47,7 +48,10 @@ impl<const N: usize> Interpreter<N> {
     /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
-        self.saved = None;
+        if matches!(self.modal.motion, MotionMode::Spline(_)) {
+            self.modal.motion = MotionMode::Cancelled;
+        }
+        self.saved.clear();
         self.tangent = NO_TANGENT;
         self.modal.forget_extended();
         self.modal.tool = self.spindle_tool;
@@ -94,21 +98,32 @@ impl<const N: usize> Interpreter<N> {
         if checked.coolant.is_none() && checked.flow != Flow::End {
             self.modal.coolant = coolant;
         }
+        if !checked.moves_only {
+            self.commit_beside_motion(checked);
+        }
+        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
+        if checked.rotated.reached.is_some() {
+            self.reached = checked.rotated.reached;
+        }
+        self.position = checked.position;
+        self.computed.commit();
+        if checked.flow == Flow::End {
+            self.saved.clear();
+            self.tangent = NO_TANGENT;
+            self.computed.end_program();
+        }
+        self.remember_motion(checked);
+    }
+
+    /// What a line changes beside the motion mode and the position.
+    fn commit_beside_motion(&mut self, checked: &Checked<N>) {
         self.offsets.g92 = checked.g92;
         self.offsets.g92_acts = checked.after.g92_acts;
         if checked.after.keeps_g92 {
             self.offsets.g92_kept = checked.g92;
         }
-        match checked.after.keeping {
-            Keeping::Leave => {}
-            Keeping::Save => {
-                self.saved = Some(Saved {
-                    modal: checked.modal,
-                    tool_length: checked.tool_length,
-                    g92_acts: checked.after.g92_acts,
-                })
-            }
-            Keeping::Forget => self.saved = None,
+        if !matches!(checked.after.keeping, Keeping::Leave) {
+            self.keep(checked);
         }
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
@@ -123,10 +138,6 @@ impl<const N: usize> Interpreter<N> {
         if let Some(scaling) = checked.rotated.scaled.scaling {
             self.scaling = scaling;
         }
-        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
-        if checked.rotated.reached.is_some() {
-            self.reached = checked.rotated.reached;
-        }
         if let Some(number) = checked.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));
         }
@@ -134,14 +145,28 @@ impl<const N: usize> Interpreter<N> {
             self.measured.forget_tool();
         }
         self.spindle_tool = checked.after.spindle_tool;
-        self.position = checked.position;
-        self.computed.commit();
-        if checked.flow == Flow::End {
-            self.saved = None;
-            self.tangent = NO_TANGENT;
-            self.computed.end_program();
+    }
+
+    /// M70 to M73, G5.2.
+    #[inline(never)]
+    fn keep(&mut self, checked: &Checked<N>) {
+        let level = self.computed.level();
+        match checked.after.keeping {
+            Keeping::Leave => {}
+            Keeping::Save { until_return } => self.saved.save(Saved {
+                modal: checked.modal,
+                tool_length: checked.tool_length,
+                g92_acts: checked.after.g92_acts,
+                level,
+                until_return,
+                is_forgotten: false,
+            }),
+            Keeping::Forget => self.saved.forget(level),
+            Keeping::Restore => self.saved.abandon(level),
+            Keeping::Add(additions) => {
+                self.control_points.iter_mut().zip(&additions).for_each(|(points, addition)| points.add(addition));
+            }
         }
-        self.remember_motion(checked);
     }
 
     /// What a spline or cycle leaves for the line behind it.

@@ -18,6 +18,7 @@ mod code;
 mod computed;
 #[cfg(not(feature = "expressions"))]
 mod computed_left_out;
+mod control_points;
 mod cycle;
 mod direction;
 mod interpreter;
@@ -27,6 +28,7 @@ mod offsets;
 mod parse;
 mod remark;
 mod rotation;
+mod saved;
 mod scaling;
 mod state;
 mod tools;
@@ -36,7 +38,7 @@ mod word;
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, ProgramPins, SplineMove};
+pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, NurbsMove, ProgramPins, SplineMove};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};

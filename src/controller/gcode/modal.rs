@@ -31,7 +31,7 @@ pub enum MotionMode {
     ArcClockwise,
     /// G3.
     ArcCounterClockwise,
-    /// G5, G5.1.
+    /// G5, G5.1, G5.2.
     Spline(SplineKind),
     /// G38.2 to G38.5.
     Probe(ProbeMode),
@@ -51,6 +51,7 @@ impl MotionMode {
             MotionMode::ArcCounterClockwise => "G3",
             MotionMode::Spline(SplineKind::Cubic) => "G5",
             MotionMode::Spline(SplineKind::Quadratic) => "G5.1",
+            MotionMode::Spline(SplineKind::Nurbs) => "G5.2",
             MotionMode::Probe(ProbeMode { away: false, alarm: true }) => "G38.2",
             MotionMode::Probe(ProbeMode { away: false, alarm: false }) => "G38.3",
             MotionMode::Probe(ProbeMode { away: true, alarm: true }) => "G38.4",
@@ -61,13 +62,15 @@ impl MotionMode {
     }
 }
 
-/// Bezier curves.
+/// Curves by control points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplineKind {
     /// G5: two control points between the ends.
     Cubic,
     /// G5.1: one.
     Quadratic,
+    /// G5.2: a rational B-spline, with a control point in each line up to G5.3.
+    Nurbs,
 }
 
 /// Canned cycles.
@@ -354,6 +357,8 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
+    /// It was written in inches: to rotary axes it is degrees per minute as it was written.
+    pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
 }
@@ -377,11 +382,18 @@ impl Modal {
         overrides_held: OverridesHeld { feed: false, spindle: false },
         tool: 0,
         feed: Decimal::ZERO,
+        feed_in_inches: false,
         speed: 0.0,
     };
 }
 
 impl Modal {
+    /// F of a move of rotary axes alone, degrees per minute.
+    pub(super) fn rotary_feed(&self) -> f32 {
+        let feed = if self.feed_in_inches { Decimal(self.feed.0.saturating_mul(10) / 254) } else { self.feed };
+        feed.to_f32()
+    }
+
     /// What words that Grbl does not have have set is as after a reset.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;

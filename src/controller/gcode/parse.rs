@@ -5,7 +5,7 @@ use super::code::Code;
 use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, SPLINES, Units};
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
-use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
@@ -34,6 +34,8 @@ pub(super) struct Extended {
     pub scaling: Option<bool>,
     /// P has a sign, which that of G5 may have.
     pub is_p_negative: bool,
+    /// G5.3.
+    pub ends_control_points: bool,
     /// M6.
     pub tool_change: bool,
     /// M61.
@@ -42,7 +44,7 @@ pub(super) struct Extended {
     pub pins: Option<u8>,
     /// M48 to M53, by number.
     pub overrides: Option<u8>,
-    /// M70 to M72, by number.
+    /// M70 to M73, by number.
     pub keep: Option<u8>,
 }
 
@@ -130,15 +132,27 @@ impl<const N: usize> Parsed<N> {
 
     /// Adds the words of a line. What it sets waits in the state for the commit.
     pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        let axes = state.axes();
         for word in Words::of(line, dialect, state) {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
+                // An axis that this machine does not have.
+                _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
+                    return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
+                }
                 b'M' => self.take_m(Code::of(value), dialect)?,
                 _ => self.take_value(letter, value, places, dialect)?,
             }
         }
         Ok(())
+    }
+
+    /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at
+    /// then are left out, for nearly all lines of a program are like that.
+    #[inline]
+    pub fn is_move(&self) -> bool {
+        !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
     }
 
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
@@ -171,6 +185,10 @@ impl<const N: usize> Parsed<N> {
                 self.extended.is_path_tolerance = code.whole == 64;
             }
             GWord::Rotation(on) => self.extended.rotation = Some(on),
+            GWord::EndOfControlPoints => {
+                self.extended.any = true;
+                self.extended.ends_control_points = true;
+            }
             GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
         }
@@ -215,7 +233,11 @@ impl<const N: usize> Parsed<N> {
         };
         let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
         if axis.is_none() && !values.has(letter) {
-            return if letter == ASSIGNMENT { Ok(()) } else { Err(Error::UnsupportedCommand) };
+            return match letter {
+                ASSIGNMENT => Ok(()),
+                b'U'..=b'W' if dialect != Dialect::Grbl => Err(Error::NoParallelAxes),
+                _ => Err(Error::UnsupportedCommand),
+            };
         }
         if letter == b'T' && value > Decimal::from_int(tool_max) {
             return Err(Error::ToolNumberTooHigh);

@@ -2,16 +2,18 @@
 
 use super::Dialect;
 use super::computed::Computed;
+use super::control_points::ControlPoints;
 use super::cycle::CycleWords;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
+use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::in_xy;
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
-use crate::units::Coordinate;
+use crate::units::{Coordinate, WeightedPoint};
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +21,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) modal: Modal,
     pub(super) offsets: Offsets<N>,
     pub(super) position: PerAxis<Coordinate, N>,
+    /// How many axes the machine has; `N` at most.
+    axes: u8,
     /// Of the latest canned cycle.
     pub(super) cycle: CycleWords,
     pub(super) tools: ToolTable<N>,
@@ -28,8 +32,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) before_check: Option<BeforeCheck>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
-    /// M70.
-    pub(super) saved: Option<Saved<N>>,
+    /// M70, M73.
+    pub(super) saved: SavedStates<N>,
     /// G68.
     pub(super) rotation: Option<Rotation>,
     /// The last place that was given in rotated coordinates.
@@ -38,6 +42,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) scaling: Option<Scaling>,
     /// What the roundings of scaled coordinates have left of the position.
     pub(super) rest: Rest,
+    /// G5.2; no memory where there are no splines.
+    pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
 }
@@ -67,14 +73,6 @@ pub(super) struct BeforeCheck {
     pub(super) modal: Modal,
 }
 
-/// What M70 has kept.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Saved<const N: usize> {
-    pub(super) modal: Modal,
-    pub(super) tool_length: PerAxis<Coordinate, N>,
-    pub(super) g92_acts: bool,
-}
-
 impl<const N: usize> Default for Interpreter<N> {
     fn default() -> Self {
         Self::new()
@@ -88,19 +86,32 @@ impl<const N: usize> Interpreter<N> {
             modal: Modal::INITIAL,
             offsets: Offsets::new(),
             position: PerAxis::all(Coordinate::ZERO),
+            axes: N as u8,
             cycle: CycleWords::NONE,
             tools: ToolTable::EMPTY,
             spindle_tool: 0,
             before_check: None,
             computed: Computed::new(),
             measured: Measured::NOTHING,
-            saved: None,
+            saved: SavedStates::new(),
             rotation: None,
             reached: None,
             scaling: None,
             rest: NO_REST,
+            control_points: [const { ControlPoints::new() }; SPLINES as usize],
             tangent: NO_TANGENT,
         }
+    }
+
+    /// How many axes the machine has: words of the others are unknown.
+    #[inline]
+    pub(super) fn axes(&self) -> usize {
+        if N <= LINEAR { N } else { usize::from(self.axes) }
+    }
+
+    /// The machine has so many axes, X, Y, Z and so on.
+    pub fn set_axes(&mut self, axes: usize) {
+        self.axes = axes.min(N) as u8;
     }
 
     /// Whether programs are only checked.
@@ -192,7 +203,7 @@ impl<const N: usize> Interpreter<N> {
             && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
             && !self.is_within_block()
             && self.before_check.is_none()
-            && self.saved.is_none()
+            && self.saved.is_empty()
             && self.rotation.is_none()
             && self.scaling.is_none()
             && self.measured == Measured::NOTHING
@@ -208,6 +219,11 @@ impl<const N: usize> Interpreter<N> {
     /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
         self.position = position;
+    }
+
+    /// The control points of G5.2, up to the last G5.3 or beyond it.
+    pub fn control_points(&self) -> &[WeightedPoint] {
+        self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
     /// What stays in force.

@@ -1,6 +1,5 @@
 //! Words: a letter and its number, and what the G and M words of a machine mean.
 
-use super::Dialect;
 use super::code::Code;
 use super::modal::{
     ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS, PathControl,
@@ -8,6 +7,7 @@ use super::modal::{
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
+use super::{Dialect, EXPRESSIONS};
 use crate::error::Error;
 use crate::messages::SpindleDirection;
 use crate::number::{self, Digits, Number};
@@ -129,7 +129,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G5, G5.1, G38, G80, cycles.
+    /// G0 to G3, G5 to G5.3, G38, G80, cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -165,7 +165,7 @@ pub enum Group {
     OverridesHeld,
     /// M62 to M68.
     Pins,
-    /// M70 to M72.
+    /// M70 to M73.
     Keep,
     /// G50, G51.
     Scaling,
@@ -197,7 +197,17 @@ impl Groups {
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
 
-    /// The group of M70 to M72.
+    /// The groups whose words say how a line moves and no more.
+    pub const OF_MOVES: Groups = Groups(
+        1 << Group::Motion as u32
+            | 1 << Group::Plane as u32
+            | 1 << Group::Distance as u32
+            | 1 << Group::ArcDistance as u32
+            | 1 << Group::FeedMode as u32
+            | 1 << Group::Units as u32,
+    );
+
+    /// The group of M70 to M73.
     pub const KEEP: Groups = Groups(1 << Group::Keep as u32);
 
     /// Adds a group; an error if it is there already.
@@ -294,6 +304,8 @@ pub(super) enum GWord {
     Rotation(bool),
     /// G51, or G50 without a scaling.
     Scaling(bool),
+    /// G5.3.
+    EndOfControlPoints,
     /// Says what is so in any case: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
@@ -306,7 +318,7 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
-            (5, 0 | 10) if dialect != Dialect::Grbl => Claim::Motion,
+            (5, 0 | 10 | 20) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
             (43 | 49, _) => Claim::ToolLength,
@@ -341,6 +353,9 @@ impl GWord {
     /// at all, and "unsupported" where it has others.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
+        if more && code.hundredths == Code::NO_CODE {
+            return Err(Error::UnsupportedCommand);
+        }
         if more && let Some(word) = Self::extended(code) {
             return if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) };
         }
@@ -380,7 +395,7 @@ impl GWord {
             (61, 0) => GWord::Path(PathControl::ExactPath),
             (61, 10) if more => GWord::Path(PathControl::ExactStop),
             (64, 0) if more => GWord::Path(PathControl::ExactPath),
-            (5, 0 | 10) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
+            (5, 0 | 10 | 20 | 30) | (50 | 51 | 68 | 69, 0) if more => return Self::by_feature(code),
             (97, 0) if more => GWord::AsItIs(Group::SpindleMode),
             (80, 0) => GWord::Motion(MotionMode::Cancelled),
             (90, 0) => GWord::Distance(Distance::Absolute),
@@ -392,9 +407,10 @@ impl GWord {
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
             (41 | 42, 0 | 10) if more => return Err(Error::CutterCompensation),
-            (5 | 7 | 8 | 15 | 16 | 33 | 51 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (5 | 7 | 8 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
+            (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),
         })
@@ -406,7 +422,9 @@ impl GWord {
         match (code.whole, code.hundredths) {
             (5, _) if !SPLINES => Err(Error::SplinesLeftOut),
             (5, 0) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Cubic))),
-            (5, _) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (5, 10) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
+            (5, 20) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Nurbs))),
+            (5, _) => Ok(GWord::EndOfControlPoints),
             (51, _) if !ROTATION => Err(Error::ScalingLeftOut),
             (68, _) if !ROTATION => Err(Error::RotationLeftOut),
             (50 | 51, _) => Ok(GWord::Scaling(code.whole == 51)),
@@ -431,6 +449,7 @@ impl GWord {
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
             GWord::Scaling(_) => Group::Scaling,
+            GWord::EndOfControlPoints => Group::Motion,
             GWord::AsItIs(group) => group,
         }
     }
@@ -463,7 +482,7 @@ pub(super) enum MWord {
     ParkingOverride,
     /// M48 to M53, by number.
     Overrides(u8),
-    /// M70 to M72, by number.
+    /// M70 to M73, by number.
     Keep(u8),
 }
 
@@ -471,10 +490,12 @@ impl MWord {
     /// The word of a code.
     pub fn of(code: Code, dialect: Dialect) -> Result<MWord, Error> {
         let more = dialect != Dialect::Grbl;
-        if code.hundredths != 0 {
-            return Err(Error::IntegerRequired);
+        match code.hundredths {
+            0 => {}
+            Code::NO_CODE if more => return Err(Error::UnsupportedCommand),
+            _ => return Err(Error::IntegerRequired),
         }
-        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=72) {
+        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=73) {
             return Err(Error::ExtendedLeftOut);
         }
         Ok(match code.whole {
@@ -494,8 +515,9 @@ impl MWord {
             61 if more => MWord::ToolNumber,
             62..=68 if more && !PROGRAM_PINS => return Err(Error::NoSuchPin),
             62..=68 if more => MWord::Pins(code.whole),
-            70..=72 if more => MWord::Keep(code.whole),
-            19 | 73 | 98 | 99 if more => return Err(Error::NotSupported),
+            73 if more && !EXPRESSIONS => return Err(Error::ExpressionsLeftOut),
+            70..=73 if more => MWord::Keep(code.whole),
+            19 | 97..=99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),
         })
     }

@@ -19,6 +19,8 @@ use crate::units::{Coordinate, Duration, Instant};
 
 /// How far a seek goes, in travels of the longest axis of the cycle: beyond all of it, with a margin.
 const SEEK_TRAVELS: f32 = 1.5;
+/// The travel of an axis that turns without end (`$133` = 0): its switch is met within a turn.
+const TURN: f32 = 360.0;
 /// How far a locate goes, in pull-offs.
 const LOCATE_PULL_OFFS: f32 = 5.0;
 
@@ -203,7 +205,8 @@ impl<const N: usize> Homing<N> {
         let distance = if self.pass == Pass::Seek {
             let longest = Axis::of_machine::<N>()
                 .filter(|axis| self.cycle().has(*axis))
-                .filter_map(|axis| self.settings.travel.get(axis))
+                .filter_map(|axis| self.settings.travel.get(axis).map(|travel| (axis, travel)))
+                .map(|(axis, travel)| if axis.is_rotary() && travel == 0.0 { TURN } else { travel })
                 .fold(0.0, |a: f32, b| if b > a { b } else { a });
             SEEK_TRAVELS * longest
         } else {

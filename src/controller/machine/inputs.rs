@@ -151,16 +151,16 @@ impl InputLevels {
     }
 }
 
-/// Bits of the limit switches of the axes, without that of a second motor.
-pub const fn limits_of<const N: usize>() -> u8 {
-    (1 << N) - 1
+/// Bits of the limit switches of the axes in use, without that of a second motor.
+pub fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
+    (1 << settings.axes_in_use()) - 1
 }
 
 /// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u16 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let limits = settings.is_on(Key::HardLimits) && !homing && at_once(Alarm::HardLimit);
-    let switches = if limits { u16::from(limits_of::<N>() | second_switch(settings)) } else { 0 };
+    let switches = if limits { u16::from(limits_of(settings) | second_switch(settings)) } else { 0 };
     let emergency = at_once(Alarm::EmergencyStop);
     let reset = emergency || !settings.is_on(Key::ResetIsEmergencyStop);
     let fault = at_once(Alarm::DriverFault);
@@ -187,7 +187,7 @@ fn second_switch<const N: usize>(settings: &Settings<N>) -> u8 {
 fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
     let reset_stops = settings.is_on(Key::ResetIsEmergencyStop);
     Signals {
-        limits: pins.limits & (!SECOND_SWITCH | second_switch(settings)),
+        limits: pins.limits & (limits_of(settings) | second_switch(settings)),
         door: pins.door && settings.is_on(Key::DoorFitted),
         reset: pins.reset && !reset_stops,
         emergency_stop: pins.emergency_stop || pins.reset && reset_stops,
@@ -198,9 +198,10 @@ fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
 /// Polarity and resistors of the inputs.
 fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
     let probe = |key| u16::from(s.is_on(key)) << input::PROBE;
-    let limits = |key| s.whole(key) as u16 & u16::from(limits_of::<N>() | SECOND_SWITCH);
+    let all = u16::from(limits_of(s) | SECOND_SWITCH);
+    let limits = |key| s.whole(key) as u16 & all;
     let control = |key| control_word(s.whole(key));
-    let all_limits = if s.is_on(Key::LimitInvert) { u16::from(limits_of::<N>() | SECOND_SWITCH) } else { 0 };
+    let all_limits = if s.is_on(Key::LimitInvert) { all } else { 0 };
     InputWiring {
         inverted: all_limits ^ limits(Key::LimitInvertEach) | probe(Key::ProbeInvert) | control(Key::ControlInvert),
         no_pull_up: limits(Key::LimitNoPullUp) | probe(Key::ProbeNoPullUp) | control(Key::ControlNoPullUp),

@@ -307,6 +307,26 @@ impl<const N: usize> Arc<N> {
         self.length
     }
 
+    /// How many times as long the way of all axes is as that of X, Y and Z, a degree counted as a millimetre.
+    pub fn rotary_stretch(&self) -> f32 {
+        let (mut linear, mut rotary) = (0.0, 0.0);
+        let ways = self.geometry.target.zip(&self.geometry.start, |to, from| (to - from).to_mm());
+        for (axis, way) in Axis::ALL.into_iter().zip(ways.iter()) {
+            if axis.is_rotary() {
+                rotary += way * way;
+            } else if axis != self.geometry.axis_0 && axis != self.geometry.axis_1 {
+                linear += way * way;
+            }
+        }
+        if rotary == 0.0 {
+            return 1.0;
+        }
+        let angle = self.sweep.abs() + self.geometry.turns as f32 * TURN;
+        let end_radius = Coordinate(self.start_radius + whole(self.radius_change));
+        let along = 0.5 * (Coordinate(self.start_radius).to_mm() + end_radius.to_mm()) * angle;
+        square_root(1.0 + rotary / (linear + along * along))
+    }
+
     /// Chords still to come.
     pub fn chords_left(&self) -> u64 {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)

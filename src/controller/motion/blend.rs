@@ -23,7 +23,7 @@ use super::curvature::DIGITS_ASIDE;
 use super::junction::{TurnRule, certain, radius_of, turn2};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::units::Coordinate;
 
 /// Whether there is any of this: its state is not in the RAM of a board that leaves it out.
@@ -278,8 +278,8 @@ impl<const N: usize> HeldMove<N> {
             return false;
         }
         let mut slopes = self.slopes;
-        // Of all axes but the one with the longest way, the distances add up as the sides of a box.
-        let within = m.tolerance.merging / square_root((N - 1).max(1) as f32);
+        // Of X, Y and Z but the one with the longest way, the distances add up as the sides of a box. Where others move, none are merged.
+        let within = m.tolerance.merging / square_root((N.min(LINEAR) - 1).max(1) as f32);
         slopes.pass(&way(&self.start, &self.m.target), within);
         if !slopes.allow(&whole) {
             return false;

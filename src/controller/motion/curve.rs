@@ -1,9 +1,10 @@
 //! Curves that are cut into chords: what arcs and splines have in common.
 
 use super::arc::{Arc, Curvature};
+use super::nurbs::Nurbs;
 use super::spline::Spline;
 use crate::axes::PerAxis;
-use crate::units::Coordinate;
+use crate::units::{Coordinate, WeightedPoint};
 
 /// A curve that has begun.
 #[derive(Clone, Debug)]
@@ -12,15 +13,18 @@ pub enum Curve<const N: usize> {
     Arc(Arc<N>),
     /// A Bezier curve.
     Spline(Spline<N>),
+    /// A rational B-spline.
+    Nurbs(Nurbs<N>),
 }
 
 impl<const N: usize> Curve<N> {
-    /// Where the next chord ends; `None` after the last.
+    /// Where the next chord ends; `None` after the last. The control points are those of a rational B-spline.
     #[inline]
-    pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
+    pub fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<PerAxis<Coordinate, N>> {
         match self {
             Curve::Arc(arc) => arc.next_chord(),
             Curve::Spline(spline) => spline.next_chord(),
+            Curve::Nurbs(nurbs) => nurbs.next_chord(points),
         }
     }
 
@@ -30,6 +34,7 @@ impl<const N: usize> Curve<N> {
         match self {
             Curve::Arc(arc) => arc.curvature(),
             Curve::Spline(spline) => spline.curvature(),
+            Curve::Nurbs(nurbs) => nurbs.curvature(),
         }
     }
 }

@@ -13,6 +13,9 @@
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
+/// Axes of a step task at most.
+const MOST_AXES: usize = 4;
+
 /// One tick: each axis counts down to its next step by its increment. The axes that step, bit 0 for X.
 #[inline(always)]
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
@@ -46,16 +49,16 @@ pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N])
 /// dominant one, when a tick is a whole step) needs no countdown, one that never steps neither: the loop counts for as many axes
 /// as are left.
 #[inline(always)]
-pub(super) fn steps_into<const N: usize>(
+pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     left: &mut [u32; N],
     increments: &[u32; N],
     threshold: u32,
-    table: &[u32; 8],
+    table: &[u32; WORDS],
     words: &mut [u32],
 ) {
-    const { assert!(N <= 3, "a table of eight words is for three axes") };
+    const { assert!(N <= MOST_AXES && WORDS == 1 << N, "a word for each combination of axes") };
     let mut always = 0_usize;
-    let mut counting = [(0_usize, 0_u32, 0_u32); 3];
+    let mut counting = [(0_usize, 0_u32, 0_u32); MOST_AXES];
     let mut count = 0_usize;
     for (axis, (left, increment)) in left.iter().zip(increments).enumerate() {
         if *increment == threshold {
@@ -68,19 +71,20 @@ pub(super) fn steps_into<const N: usize>(
         }
     }
     // Of the steps of the counting axes, one bit each in their order: the word with all axes.
-    let of_counting: [u32; 8] = core::array::from_fn(|steps| {
+    let of_counting: [u32; WORDS] = core::array::from_fn(|steps| {
         let all = counting.iter().enumerate().take(count);
         let axes = all.fold(always, |axes, (bit, (axis, ..))| axes | (steps >> bit & 1) << axis);
-        table.get(axes & 7).copied().unwrap_or(0)
+        table.get(axes % WORDS).copied().unwrap_or(0)
     });
-    let [a, b, c] = counting.map(|(_, left, increment)| (left, increment));
+    let [a, b, c, d] = counting.map(|(_, left, increment)| (left, increment));
     let counted = match count {
         0 => {
-            words.fill(table.get(always & 7).copied().unwrap_or(0));
+            words.fill(table.get(always % WORDS).copied().unwrap_or(0));
             return;
         }
         // For one counting axis a loop of its own would save little: the other one takes nothing off.
         1 | 2 => count_down([a, b], threshold, &of_counting, words),
+        4 if N > 3 => count_down([a, b, c, d], threshold, &of_counting, words),
         _ => count_down([a, b, c], threshold, &of_counting, words),
     };
     for ((axis, ..), new) in counting.iter().zip(counted).take(count) {
@@ -93,12 +97,12 @@ pub(super) fn steps_into<const N: usize>(
 /// The countdown of `K` axes, each with what is left until its next step and with its increment, over as many ticks as there
 /// are words: for each the word of the axes that step. What is left of each axis after them.
 #[inline(always)]
-fn count_down<const K: usize>(
+fn count_down<const K: usize, const WORDS: usize>(
     axes: [(u32, u32); K],
     threshold: u32,
-    of_steps: &[u32; 8],
+    of_steps: &[u32; WORDS],
     words: &mut [u32],
-) -> [u32; 3] {
+) -> [u32; MOST_AXES] {
     let mut axes = axes;
     for word in words {
         let mut steps = 0_usize;
@@ -110,9 +114,9 @@ fn count_down<const K: usize>(
                 steps |= 1 << bit;
             }
         }
-        *word = of_steps.get(steps & 7).copied().unwrap_or(0);
+        *word = of_steps.get(steps % WORDS).copied().unwrap_or(0);
     }
-    let mut left = [0; 3];
+    let mut left = [0; MOST_AXES];
     for (slot, (new, _)) in left.iter_mut().zip(axes) {
         *slot = new;
     }

@@ -31,6 +31,7 @@ mod join;
 mod junction;
 mod kinematics;
 mod measure;
+mod nurbs;
 mod path_end;
 mod planner;
 mod queue;
@@ -47,6 +48,7 @@ pub use arc::{Arc, ArcGeometry, Curvature};
 pub use blend::Tolerance;
 pub use curve::Curve;
 pub use extent::extent;
+pub use nurbs::{Nurbs, NurbsGeometry};
 pub use segment_source::QUEUED_TIME_MS;
 pub use spline::{Spline, SplineGeometry};
 pub use stepper::{Stepper, Tick};
@@ -440,6 +442,17 @@ impl<const N: usize> AnyMotion<N> {
     /// Whether the machine is at rest and nothing is queued.
     pub fn is_idle(&self) -> bool {
         self.is_at_rest() && self.queue.is_empty()
+    }
+
+    /// Whether segments are handed over as soon as there is room for them.
+    pub fn hands_over(&self) -> bool {
+        self.source.is_on()
+    }
+
+    /// Whether at least so many microseconds have been handed over and not begun.
+    #[inline]
+    pub fn holds_time(&self, us: u32) -> bool {
+        self.source.holds_time(us)
     }
 
     /// Time of what has been handed over and not begun, in microseconds.

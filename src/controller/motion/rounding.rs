@@ -14,7 +14,7 @@ use super::junction::UNLIMITED2;
 use super::queue::{AnyQueue, Numbering};
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 
 /// A look-ahead shorter than this holds nothing back.
 const LEAST_BLOCKS: usize = 32;
@@ -119,7 +119,8 @@ impl<const N: usize> AnyQueue<N> {
         let Some(oldest) = self.blend.pop() else { return };
         let next = self.blend.moves().next().copied();
         let cut = next.and_then(|next| {
-            let steps_mm = self.kinematics.half_mm().iter().fold(0.0, |most, half| greater(most, 2.0 * half));
+            let steps_mm =
+                self.kinematics.half_mm().iter().take(LINEAR).fold(0.0, |most, half| greater(most, 2.0 * half));
             let limit = |way: &[f32; N], length| self.limits.along(&PerAxis(*way), length).1;
             Blend::cut(&oldest, &next, &self.limits.turns, 2.0 * steps_mm, &limit).map(|cut| (cut, next))
         });

@@ -4,7 +4,7 @@ use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};
 use super::planner::Planner;
 use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
 /// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
@@ -100,7 +100,7 @@ impl<const N: usize> Running<N> {
         let scale = measure.total as f32 / block.length;
         let nominal = block.nominal(overrides) * scale;
         Self {
-            stage: Self::ANNOUNCE,
+            stage: Self::announcement(&block.steps_by_axis),
             steps_by_axis: block.steps_by_axis,
             directions: block.directions,
             flags: block.flags,
@@ -119,7 +119,16 @@ impl<const N: usize> Running<N> {
     }
 
     /// How the announcement of a block begins.
-    const ANNOUNCE: BlockStage = if N > 3 { BlockStage::UpperAxes } else { BlockStage::Block };
+    #[inline]
+    fn announcement(steps_by_axis: &[AxisSteps; N]) -> BlockStage {
+        let rest = steps_by_axis.iter().skip(LINEAR);
+        // Those that stand still need not be told of, but where true ends are: the threshold depends on them.
+        if N > LINEAR && rest.into_iter().any(|axis_steps| *axis_steps != AxisSteps::default()) {
+            BlockStage::UpperAxes
+        } else {
+            BlockStage::Block
+        }
+    }
 
     /// Whether there is a block.
     #[inline]
@@ -130,7 +139,7 @@ impl<const N: usize> Running<N> {
     /// The block has to be announced once more, for the step task has done something else meanwhile.
     pub(super) fn announce_again(&mut self) {
         if self.is_active() {
-            self.stage = Self::ANNOUNCE;
+            self.stage = Self::announcement(&self.steps_by_axis);
         }
     }
 
@@ -141,7 +150,7 @@ impl<const N: usize> Running<N> {
         match self.stage {
             BlockStage::UpperAxes => {
                 self.stage = BlockStage::Block;
-                for (out, own) in steps_by_axis.iter_mut().zip(self.steps_by_axis.iter().skip(3)) {
+                for (out, own) in steps_by_axis.iter_mut().zip(self.steps_by_axis.iter().skip(LINEAR)) {
                     *out = *own;
                 }
                 Some(ToStep::BlockRest { steps_by_axis })

@@ -112,6 +112,12 @@ impl<const N: usize> SegmentSource<N> {
         self.in_flight.queued() / self.clocks_per_us
     }
 
+    /// Whether that is at least so many microseconds, without a division.
+    #[inline]
+    pub(super) fn holds_time(&self, us: u32) -> bool {
+        self.in_flight.queued() >= us.saturating_mul(self.clocks_per_us)
+    }
+
     /// The running block is forgotten; the machine rests with the motors here.
     pub(super) fn restart(&mut self, motors: Motors<N>) {
         self.running.stage = BlockStage::Nothing;

@@ -10,7 +10,7 @@
 
 use super::course::{Contact, Course};
 use super::dda;
-use crate::axes::PerAxis;
+use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep};
 
 /// Finest smoothing: a tick advances one unit.
@@ -86,6 +86,8 @@ pub struct Stepper<const N: usize> {
     courses: [Course<N>; 2],
     /// Parts of the axes of the block that is being told of.
     steps_by_axis: [AxisSteps; N],
+    /// Those of A, B and C have been told; else these stand still.
+    is_rest_told: bool,
     gate_shut: bool,
     stops: u16,
     /// How to brake at a contact: units per square of a clock.
@@ -140,6 +142,7 @@ impl<const N: usize> Stepper<N> {
             next_piece: Piece::REST,
             courses: [Course::NOWHERE; 2],
             steps_by_axis: [AxisSteps::on_steps(0); N],
+            is_rest_told: false,
             gate_shut: false,
             stops: 0,
             braking: 0.0,
@@ -173,12 +176,17 @@ impl<const N: usize> Stepper<N> {
                 for (own, new) in self.steps_by_axis.iter_mut().zip(steps_by_axis) {
                     *own = new;
                 }
+                for own in self.steps_by_axis.iter_mut().skip(LINEAR).filter(|_| !self.is_rest_told) {
+                    *own = AxisSteps::on_steps(0);
+                }
+                self.is_rest_told = false;
                 self.load_block(directions);
             }
             ToStep::BlockRest { steps_by_axis } => {
-                for (own, new) in self.steps_by_axis.iter_mut().skip(3).zip(steps_by_axis) {
+                for (own, new) in self.steps_by_axis.iter_mut().skip(LINEAR).zip(steps_by_axis) {
                     *own = new;
                 }
+                self.is_rest_told = true;
             }
             ToStep::Reenter { units } => {
                 if let Some(next) = self.course_mut(true) {
@@ -276,7 +284,12 @@ impl<const N: usize> Stepper<N> {
     /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
     /// if [`Stepper::tick`] had been called as often.
     #[inline(always)]
-    pub fn plain_ticks(&mut self, table: &[u32; 8], words: &mut [u32], moments: &mut [u32]) -> usize {
+    pub fn plain_ticks<const WORDS: usize>(
+        &mut self,
+        table: &[u32; WORDS],
+        words: &mut [u32],
+        moments: &mut [u32],
+    ) -> usize {
         let count = words.len().min(moments.len()).min(self.piece.plain_ticks as usize);
         let (Some(words), Some(moments)) = (words.get_mut(..count), moments.get_mut(..count)) else { return 0 };
         self.piece.plain_ticks = self.piece.plain_ticks.wrapping_sub(count as u32);
@@ -565,6 +578,7 @@ impl<const N: usize> Stepper<N> {
         }
         self.is_watching = false;
         self.brakes = false;
+        self.is_rest_told = false;
         let base = self.position().0;
         if let Some(course) = self.course_mut(false) {
             *course = Course::rest_at(base);

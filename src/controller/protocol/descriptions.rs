@@ -5,7 +5,7 @@ use super::system::{Described, Format};
 use super::text::{END, Text, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
-use crate::settings::{Description, Entry, Kind, Row, SettingGroup, Settings};
+use crate::settings::{self, Description, Entry, Kind, Row, SettingGroup, Settings};
 
 /// Whether the texts are there; a board whose flash is too small leaves them out.
 pub const DESCRIPTIONS: bool = cfg!(feature = "descriptions");
@@ -197,18 +197,18 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     }
 }
 
-/// How many lines a description has, on a machine with `N` axes.
-pub const fn lines<const N: usize>(what: Described) -> usize {
+/// How many lines a description has, on a machine with so many axes in use.
+pub const fn lines(what: Described, axes: usize) -> usize {
     match what {
-        Described::Settings(format) => Settings::<N>::LINES + header(format).is_some() as usize,
-        Described::Groups => SettingGroup::ALL.len() + N,
+        Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
+        Described::Groups => SettingGroup::ALL.len() + axes,
         Described::Errors => Error::ALL.len(),
         Described::Alarms => Alarm::ALL.len(),
     }
 }
 
 /// One of them.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize) {
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -216,7 +216,7 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize) {
                 put(out, END);
             }
             (header, line) => {
-                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some())) {
+                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
                     setting(out, &row, format);
                 }
             }
@@ -268,18 +268,18 @@ mod tests {
 
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted);
+        line::<3>(&mut out, what, wanted, 3);
         String::from_utf8(out.to_vec()).expect("text")
     }
 
     fn all(what: Described) -> Vec<String> {
-        (0..lines::<3>(what)).map(|wanted| text(what, wanted)).collect()
+        (0..lines(what, 3)).map(|wanted| text(what, wanted)).collect()
     }
 
     /// The line of a setting in a format.
     fn of(number: u16, format: Format) -> String {
         let found = (0..Settings::<3>::LINES)
-            .find(|line| Settings::<3>::described(*line).is_some_and(|row| row.number == number));
+            .find(|line| Settings::<3>::described(*line, 3).is_some_and(|row| row.number == number));
         text(Described::Settings(format), found.expect("a setting") + usize::from(format != Format::Fields))
     }
 
@@ -332,7 +332,7 @@ mod tests {
             }
         }
         for (wanted, line) in all(Described::Settings(Format::Fields)).iter().enumerate() {
-            let row = Settings::<3>::described(wanted).expect("a row");
+            let row = Settings::<3>::described(wanted, 3).expect("a row");
             let fields: Vec<&str> = line
                 .strip_prefix("[SETTING:")
                 .and_then(|l| l.strip_suffix("]\r\n"))

@@ -30,7 +30,8 @@ pub struct LineRules {
     pub nested_remarks: bool,
     /// Whether a slash behind a bracket or `#` is kept: it divides, or is an error. Dropped, it would join two numbers.
     pub expressions: bool,
-    /// Whether a line that begins with a slash is skipped (Grbl drops the slash and executes the rest).
+    /// Whether a line that begins with a slash, or with its number and a slash, is skipped, and a slash elsewhere stays, which
+    /// is an error (Grbl drops the slash and executes the rest).
     pub block_delete: bool,
 }
 
@@ -43,7 +44,7 @@ pub struct Line {
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     after_cr: bool,
-    /// So many bytes of text may follow for which nothing else need be looked at.
+    /// Up to this length bytes of text may follow for which nothing else need be looked at.
     plain: u8,
 }
 
@@ -54,6 +55,8 @@ enum Comment {
     Parentheses(u8),
     /// Up to the end of the line.
     Semicolon,
+    /// Behind a slash that is dropped: the number of its switch, 1 to 9, is, too.
+    Slash,
 }
 
 impl Default for Line {
@@ -108,8 +111,8 @@ impl Line {
     /// [`Line::push`], and when that ends.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
-        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None;
-        self.plain = if in_text { GRBL_LENGTH.saturating_sub(self.text.len()) as u8 } else { 0 };
+        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None && !self.after_cr;
+        self.plain = if in_text { GRBL_LENGTH as u8 } else { 0 };
     }
 
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
@@ -124,17 +127,19 @@ impl Line {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it belongs to the text and [`Line::expect_plain`] allows it; what [`Line::push`] would do
-    /// with it, in brief.
+    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_plain`] allows it; what
+    /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
-        let of_text = byte > b' ' && !matches!(byte, b'(' | b';' | b'/');
-        let taken = of_text && self.plain > 0 && self.text.push(byte.to_ascii_uppercase()).is_ok();
-        if taken {
-            self.plain -= 1;
-            self.after_cr = false;
-        }
-        taken
+        let capital = byte & !0x20;
+        let of_text = if byte.is_ascii_digit() || matches!(byte, b'.' | b'-') {
+            byte
+        } else if capital.is_ascii_uppercase() {
+            capital
+        } else {
+            return false;
+        };
+        self.text.len() < usize::from(self.plain) && self.text.push(of_text).is_ok()
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
@@ -142,6 +147,12 @@ impl Line {
     pub fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> Pushed {
         let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
         self.after_cr = byte == b'\r';
+        if self.comment == Comment::Slash && byte > b' ' {
+            self.comment = Comment::None;
+            if matches!(byte, b'1'..=b'9') {
+                return Pushed::More;
+            }
+        }
         match byte {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
@@ -152,9 +163,7 @@ impl Line {
             }
             b';' => self.comment = Comment::Semicolon,
             0..=b' ' => {}
-            b'/' if self.text.is_empty() && rules().block_delete => self.comment = Comment::Semicolon,
-            // Grbl's block delete: the slash goes, the rest of the line is executed.
-            b'/' if !(self.text.iter().any(|byte| matches!(byte, b'[' | b'#')) && rules().expressions) => {}
+            b'/' if self.drops_slash(&rules()) => {}
             _ => {
                 let full = self.text.len() >= GRBL_LENGTH && self.text.len() >= rules().length;
                 if full || self.text.push(byte.to_ascii_uppercase()).is_err() {
@@ -163,6 +172,24 @@ impl Line {
             }
         }
         Pushed::More
+    }
+
+    /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is
+    /// executed.
+    #[inline(never)]
+    fn drops_slash(&mut self, rules: &LineRules) -> bool {
+        let begins = match self.text.split_first() {
+            None => true,
+            Some((first, number)) => *first == b'N' && number.iter().all(u8::is_ascii_digit),
+        };
+        if begins && rules.block_delete {
+            self.text.clear();
+            self.comment = Comment::Semicolon;
+        } else if begins && rules.expressions {
+            self.comment = Comment::Slash;
+        }
+        let divides = rules.expressions && self.text.iter().any(|byte| matches!(byte, b'[' | b'#'));
+        begins || !divides && !rules.block_delete
     }
 
     /// A byte within a remark. One with more than 255 parentheses open ends too soon.
@@ -220,6 +247,33 @@ mod tests {
     }
 
     #[test]
+    fn a_byte_that_is_taken_in_brief_is_taken_as_always() {
+        for byte in 0..=u8::MAX {
+            let mut line = Line::new();
+            line.push(b'G', || OXMILL);
+            let mut other = line.clone();
+            line.expect_plain(true);
+            let taken = line.push_plain(byte);
+            assert_eq!(taken, byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-'), "{byte}");
+            if taken {
+                assert_eq!(other.push(byte, || OXMILL), Pushed::More);
+                assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));
+            }
+        }
+        // Not in a remark, not before a line has begun, and not where it might be too long.
+        let brief = |text: &[u8]| {
+            let mut line = Line::new();
+            for byte in text {
+                line.push(*byte, || OXMILL);
+            }
+            line.expect_plain(true);
+            line.push_plain(b'1')
+        };
+        assert!(!brief(b"") && !brief(b"G(") && !brief(b"G;") && brief(b"G"));
+        assert!(brief(&[b'0'; 78]) && !brief(&[b'0'; 79]));
+    }
+
+    #[test]
     fn a_slash_behind_a_bracket_divides() {
         assert_eq!(lines(b"/x[1/2]\n/G0 /X1\n#1=4/2\n", OXMILL), ["X[1/2]", "G0X1", "#1=4/2"]);
         assert_eq!(lines(b"x[1/2]\n", GRBL), ["X[12]"]);
@@ -228,8 +282,17 @@ mod tests {
     #[test]
     fn block_delete() {
         let delete = LineRules { block_delete: true, ..OXMILL };
-        assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0X1", ""]);
-        assert_eq!(lines(b"/G0 X1\n", OXMILL), ["G0X1"]);
+        assert_eq!(lines(b"/G0 X1\n / N5 G0 X1\nG0 /X1\n(a) /G1\n", delete), ["", "", "G0/X1", ""]);
+        assert_eq!(
+            lines(b"N5 /G0 X1\nN5/2 X1\n/1\nG0\nN5G0/X1\nX[1/2]\n", delete),
+            ["", "", "", "G0", "N5G0/X1", "X[1/2]"]
+        );
+        assert_eq!(
+            lines(b"/G0 X1\n/9G0X1\n/ 2 G0\nN5 /3G0\n/0\n/12\n/\n1\n", OXMILL),
+            ["G0X1", "G0X1", "G0", "N5G0", "0", "2", "", "1",]
+        );
+        assert_eq!(lines(b"/(3) 1\n/1(;)G0\n//1G0\nG0/1\n", OXMILL), ["1", "G0", "G0", "G01"]);
+        assert_eq!(lines(b"/2G0\nN5/2X1\n", GRBL), ["2G0", "N52X1"]);
     }
 
     #[test]

@@ -64,9 +64,10 @@ impl Replies {
         self.queue.is_empty() && !self.status_due
     }
 
-    /// A host has gone; this is the number (wrapping) of such hosts.
+    /// A host has gone; this is the number (wrapping) of such hosts. What waits was for it, and is not for the next one.
     pub fn host_left(&mut self, hosts_gone: u16) {
         self.hosts_gone = hosts_gone;
+        self.queue.clear();
     }
 
     /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a

@@ -5,7 +5,7 @@
 use super::descriptions::DESCRIPTIONS;
 use super::recorded::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
-use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::messages::{
     Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
 };
@@ -92,7 +92,7 @@ pub fn trip<const N: usize>(
     tripped: &Signals,
     place: &PerAxis<Coordinate, N>,
     line: u32,
-    inches: bool,
+    form: PlaceForm,
 ) {
     put(out, b"[MSG:");
     if tripped.emergency_stop {
@@ -106,7 +106,7 @@ pub fn trip<const N: usize>(
         }
     }
     put(out, b" at machine ");
-    position(out, place, inches);
+    position(out, place, form);
     if line > 0 {
         put(out, b", line ");
         whole(out, u64::from(line));
@@ -256,18 +256,9 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, END);
 }
 
-/// `$N0=line`
-pub fn startup_line(out: &mut Text, index: usize, line: &[u8]) {
-    put(out, b"$N");
-    whole(out, index as u64);
-    put(out, b"=");
-    put(out, line);
-    put(out, END);
-}
-
-/// `$M0=line`
-pub fn macro_line(out: &mut Text, index: usize, line: &[u8]) {
-    put(out, b"$M");
+/// A line that is kept: `$N0=line` (startup line, `kind` is `N`), `$M0=line` (macro, `kind` is `M`).
+pub fn kept_line(out: &mut Text, kind: u8, index: usize, line: &[u8]) {
+    put(out, &[b'$', kind]);
     whole(out, index as u64);
     put(out, b"=");
     put(out, line);
@@ -321,21 +312,30 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
-fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, inches: bool) {
-    for (i, value) in place.iter().enumerate() {
-        if i > 0 {
+/// How places are told: of how many axes, and lengths in which unit. Degrees stay degrees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlaceForm {
+    /// X, Y, Z and so on.
+    pub axes: usize,
+    /// Lengths are in inches.
+    pub inches: bool,
+}
+
+fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
+    for (axis, value) in place.iter().take(form.axes).enumerate() {
+        if axis > 0 {
             put(out, b",");
         }
-        length(out, *value, inches);
+        length(out, *value, form.inches && axis < LINEAR);
     }
 }
 
 /// `[G54:x,y,z]`
-pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coordinate, N>, inches: bool) {
+pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[");
     put(out, name.as_bytes());
     put(out, b":");
-    position(out, place, inches);
+    position(out, place, form);
     put(out, b"]\r\n");
 }
 
@@ -350,32 +350,32 @@ pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
 }
 
 /// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes too.
-pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, inches: bool) {
+pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[TLO:");
     let along_z = offset.get(Axis::Z).unwrap_or(Coordinate::ZERO);
     let mut only_z = PerAxis::all(Coordinate::ZERO);
     only_z.set(Axis::Z, along_z);
     if *offset == only_z {
-        length(out, along_z, inches);
+        length(out, along_z, form.inches);
     } else {
-        position(out, offset, inches);
+        position(out, offset, form);
     }
     put(out, b"]\r\n");
 }
 
 /// `[T:number|x,y,z]`
-pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordinate, N>, inches: bool) {
+pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[T:");
     whole(out, u64::from(number));
     put(out, b"|");
-    position(out, offset, inches);
+    position(out, offset, form);
     put(out, b"]\r\n");
 }
 
 /// `[PRB:x,y,z:ok]`
-pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, success: bool, inches: bool) {
+pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, success: bool, form: PlaceForm) {
     put(out, b"[PRB:");
-    position(out, place, inches);
+    position(out, place, form);
     put(out, if success { b":1]\r\n" } else { b":0]\r\n" });
 }
 
@@ -484,15 +484,15 @@ pub struct Status<const N: usize> {
 }
 
 /// `<...>`
-pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, inches: bool) {
+pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceForm) {
     put(out, b"<");
     put(out, status.state.as_bytes());
     if status.show_machine {
         put(out, b"|MPos:");
-        position(out, &status.machine, inches);
+        position(out, &status.machine, form);
     } else {
         put(out, b"|WPos:");
-        position(out, &status.machine.zip(&status.offset, |m, o| m - o), inches);
+        position(out, &status.machine.zip(&status.offset, |m, o| m - o), form);
     }
     if let Some((blocks, bytes)) = status.buffer {
         put(out, b"|Bf:");
@@ -505,13 +505,13 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, inches: bool) 
         whole(out, u64::from(line));
     }
     put(out, b"|FS:");
-    rate(out, status.feed, inches);
+    rate(out, status.feed, form.inches);
     put(out, b",");
     real(out, status.speed, 0);
     pins(out, &status.pins);
     if status.show_offset {
         put(out, b"|WCO:");
-        position(out, &status.offset, inches);
+        position(out, &status.offset, form);
     }
     if let Some(([feed, rapid, speed], spindle, coolant)) = status.overrides {
         put(out, b"|Ov:");

@@ -9,6 +9,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
         name: "test",
         step_clock_hz: 1_000_000,
         rates: StepRates { safe_hz: 100_000 },
+        axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],
         has_store: false,

@@ -28,6 +28,7 @@ fn feed(checked: &Checked<3>) -> Feed {
         Motion::Line { feed, .. } | Motion::Probe { feed, .. } => feed,
         Motion::Arc(arc) => arc.feed,
         Motion::Spline(spline) => spline.feed,
+        Motion::Nurbs(nurbs) => nurbs.feed,
         Motion::None | Motion::Cycle(_) => panic!("no motion"),
     }
 }

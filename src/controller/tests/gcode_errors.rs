@@ -11,11 +11,11 @@ const ERRORS: &[(u8, &[&str])] = &[
     (1, &["1", "%", "G1 X1..2", "X1*2", "!", "X1,5", "g0"]),
     (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
     (4, &["F-1", "N-1", "P-1", "S-1", "T-1", "F-0.0000001"]),
-    (20, &["G6", "G38", "G38.6", "G90.2", "M100", "D1", "A1", "U1"]),
+    (20, &["G6", "G38", "G38.6", "G90.2", "M100", "D1", "A1"]),
     (20, &["G-1", "G999", "G10 L3 P1 X1", "G10 P1 X1", "G10 L-2 X0", "G10 L258 P1 X0"]),
     (21, &["G17 G18", "G20 G21", "G80 G80", "M3 M4", "M0 M2", "M8 M9", "G53 G4 P1", "G4 P1 G92 X1"]),
     (22, &["G1 F0", "G1 F0 X1", "G93 G1 X1", "G93 G2 X2 I1", "G93 G38.2 X1", "G2 F0 I1"]),
-    (23, &["G1.5", "G17.1", "M3.5", "M-1", "M256", "G256", "G54.1", "G59.4", "G10.1", "G-0.5"]),
+    (23, &["G1.5", "G17.1", "M3.5", "G10.1"]),
     (24, &["G0 G1", "G0 G0", "G28 G30", "G92 X1 G1", "G0 G43.1 Z1", "G0 G1.5", "G0 G38.9", "G43.1 Z1 G10"]),
     (25, &["X1 X1", "F1 F1", "T1 T1", "T1 T-1", "R1 R1", "K1 K1", "N1 N1", "L1 L1"]),
     (26, &["G2", "G38.2", "G10", "G10 L2 P1", "G92"]),
@@ -37,6 +37,8 @@ const ERRORS: &[(u8, &[&str])] = &[
 /// Errors of Grbl's dialect alone: the others have a meaning for these lines, or another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
+    (20, &["U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
+    (23, &["M-1", "M256", "M600", "M99999", "G256", "G54.1", "G59.4", "G-0.5"]),
     (26, &["G2 I1"]),
     (29, &["G10 L3 P10 X0"]),
     (32, &["G2 Z1 I1", "G18 G2 Y1 I1", "G19 G2 X1 J1"]),
@@ -111,6 +113,26 @@ fn axis_words_of_other_commands_under_g80() {
             let mut program = ready(dialect);
             program.run("G80");
             assert_eq!(program.error(line), if dialect == Dialect::Grbl { 31 } else { 0 }, "{line} in {dialect:?}");
+        }
+    }
+}
+
+/// Where Grbl keeps a byte of a number, and takes what is left for a word or for no whole number.
+#[test]
+fn numbers_that_no_word_has() {
+    for dialect in DIALECTS.into_iter().filter(|dialect| *dialect != Dialect::Grbl) {
+        let program = ready(dialect);
+        for line in ["G10000", "G256", "G999", "G-1", "G-0.5", "M600", "M256", "M-1", "M99999", "M1000"] {
+            assert_eq!(program.error(line), 20, "{line} in {dialect:?}");
+        }
+        for line in ["G54.1 P1", "G59.4", "G54.4"] {
+            assert_eq!(program.error(line), 29, "{line} in {dialect:?}");
+        }
+        for line in ["U1", "G0 V1", "G1 X1 W-2"] {
+            assert_eq!(program.error(line), 149, "{line} in {dialect:?}");
+        }
+        for line in ["G12 I5", "G13", "G31 Z-1", "G65 P1", "G66", "M97 P10"] {
+            assert_eq!(program.error(line), 121, "{line} in {dialect:?}");
         }
     }
 }

@@ -116,7 +116,7 @@ fn conditions_that_do_not_fit() {
     fails("o1 if [0]\no1 elseif [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
     fails("o1 break", &[81], &[]);
     fails("o1 endwhile\no1 endrepeat\no1 return\no1 endsub\no1 continue", &[81; 5], &[]);
-    let deep: String = (0..17).map(|label| format!("o{label} if [1]\n")).collect();
+    let deep: String = (0..49).map(|label| format!("o{label} if [1]\n")).collect();
     fails(&deep, &[82], &[]);
 }
 
@@ -125,7 +125,26 @@ fn loops() {
     goes("o1 while [#1 LT 3]\n#1=[#1+1]\nX#1\no1 endwhile\nX9", &[1, 2, 3, 9]);
     goes("o1 while [0]\nX1\no1 endwhile\nX9", &[9]);
     goes("#1=5\no1 do\n#1=[#1-1]\nX#1\no1 while [#1 GT 3]\nX9", &[4, 3, 9]);
-    goes("o1 repeat [2.7]\n#1=[#1+1] X[#1]\no1 endrepeat\nX9", &[0, 1, 2, 9]);
+    for (count, passes) in [
+        ("0.4", 0),
+        ("0.5", 0),
+        ("0.6", 1),
+        ("1.1", 1),
+        ("1.4", 1),
+        ("1.5", 2),
+        ("2.4", 2),
+        ("2.5", 2),
+        ("2.7", 3),
+        ("3.49", 3),
+        ("3.5", 4),
+        ("5/2", 2),
+        ("7/2", 4),
+        ("-0.4", 0),
+        ("-1.5", 0),
+    ] {
+        let text = format!("o1 repeat [{count}]\n#31=[#31+1]\no1 endrepeat\nX#31");
+        goes(&text, &[passes]);
+    }
     goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
     goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
     // A loop within a loop, and a condition within it.
@@ -183,6 +202,66 @@ fn subroutines_that_do_not_fit() {
     fails("o1 repeat [2]\no1 return\no1 endrepeat\nX1", &[81], &[1]);
     fails("o1 repeat [2]\no2 break\no1 endrepeat\nX1", &[81], &[1]);
     fails("o1 repeat [2]\no2 endwhile\no1 endrepeat\nX1", &[81], &[1]);
+}
+
+#[test]
+fn computed_labels_of_calls() {
+    let subs = "o4 sub\nX#1\no4 endsub\no5 sub\nX[#1+10]\no5 endsub\no<n> sub\nX9\no<n> endsub\n";
+    goes(&format!("{subs}#7=4\no#7 call [3]\n#7=5\no#7 call [3]"), &[3, 13]);
+    goes(&format!("{subs}#7=8 #8=4 #<l>=5\no##7 call [1]\no#<l> call [2]\no[#8+[2-1]] call [3] [4]"), &[1, 12, 13]);
+    goes(&format!("{subs}o1 sub\no#1 call [#1]\no1 endsub\no1 call [4]\no1 call [5]\nN7 o[2*2] call [6]"), &[4, 15, 6]);
+    goes("o7 if [0]\no#1 call\no[1/0] call\no7 endif\nX1", &[1]);
+    for (call, error) in [
+        ("o#7 call", 81),
+        ("o[1/0] call", 72),
+        ("o[4.5] call", 81),
+        ("o[0-4] call", 81),
+        ("o[4 call", 81),
+        ("o[4]] call", 81),
+        ("o# call", 81),
+        ("o#<none> call", 74),
+        ("o[4] call 5", 81),
+        ("o[10**30] call", 81),
+    ] {
+        let mut sender = Sender::new();
+        sender.send_all(subs).send_all(call).send_all("X1");
+        assert_eq!((sender.errors.len(), sender.went), (1, vec![1]), "{call}: {:?}", sender.errors);
+        assert!(
+            sender.errors[0] == error || ["o[4 call", "o# call", "o[4]] call"].contains(&call),
+            "{call}: {:?}",
+            sender.errors
+        );
+    }
+    // All other labels are numbers and names; what is refused is refused to its end.
+    fails("o#1 sub\nX1\no#1 endsub\nX2", &[81; 3], &[2]);
+    fails("o[1] repeat [2]\nX1\no[1] endrepeat\nX2", &[81; 3], &[2]);
+    fails("o#1 if [1]\nX1\no#1 endif\nX2", &[81, 81], &[2]);
+    fails("o1 while [1]\no#2 if [1]\nX1\no#2 endif\no1 endwhile\nX2", &[81; 4], &[2]);
+}
+
+#[test]
+fn unknown_keywords() {
+    for line in ["o16 foo", "o<a>", "o<a> foo [1]", "o16 cal [1]", "o16 gosub", "N5 o16 whil [1]"] {
+        fails(&format!("{line}\nX1"), &[81], &[1]);
+        goes(&format!("o1 if [0]\n{line}\no1 endif\nX1"), &[1]);
+        fails(&format!("o1 repeat [2]\nX2\n{line}\no1 endrepeat\nX1"), &[81, 81], &[1]);
+    }
+    goes("o1000\nN1 o2000\nX1", &[1]);
+    fails("o1000 G0 X5\nX1", &[36], &[1]);
+}
+
+/// A call in two conditions, sixteen times within each other.
+#[test]
+fn recursion_within_conditions() {
+    let sub = "o1 sub\no2 if [#1 GT 0]\no3 if [1]\nX#1\no1 call [#1-1]\no3 endif\no2 endif\no1 endsub\n";
+    let places: Vec<i64> = (1..16).rev().collect();
+    goes(&format!("{sub}o1 call [15]"), &places);
+    fails(&format!("{sub}o1 call [16]\nX0"), &[82], &[(1..=16).rev().collect(), vec![0]].concat());
+    // Long names have less.
+    let name = "n".repeat(60);
+    let sub = format!("o<{name}> sub\no2 if [#1 GT 0]\nX#1\no<{name}> call [#1-1]\no2 endif\no<{name}> endsub\n");
+    goes(&format!("{sub}o<{name}> call [5]"), &[5, 4, 3, 2, 1]);
+    fails(&format!("{sub}o<{name}> call [6]\nX0"), &[82], &[6, 5, 4, 3, 2, 1, 0]);
 }
 
 /// No word of a line with a keyword is lost without an error.
@@ -300,7 +379,7 @@ fn the_next_program_is_none_of_an_open_block() {
 #[test]
 fn numbers_of_programs_are_left_to_the_check() {
     let mut interpreter = Interpreter::<3>::new();
-    for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O<A>", b"O1X5"] {
+    for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O1X5", b"O#1", b"O[1]"] {
         assert_eq!(interpreter.direct(line, &[], 1), Ok(Direction::Check), "{line:?}");
     }
 }
@@ -322,4 +401,55 @@ proptest! {
         sender.send("G0 X5");
         prop_assert_eq!(sender.went, vec![5]);
     }
+}
+
+/// As LinuxCNC's interpreter has it, each of them.
+#[test]
+fn states_saved_until_a_call_returns() {
+    // Inches and distances act within the subroutine alone; the motion word stays.
+    goes("o1 sub\nM73\nG91 G0 X1\nX1\nG20 X1\no1 endsub\nG90 G0 X5\no1 call\nX10", &[5, 6, 7, 32, 10]);
+    goes(
+        "o1 sub\nM73\nG91\no1 if [#1]\no1 return\no1 endif\nX1\no1 endsub\nX5\no1 call [1]\nX3\no1 call [0]\nX4",
+        &[5, 3, 4, 4],
+    );
+    // The value that is returned is that of before.
+    goes("o1 sub\nM73\nG91\no1 endsub [#<_incremental>+6]\no1 call\nX#<_value>", &[7]);
+    // Each call has a state of its own, and a call in a call restores before its caller goes on.
+    goes("o1 sub\nM73\nG91\no2 call\nX1\no1 endsub\no2 sub\nM73\nG90\nX8\no2 endsub\nX5\no1 call\nX1", &[5, 8, 9, 1]);
+    goes(
+        "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
+        &[5, 6, 1],
+    );
+    // M70 keeps another state, which M73 restores all the same. After M71 nothing is. M72 restores at once, and M73 again.
+    goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
+    goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    goes("o1 sub\nM70\nM73\nG91\nX1\nM72\nX1\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6, 1, 1]);
+    // In a loop the last one counts.
+    goes("o1 sub\no2 repeat [2]\nM73\nG91\no2 endrepeat\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
+    // Outside of subroutines it is M70.
+    goes("M73\nG91\nX5\nM72\nX1\nM72\nX2", &[5, 1, 2]);
+}
+
+#[test]
+fn states_of_other_calls_are_not_restored() {
+    fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
+    fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
+    fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
+    // An error ends the subroutine, and restores nothing; nor does it later.
+    fails(
+        "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
+        &[2],
+        &[5, 6, 7, 1],
+    );
+    fails("o1 sub\nM73\nG91\nM2\no1 endsub\nX5\no1 call\nG91 G0 X1\nM72", &[123], &[5, 6]);
+    fails("o1 sub\nM73 G91\no1 endsub\no1 call\nM72 X1", &[21, 21], &[]);
+    // Seven calls within each other, beside the main program's.
+    let deep = |calls: u32| {
+        format!(
+            "o1 sub\nM73\nG91\nX1\no2 if [#1 GT 1]\no1 call [#1-1]\no2 endif\no1 endsub\nM70\nX5\no1 call [{calls}]\nX1"
+        )
+    };
+    goes(&deep(7), &[5, 6, 7, 8, 9, 10, 11, 12, 1]);
+    fails(&deep(8), &[82], &[5, 6, 7, 8, 9, 10, 11, 12, 13]);
 }

@@ -250,7 +250,7 @@ fn the_offset_of_g92() {
 #[test]
 fn values_in_remarks() {
     let mut program = ready();
-    program.run("#1=10.1 #<A_B>=[-1/3] #2=-0.0000001");
+    program.run("#1=10.1 #<A_B>=[-1/3] #2=-0.0000001 #20=-2.456 #21=7 #22=2.5");
     let expand = |remark: &str| {
         let mut out = heapless::Vec::<u8, 64>::new();
         program.interpreter.expand(remark.as_bytes(), &mut out);
@@ -258,6 +258,11 @@ fn values_in_remarks() {
     };
     assert_eq!(expand(" v=#1, w=[#1+0.2]"), " v=10.100000, w=[10.100000+0.2]");
     assert_eq!(expand("#<a _b>#99 #2"), "-0.3333330.000000 0.000000");
+    // As LinuxCNC's interpreter writes them, which rounds 2.5 to 2 and drops the two signs of `%.` without an f.
+    assert_eq!(expand("a %d #20 b %.2f #20 c %f #20 d %lf #20 %.0f#20"), "a  -2 b  -2.46 c  -2.4560 d %lf -2.4560 -2");
+    assert_eq!(expand("#20 %d #20 #21 %.3f#20 %.9f#20"), "-2.456000  -2 7 -2.456 -2.4560000");
+    assert_eq!(expand("100% #21 %x %.12f %F %% %.f %"), "100% 7.000000 %x %.12f %F %% %.f %");
+    assert_eq!(expand("%.1f#22 %d#22 #<nothing>"), "2.5 3 ######");
     assert_eq!(expand("#<nothing> #0 # #<> #< 5#"), "###### ###### # #<> #< 5#");
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
     // A line may set what it shows.

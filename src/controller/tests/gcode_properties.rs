@@ -3,7 +3,7 @@
 mod program;
 
 use oxmill_controller::axes::PerAxis;
-use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Feed, Flow, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
 use program::{DIALECTS, Program};
 use proptest::prelude::*;
@@ -71,6 +71,11 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
                     );
                 }
             }
+        }
+        Motion::Nurbs(nurbs) => {
+            prop_assert!(in_reach(&nurbs.target) && feeds(nurbs.feed) && (3..=8).contains(&nurbs.order));
+            prop_assert_eq!((*checked.position(), *before.position()), (nurbs.target, nurbs.start));
+            prop_assert!(before.control_points().len() >= usize::from(nurbs.order));
         }
         Motion::Spline(spline) => {
             prop_assert!(spline.corners().iter().all(in_reach) && feeds(spline.feed));
@@ -207,5 +212,40 @@ fn very_long_lines() {
         assert_eq!(program.error(&format!("X{}", "1".repeat(100_000))), 33);
         assert_eq!(program.error(&format!("X.{}", "1".repeat(100_000))), 0);
         assert_eq!(program.error(&format!("X{}1", "0".repeat(100_000))), 0);
+    }
+}
+
+/// Of a line that only moves, a controller does not look whether anything else follows from it.
+#[test]
+fn a_line_that_only_moves_changes_nothing_else() {
+    for dialect in DIALECTS {
+        let mut program = Program::new(dialect);
+        program.run_all("G21 F300 T7\nG0 X1 Y2 Z3");
+        // In Grbl's dialect a line without T deselects the tool.
+        for line in
+            ["X2", "G1 X3 F20", "N7 G3 X4 I0.5", "G20 G91 G17", "G80", "G90 G21", "G0 X0 Z1", "G93 G1 X1 F2", "G94"]
+        {
+            let before = (program.interpreter.clone(), *program.interpreter.modal());
+            let checked = program.run(line);
+            assert!(checked.moves_only, "{line}");
+            assert!(!checked.changes_outputs() && !checked.needs_machine() && !checked.work_offset_changed, "{line}");
+            assert!(checked.dwell.is_none() && !checked.uses_machine_place && checked.flow == Flow::None, "{line}");
+            let (old, modal) = (before.0, program.interpreter.modal());
+            assert_eq!(
+                (modal.tool, modal.speed, modal.spindle),
+                (before.1.tool, before.1.speed, before.1.spindle),
+                "{line}"
+            );
+            assert_eq!(old.work_offset(), program.interpreter.work_offset(), "{line}");
+        }
+        program.run("G21 G90 G94 F300 G0");
+        for line in
+            ["S9", "M3", "M8", "G4 P1", "G10 L20 P1 X0", "G43.1 Z1", "G49", "G92 X0", "G55", "T2", "M0", "M2", "G53 X0"]
+        {
+            assert!(!program.check(line).unwrap().moves_only, "{line} in {dialect:?}");
+        }
+        for line in ["G28", "G28.1", "G30 Z0", "G92.1", "G38.2 Z-9 F9", "G61", "M30"] {
+            assert!(!program.check(line).unwrap().moves_only, "{line} in {dialect:?}");
+        }
     }
 }

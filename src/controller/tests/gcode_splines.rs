@@ -146,8 +146,6 @@ fn what_is_refused() {
         ("G5 I1 J1 P-60000 Q1 X1", 33),
         ("G5 I1 J1 P1 Q1 X60000", 33),
         ("G5.1 I9999999 J1 X1", 33),
-        ("G5.2 P1 L3", 121),
-        ("G5.3", 121),
         ("G5.4", 121),
         ("G18 G68 X0 Z0 R1", 0),
     ] {
@@ -181,4 +179,91 @@ fn curves_do_not_drift() {
         program.run("X0.001 Y.0003 P-.1 Q.05");
     }
     assert_eq!(in_mm(&program.interpreter.to_program(program.interpreter.position()))[..2], [10.0, 3.0]);
+}
+
+/// Control points in X and Y of the machine, mm, with their weights.
+fn control_points(program: &Program) -> Vec<(f64, f64, f32)> {
+    let mm = |part: oxmill_controller::units::Coordinate| part.0 as f64 / DECIMAL_ONE as f64;
+    let points = program.interpreter.control_points();
+    points.iter().map(|point| (mm(point.place[0]), mm(point.place[1]), point.weight)).collect()
+}
+
+#[test]
+fn control_points_of_a_curve() {
+    let mut program = ready("G0 X1 Y1 Z5\nG5.2 P2 L4\nX2 Y2 P1\nX4 Y0 P.5\nF60 M8\nG5.2 X6 Y6 P3");
+    assert_eq!(control_points(&program), [(1.0, 1.0, 2.0), (2.0, 2.0, 1.0), (4.0, 0.0, 0.5), (6.0, 6.0, 3.0)]);
+    assert_eq!((program.machine(), program.interpreter.modal().motion.word()), ([1.0, 1.0, 5.0], "G5.2"));
+    let Motion::Nurbs(nurbs) = program.run("N7 G5.3").motion else { panic!() };
+    assert_eq!((nurbs.order, nurbs.feed), (4, Feed::PerMinute(1.0)));
+    assert_eq!((in_mm(&nurbs.start), program.machine()), ([1.0, 1.0, 5.0], [6.0, 6.0, 5.0]));
+    assert_eq!(program.interpreter.modal().motion.word(), "G80");
+    // Those of the next curve begin anew; so does the order. The P of a first line with X and Y is that point's.
+    program.run_all("G5.2 X7 Y7 P2\nX8 Y7 P1\nG5.3");
+    assert_eq!(control_points(&program), [(6.0, 6.0, 1.0), (7.0, 7.0, 2.0), (8.0, 7.0, 1.0)]);
+    // Distances count from where the tool is, which is the start.
+    program.run_all("G91 G5.2 X1 Y0 P1\nX1 Y1 P1\nL3 X0 Y2 P1");
+    assert_eq!(control_points(&program)[1..], [(9.0, 7.0, 1.0), (9.0, 8.0, 1.0), (8.0, 9.0, 1.0)]);
+    let Motion::Nurbs(nurbs) = program.run("G93 F2 G5.3").motion else { panic!() };
+    assert_eq!(nurbs.feed, Feed::InverseTime(30.0));
+    // What acts on coordinates acts on control points.
+    let mut program = ready("G10 L2 P1 X10 R90\nG0 X0 Y0\nG20\nG5.2 X1 Y0 P1\nG21 X0 Y5 P1\nG5.3");
+    assert_eq!(control_points(&program), [(10.0, 0.0, 1.0), (10.0, 25.4, 1.0), (5.0, 0.0, 1.0)]);
+    assert_eq!(program.run("G1 X0 Y5").motion, program.run("G1 X0 Y5").motion);
+    assert_eq!(program.work(), [-5.0, 0.0, 0.0]);
+}
+
+#[test]
+fn control_points_that_are_refused() {
+    let begun = "G5.2 X1 Y1 P1\nX2 Y0 P1";
+    let mut wrong = Vec::new();
+    for (setup, line, error) in [
+        ("", "G5.3", 145),
+        ("", "G5.2 X1 Y1", 28),
+        ("", "G5.2 X1 P1", 28),
+        ("", "G5.2 X1 Y1 P0", 39),
+        ("", "G5.2 X1 Y1 P-1", 4),
+        ("", "G5.2 X1 Y1 P1 L2", 39),
+        ("", "G5.2 X1 Y1 P1 L9", 39),
+        ("", "G5.2 X1 Y1 P1 L3.5", 23),
+        ("", "G5.2 X1 Y1 Z1 P1", 140),
+        ("G18", "G5.2 X1 Y1 P1", 140),
+        ("", "G5.2 X1 Y1 P1 I1", 36),
+        ("", "G5.2 X1 Y1 P1 G5.3", 21),
+        ("F0", "G5.2 X1 Y1 P1", 22),
+        ("G93 G5.2 X1 Y1 P1 F1\nX2 Y0 P1 F1", "G5.3", 22),
+        ("G5.2 X1 Y1 P1", "G5.3", 147),
+        ("G5.2 X1 Y1 P1 L8\nX2 Y0 P1", "G5.3", 147),
+        (begun, "G5.3", 0),
+        (begun, "X3 Y1", 28),
+        (begun, "G5.3 X3 Y1", 31),
+        (begun, "G1 X5", 146),
+        (begun, "G1", 146),
+        (begun, "G2 I1", 146),
+        (begun, "G5 X1 I1 J1 P1 Q1", 146),
+        (begun, "G38.2 Z-1", 146),
+        (begun, "G80", 0),
+        ("G5.2 X1 Y1 P1\nX2 Y0 P1\nG80", "G5.3", 145),
+        ("G5.2 X1 Y1 P1\nX2 Y0 P1\nG28", "G5.3", 0),
+        ("G28.1\nG0 X9\nG5.2 X1 Y1 P1\nX2 Y0 P1\nG28", "G5.3", 145),
+        ("G28.1\nG0 X9\nG5.2 X1 Y1 P1\nX2 Y0 P1\nG28", "X3 Y0 P1", 145),
+        ("G5.2 X1 Y1 P1\nX2 Y0 P1\nM2", "G5.3", 145),
+        ("G5.2 X1 Y1 P1\nX2 Y0 P1\nG5.3", "X3 Y0", 31),
+    ] {
+        let found = ready(setup).error(line);
+        if found != error {
+            wrong.push((setup, line, found));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:?}");
+    let mut program = ready("G5.2 P1");
+    for _ in 1..32 {
+        program.run("X1 Y1 P1");
+    }
+    assert_eq!((program.error("X1 Y1 P1"), program.error("G5.3")), (148, 0));
+    let mut program = ready(begun);
+    program.interpreter.reset();
+    assert_eq!(program.error("F1 G5.3"), 145);
+    let mut program = ready(begun);
+    program.interpreter.change_dialect();
+    assert_eq!((program.error("F1 G5.3"), program.interpreter.modal().motion.word()), (145, "G80"));
 }

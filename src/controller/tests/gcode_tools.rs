@@ -143,9 +143,12 @@ fn what_is_refused() {
             ("G10 L1 P0", 47),
             ("G10 L1", 28),
             ("G10 L10 P1", 26),
-            ("G10 L1 P1 R3", 36),
-            ("G10 L1 P1 I3", 36),
-            ("G10 L1 P1 Z5 R3", 36),
+            ("G10 L1 P2 R3", 47),
+            ("G10 L1 P1 K3", 36),
+            ("G10 L1 P1 Z5 K3", 36),
+            ("G10 L10 P1 Z5 R3", 36),
+            ("G10 L11 P1 Z5 Q3", 36),
+            ("G10 L2 P1 X5 Q3", 36),
             // L before P: of an unknown L the number does not matter.
             ("G10 L3 P12 X1", 20),
             ("G10 L3 P3 X1", 20),
@@ -166,6 +169,24 @@ fn what_is_refused() {
     program.run("G43.1 Z1");
     assert!(matches!(program.run("G0 Z1").motion, Motion::Line { .. }));
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
+}
+
+/// Radius, angles and orientation, which LinuxCNC's tables have: they are no offset, and take no tool out.
+#[test]
+fn words_of_a_tool_that_are_not_kept() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run("G10 L1 P1 Z5");
+        for line in ["G10 L1 P1 R3", "G10 L1 P1 I10 J20 Q3", "G10 L1 P1 R-1 G91", "G90 G10 L1 P1 Q0"] {
+            program.run(line);
+            assert_eq!((program.error("G43 H1"), program.error("G10 L1 P1")), (0, 0), "{line}");
+        }
+        program.run("G10 L1 P1 Z7 R3 Q1");
+        program.run("G43 H1");
+        assert_eq!(tool_length(&program), 7.0);
+        program.run("G10 L1 P1");
+        assert_eq!(program.error("G43 H1"), 47);
+    }
 }
 
 /// Sums of offsets stay where the controller can compute.

@@ -13,6 +13,7 @@ fn moves_before_the_start(millimetres: f64) -> usize {
         name: "test",
         step_clock_hz: 1_000_000,
         rates: StepRates { safe_hz: 100_000 },
+        axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],
         has_store: false,

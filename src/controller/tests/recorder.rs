@@ -24,6 +24,7 @@ fn board() -> Box<Board> {
         has_second_motor: false,
         has_store: false,
         program_pins: [0, 0],
+        axes: 3,
     };
     let mut board = Box::new(Controller::new(profile));
     board.start(Instant::from_ticks(0));

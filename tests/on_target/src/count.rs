@@ -38,7 +38,7 @@ mod step_timer;
 mod boards {
     use oxmill_boards::stm32f4::registers::Map;
     use oxmill_boards::stm32f4::step;
-    pub use oxmill_boards::{Due, Free, SecondMotor, StepOutput, Undone};
+    pub use oxmill_boards::{COMBINATIONS, Due, Free, SecondMotor, StepOutput, Undone};
     use oxmill_controller::{Profile, StepRates};
 
     pub const CORE_HZ: u32 = 96_000_000;
@@ -49,6 +49,7 @@ mod boards {
         name: "count",
         step_clock_hz: 96_000_000,
         rates: StepRates { safe_hz: 490_000 },
+        axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],
         has_store: false,

@@ -41,6 +41,7 @@ impl Rig {
             name: "rig",
             step_clock_hz: STEP_CLOCK_HZ,
             rates: StepRates { safe_hz: 200_000 },
+            axes: 3,
             has_second_motor: false,
             program_pins: [0; 2],
             has_store: false,

@@ -1,23 +1,23 @@
 //! What `rs274` prints: calls of canonical machining functions, in the unit of the program, without the offsets.
 
-use super::{Event, NO_MOVE, Outcome};
+use super::{AXES, Event, NO_MOVE, Outcome};
 use crate::Failure;
 use std::path::Path;
 use std::process::Command;
 
-/// The offsets in force, mm.
+/// The offsets in force, mm and degrees.
 #[derive(Default)]
 struct Reader {
     inches: bool,
     /// First, second and third axis of the plane.
     plane: [usize; 3],
-    system: [f64; 3],
+    system: [f64; AXES],
     /// Of the system, degrees.
     rotation: f64,
-    g92: [f64; 3],
-    tool: [f64; 3],
+    g92: [f64; AXES],
+    tool: [f64; AXES],
     /// Where the machine is, without offsets.
-    machine: [f64; 3],
+    machine: [f64; AXES],
     /// After a spline, of which only the number of control points is printed.
     is_place_untold: bool,
     events: Vec<Event>,
@@ -66,7 +66,10 @@ impl Reader {
 
     fn call(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
-        let place = |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?]);
+        // Degrees have no unit.
+        let unit = if self.inches { 25.4 } else { 1.0 };
+        let place =
+            |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?, *numbers.get(3)? / unit]);
         match name {
             "USE_LENGTH_UNITS" => self.inches = arguments == "CANON_UNITS_INCHES",
             "SELECT_PLANE" => {
@@ -108,14 +111,14 @@ impl Reader {
         Some(())
     }
 
-    fn machine(&self, work: [f64; 3]) -> [f64; 3] {
-        let [x, y, z]: [f64; 3] = std::array::from_fn(|a| work[a] + self.g92[a]);
+    fn machine(&self, work: [f64; AXES]) -> [f64; AXES] {
+        let [x, y, z, turn]: [f64; AXES] = std::array::from_fn(|axis| work[axis] + self.g92[axis]);
         let (sine, cosine) = self.rotation.to_radians().sin_cos();
-        let turned = [x * cosine - y * sine, x * sine + y * cosine, z];
+        let turned = [x * cosine - y * sine, x * sine + y * cosine, z, turn];
         std::array::from_fn(|a| turned[a] + self.system[a] + self.tool[a])
     }
 
-    fn go(&mut self, to: [f64; 3], event: Event) {
+    fn go(&mut self, to: [f64; AXES], event: Event) {
         let machine = self.machine(to);
         let is_move = machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE);
         if is_move || self.is_place_untold {
@@ -127,9 +130,9 @@ impl Reader {
 
     fn arc(&mut self, arguments: &str) -> Option<()> {
         let numbers = self.lengths(arguments)?;
-        let [first, second, centre_first, centre_second, _, third, ..] = numbers[..] else { return None };
+        let [first, second, centre_first, centre_second, _, third, turn, ..] = numbers[..] else { return None };
         let turns = arguments.split(',').nth(4)?.trim().parse().ok()?;
-        let mut end = [0.0; 3];
+        let mut end = [0.0, 0.0, 0.0, if self.inches { turn / 25.4 } else { turn }];
         for (axis, value) in self.plane.into_iter().zip([first, second, third]) {
             end[axis] = value;
         }

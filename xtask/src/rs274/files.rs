@@ -175,7 +175,7 @@ impl Program {
         }
     }
 
-    fn interpreter(&mut self) -> &mut Interpreter<3> {
+    fn interpreter(&mut self) -> &mut Interpreter<{ super::AXES }> {
         self.mill.interpreter()
     }
 

@@ -26,15 +26,18 @@ const BEFORE: usize = 8;
 /// Differences that are printed.
 const SHOWN: usize = 10;
 
-/// What a program does, in work coordinates and mm.
+/// X, Y and Z in mm, and A in degrees.
+pub const AXES: usize = 4;
+
+/// What a program does, in work coordinates.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A rapid to a place.
-    Rapid([f64; 3]),
+    Rapid([f64; AXES]),
     /// A feed move to a place.
-    Feed([f64; 3]),
+    Feed([f64; AXES]),
     /// An arc: its end, its centre in the plane, and its turns, negative when clockwise.
-    Arc([f64; 3], [f64; 2], i64),
+    Arc([f64; AXES], [f64; 2], i64),
     /// A spline of so many control points.
     Spline(u8),
     /// Seconds.

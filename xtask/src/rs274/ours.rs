@@ -1,11 +1,11 @@
 //! What Oxmill's interpreter makes of a line.
 
-use super::{Event, NO_MOVE};
+use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
-    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Feed, Flow, Interpreter, Motion, MotionMode, ProgramPins,
-    SplineKind,
+    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Direction, Feed, Flow, Held, HeldLine, Interpreter, Motion,
+    MotionMode, ProgramPins, SplineKind,
 };
 use oxmill_controller::units::Coordinate;
 
@@ -15,24 +15,31 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 /// A machine that is only thought.
 #[derive(Clone)]
 pub struct Mill {
-    interpreter: Interpreter<3>,
+    interpreter: Interpreter<AXES>,
     /// Where the last event has led, machine coordinates.
-    place: [f64; 3],
+    place: [f64; AXES],
     /// No event has told where the last one ended.
     is_place_untold: bool,
+    /// Of the last line: a move is so short that rounding decides whether it is one.
+    is_doubtful: bool,
 }
 
-fn mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
 }
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; 3], is_place_untold: false }
+        Mill { interpreter: Interpreter::new(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
+    }
+
+    /// Whether a move of the last line is one or none by rounding.
+    pub fn is_doubtful(&self) -> bool {
+        self.is_doubtful
     }
 
     /// Where the program is, in the active system, mm.
-    pub fn work(&self) -> [f64; 3] {
+    pub fn work(&self) -> [f64; AXES] {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
@@ -48,13 +55,28 @@ impl Mill {
     }
 
     /// What holds the program's subroutines and loops.
-    pub fn interpreter(&mut self) -> &mut Interpreter<3> {
+    pub fn interpreter(&mut self) -> &mut Interpreter<AXES> {
         &mut self.interpreter
     }
 
-    /// Carries a line out, which has no blanks within words.
+    /// Carries a line out, which has no blanks within words; of a call the lines that it calls.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
-        self.carry_out(line).map(|(events, _)| events)
+        self.is_doubtful = false;
+        match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {
+            Direction::Check => self.carry_out(line).map(|(events, _)| events),
+            Direction::Done | Direction::LeftOut => Ok(Vec::new()),
+            Direction::Run | Direction::Call => {
+                let mut events = Vec::new();
+                let mut held = HeldLine::new();
+                loop {
+                    match self.interpreter.next_held(&mut held)? {
+                        Held::Line => events.extend(self.carry_out(&String::from_utf8_lossy(&held))?.0),
+                        Held::Again => {}
+                        Held::End => return Ok(events),
+                    }
+                }
+            }
+        }
     }
 
     /// The same; and how the program goes on.
@@ -102,6 +124,11 @@ impl Mill {
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
+            Motion::Nurbs(nurbs) => {
+                events.push(Event::Spline(self.interpreter.control_points().len() as u8));
+                self.place = mm(&nurbs.target);
+                self.is_place_untold = true;
+            }
             Motion::Cycle(mut cycle) => {
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
@@ -116,13 +143,15 @@ impl Mill {
         Ok((events, checked.flow))
     }
 
-    fn relative(&self, place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
+    fn relative(&self, place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
         mm(&self.interpreter.to_program(place))
     }
 
-    fn go(&mut self, to: &PerAxis<Coordinate, 3>, rapid: bool, events: &mut Vec<Event>) {
+    fn go(&mut self, to: &PerAxis<Coordinate, AXES>, rapid: bool, events: &mut Vec<Event>) {
         let machine = mm(to);
-        let is_move = machine.iter().zip(self.place).any(|(a, b)| (a - b).abs() > NO_MOVE);
+        let way = machine.iter().zip(self.place).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let is_move = way > NO_MOVE;
+        self.is_doubtful |= (way - NO_MOVE).abs() < TOLERANCE;
         if is_move || std::mem::take(&mut self.is_place_untold) {
             let work = self.relative(to);
             events.push(if rapid { Event::Rapid(work) } else { Event::Feed(work) });

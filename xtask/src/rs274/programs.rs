@@ -3,7 +3,7 @@
 //! Lines that Oxmill refuses are left out, but for the last line of a batch, which may be one: `rs274` has to refuse it too.
 //! Left out is what the book names as a difference: G88; a change of offsets, of the plane or of G98 and G99 within a series of
 //! cycles; another rotation under G92, of which LinuxCNC loses its place; arcs and cycles outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
-//! offset.
+//! offset; a tool offset along A.
 
 use super::Outcome;
 use super::ours::Mill;
@@ -14,15 +14,15 @@ const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61",
     "G54 G92.1 F300 S1000",
-    "G10 L2 P1 X0 Y0 Z0 R0",
-    "G10 L2 P2 X0 Y0 Z0 R0",
-    "G10 L2 P6 X0 Y0 Z0 R0",
-    "G10 L2 P9 X0 Y0 Z0 R0",
-    "G10 L1 P1 X0 Y0 Z0",
-    "G10 L1 P2 X0 Y0 Z0",
-    "G10 L1 P7 X0 Y0 Z0",
+    "G10 L2 P1 X0 Y0 Z0 A0 R0",
+    "G10 L2 P2 X0 Y0 Z0 A0 R0",
+    "G10 L2 P6 X0 Y0 Z0 A0 R0",
+    "G10 L2 P9 X0 Y0 Z0 A0 R0",
+    "G10 L1 P1 X0 Y0 Z0 A0",
+    "G10 L1 P2 X0 Y0 Z0 A0",
+    "G10 L1 P7 X0 Y0 Z0 A0",
     "T1 M6 M3",
-    "G53 G0 X0 Y0 Z0",
+    "G53 G0 X0 Y0 Z0 A0",
     "G28.1",
     "G30.1",
     "M70",
@@ -44,6 +44,10 @@ struct Writer {
     plane: usize,
     /// Of the state that M70 keeps.
     kept: (bool, bool, usize),
+    /// M61 has named the tool in the spindle: the machine that `rs274` has looks its offset up at M6 alone.
+    is_tool_named: bool,
+    /// Subroutines so far.
+    subroutines: usize,
     batch: Batch,
     refused: Option<String>,
 }
@@ -58,6 +62,8 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
         incremental: false,
         plane: 0,
         kept: (false, false, 0),
+        is_tool_named: false,
+        subroutines: 0,
         batch: Batch { lines: Vec::new(), outcome },
         refused: None,
     };
@@ -65,6 +71,7 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
         for line in BEGIN {
             writer.put((*line).into());
         }
+        writer.is_tool_named = false;
         (writer.inches, writer.incremental, writer.plane, writer.kept) = (false, false, 0, (false, false, 0));
         for _ in 0..8 + writer.below(25) {
             writer.statement();
@@ -121,6 +128,12 @@ impl Writer {
 
     /// Words of some of the axes, of at least one.
     fn axes(&mut self) -> String {
+        let words = self.linear_axes();
+        if self.percent(25) { format!("{words} A{}", self.degrees()) } else { words }
+    }
+
+    /// The same without A.
+    fn linear_axes(&mut self) -> String {
         let mut words = String::new();
         while words.is_empty() {
             for axis in ["X", "Y", "Z"] {
@@ -132,9 +145,19 @@ impl Writer {
         words
     }
 
+    /// Those of a rotary axis are not of the unit of lengths.
+    fn degrees(&mut self) -> String {
+        format!("{:.2}", (self.below(2001) as f64 - 1000.0) / if self.incremental { 20.0 } else { 2.0 })
+    }
+
     /// Takes a line over; whether Oxmill does.
     fn put(&mut self, line: String) -> bool {
+        let before = self.mill.clone();
         match self.mill.run(&line) {
+            Ok(_) if self.mill.is_doubtful() => {
+                self.mill = before;
+                false
+            }
             Ok(events) => {
                 let at = self.batch.lines.len();
                 self.batch.outcome.of.extend(events.iter().map(|_| at));
@@ -170,7 +193,8 @@ impl Writer {
                 self.put(axes.trim().into());
             }
             28..=41 => self.arc(),
-            42..=43 => self.spline(),
+            42 => self.spline(),
+            43 => self.control_points(),
             44..=63 => self.cycle(),
             64..=67 => {
                 let plane = self.below(3) as usize;
@@ -198,7 +222,8 @@ impl Writer {
             77..=84 => self.offsets(),
             85..=88 => self.places(),
             89..=94 => self.tools(),
-            95..=96 => self.keep(),
+            95 => self.keep(),
+            96 => self.subroutine(),
             97 => self.pins(),
             _ => {
                 let line = self.one_of(&[
@@ -251,11 +276,13 @@ impl Writer {
         let [first, second, third] = self.plane_axes();
         let word = self.one_of(&["G2", "G3"]);
         let unit = if self.inches { 25.4 } else { 1.0 };
-        let work = self.mill.work().map(|mm| mm / unit);
+        let [x, y, z, _] = self.mill.work();
+        let work = [x, y, z].map(|mm| mm / unit);
         let angle = self.below(6283) as f64 / 1000.0;
         let radius = (1.0 + self.below(1500) as f64 / 100.0) / unit;
         let (i, j) = (radius * angle.cos(), radius * angle.sin());
         let helix = if self.percent(30) { format!(" {}{}", AXES[third], self.coordinate()) } else { String::new() };
+        let helix = if self.percent(20) { format!("{helix} A{}", self.degrees()) } else { helix };
         let turns = if self.percent(15) { format!(" P{}", 1 + self.below(4)) } else { String::new() };
         let to = |axis: usize, by: f64, incremental: bool| if incremental { by } else { work[axis] + by };
         let incremental = self.incremental;
@@ -323,6 +350,28 @@ impl Writer {
             }
             smooth = is_cubic;
         }
+        let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
+        let word = self.one_of(&["G0", "G1"]);
+        self.put(format!("{word} {axis}{to}"));
+    }
+
+    /// Control points with a line each, and a move that tells where their curve ends.
+    fn control_points(&mut self) {
+        let order = 3 + self.below(3);
+        let points = order - 1 + self.below(6);
+        // `rs274` takes the weight of a first line that has a point, but for the start.
+        let weight = 1 + self.below(3);
+        if !self.put(format!("G5.2 P{weight} L{order}")) {
+            return;
+        }
+        for _ in 0..points {
+            let (x, y, weight) = (self.coordinate(), self.coordinate(), 1 + self.below(40));
+            self.put(format!("X{x} Y{y} P{}", weight as f64 / 10.0));
+            if self.percent(10) {
+                self.put("F400".into());
+            }
+        }
+        self.put("G5.3".into());
         let (axis, to) = (self.one_of(&["X", "Y", "Z"]), self.coordinate());
         let word = self.one_of(&["G0", "G1"]);
         self.put(format!("{word} {axis}{to}"));
@@ -422,20 +471,20 @@ impl Writer {
     }
 
     fn tools(&mut self) {
-        let axes = self.axes();
+        let axes = self.linear_axes();
         let tool = self.one_of(&["1", "2", "7"]);
         let l = self.one_of(&["L1", "L10", "L11"]);
         let which = self.below(10);
         if matches!(which, 3 | 8) {
-            let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
-            // The machine that `rs274` has instead of a real one forgets at M6 what offsets have changed since the last move.
-            self.put(format!("G0 X{x} Y{y} Z{z}"));
+            self.move_all();
+            self.is_tool_named = false;
         }
         let line = match which {
             0 | 1 => format!("G10 {l} P{tool}{axes}"),
             2 => format!("T{tool}"),
             3 => format!("T{tool} M6 M3"),
-            4 => "G43".into(),
+            4 if !self.is_tool_named => "G43".into(),
+            4 => format!("G43 H{tool}"),
             5 => format!("G43 H{tool}"),
             6 => format!("G43.2 H{tool}"),
             7 => format!("G43.1{axes}"),
@@ -443,6 +492,13 @@ impl Writer {
             _ => "G49".into(),
         };
         self.put(line);
+    }
+
+    /// A rapid of all axes. The machine that `rs274` has instead of a real one forgets at M6 and M61 what offsets have changed
+    /// since the last move.
+    fn move_all(&mut self) {
+        let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
+        self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
 
     /// Outputs and inputs of programs, also beside a move, and what of them is refused.
@@ -460,6 +516,8 @@ impl Writer {
             16 => format!("M66 E{number} L{wait} Q1"),
             17 => format!("M66 P{number}"),
             18 => {
+                self.move_all();
+                self.is_tool_named = true;
                 let tool = self.one_of(&["1", "2", "7"]);
                 format!("M61 Q{tool}")
             }
@@ -478,6 +536,56 @@ impl Writer {
                 .into(),
         };
         self.put(line);
+    }
+
+    /// A subroutine that keeps the state of its caller, and calls of it. It has no line that could be refused.
+    fn subroutine(&mut self) {
+        self.put("G49".into());
+        self.before_rotation();
+        self.subroutines += 1;
+        let label = format!("o{}", self.subroutines);
+        let now = (self.inches, self.incremental, self.plane);
+        let mut lines = vec![format!("{label} sub")];
+        for _ in 0..1 + self.below(6) {
+            let keeps = self.one_of(&["M73", "M73", "M73", "M70", "M71"]);
+            let modal =
+                self.one_of(&["G20", "G21", "G90", "G91", "G17", "G18", "G61", "G64 P0.1", "F200", "S50", "M8"]);
+            match self.below(4) {
+                0 => lines.push(keeps.into()),
+                1 => {
+                    let x = self.coordinate();
+                    lines.push(format!("{} X{x}", ["G0", "G1"][self.below(2) as usize]));
+                }
+                _ => {
+                    match modal {
+                        "G20" => self.inches = true,
+                        "G21" => self.inches = false,
+                        "G90" => self.incremental = false,
+                        "G91" => self.incremental = true,
+                        _ => {}
+                    }
+                    lines.push(modal.into());
+                }
+            }
+        }
+        (self.inches, self.incremental, self.plane) = now;
+        // What nobody has restored is as it was all the same.
+        let back = |on: bool, words: [&str; 2]| words[usize::from(on)].to_string();
+        let word = if self.percent(30) { "return" } else { "endsub" };
+        if word == "return" {
+            lines.push(format!("{label} return"));
+        }
+        lines.push(format!("{label} endsub"));
+        for _ in 0..1 + self.below(2) {
+            lines.push(format!("{label} call"));
+        }
+        lines.push(format!("G1 X{}", self.coordinate()));
+        lines.push(back(self.inches, ["G21", "G20"]));
+        lines.push(back(self.incremental, ["G90", "G91"]));
+        lines.push(format!("G{}", 17 + self.plane));
+        for line in lines {
+            self.put(line);
+        }
     }
 
     fn keep(&mut self) {

@@ -1,6 +1,6 @@
 //! A line half checked, and what each step of the check asks of it: words, lengths, positions.
 
-use crate::axes::{Axis, PerAxis};
+use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Checked, Feed};
@@ -12,6 +12,7 @@ use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
 use crate::gcode::word::{Claim, Letters};
 use crate::units::{Coordinate, Decimal, per_second};
+use oxmill_sqrt::square_root;
 
 /// Letters of an arc's centre.
 pub(super) const CENTRE: Letters = Letters::of(b"IJK");
@@ -21,6 +22,17 @@ pub(super) const CENTRE: Letters = Letters::of(b"IJK");
 pub(in crate::gcode) enum Purpose {
     Program,
     Jog,
+}
+
+/// The squared lengths of a straight way: of X, Y and Z in mm², and of the rotary axes in square degrees.
+fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> [f32; 2] {
+    let mut squares = [0.0; 2];
+    let [linear, rotary] = &mut squares;
+    for (axis, (from, to)) in from.iter().zip(to.iter()).enumerate() {
+        let way = (*to - *from).to_mm();
+        *(if axis < LINEAR { &mut *linear } else { &mut *rotary }) += way * way;
+    }
+    squares
 }
 
 /// A line half checked.
@@ -166,6 +178,24 @@ impl<'a, const N: usize> Check<'a, N> {
         match self.checked.modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
             FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
+        }
+    }
+
+    /// The same for a straight move. F is along the way of X, Y and Z as if the rotary axes stood still, which come along; where
+    /// these move alone it is degrees per minute (RS274NGC, 2.1.2.5). The path of the result is that of all axes.
+    pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
+        match self.feed_of_motion() {
+            Feed::PerMinute(feed) if N > LINEAR => {
+                let [linear, rotary] = squared_ways(&self.state.position, target);
+                Feed::PerMinute(if rotary == 0.0 {
+                    feed
+                } else if linear == 0.0 {
+                    per_second(self.checked.modal.rotary_feed())
+                } else {
+                    feed * square_root(1.0 + rotary / linear)
+                })
+            }
+            feed => feed,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
 //! Grbl looks; the first fault wins.
 
+mod control_point_words;
 mod cycle_words;
 mod line;
 mod motion_words;
@@ -13,7 +14,7 @@ mod state_words;
 mod tool_words;
 
 use super::Dialect;
-use super::checked::{Checked, Flow, Motion};
+use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{BLENDING, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
@@ -46,24 +47,40 @@ pub(super) fn check<const N: usize>(
     }
     check.line_number()?;
     check.feed()?;
-    check.speed();
-    check.tool()?;
-    check.spindle_and_coolant();
-    check.parking_override();
+    // A line without T deselects the tool in Grbl's dialect.
+    let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
+    if !is_move {
+        check.speed();
+        check.tool()?;
+        check.spindle_and_coolant();
+        check.parking_override();
+    }
     if is_extended {
         check.overrides()?;
         check.path_control()?;
     }
-    check.dwell()?;
-    check.tool_length()?;
+    if !is_move {
+        check.dwell()?;
+        check.tool_length()?;
+    }
     check.rotation()?;
-    check.non_modal()?;
+    if !is_move {
+        check.non_modal()?;
+    }
     check.motion()?;
     if is_extended {
         check.pins()?;
     }
     check.unused_words()?;
-    check.finish();
+    check.precision();
+    if is_move {
+        let checked = check.checked;
+        checked.moves_only =
+            matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
+                && matches!(checked.after.keeping, Keeping::Leave);
+    } else {
+        check.finish();
+    }
     Ok(())
 }
 
@@ -95,7 +112,10 @@ impl<const N: usize> Check<'_, N> {
                 }
                 Decimal::ZERO
             }
-            (FeedMode::PerMinute, true) => Decimal(self.length(self.line.value.f).0),
+            (FeedMode::PerMinute, true) => {
+                self.checked.modal.feed_in_inches = modal.units == Units::Inch;
+                Decimal(self.length(self.line.value.f).0)
+            }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
             (FeedMode::PerMinute, false) => Decimal::ZERO,
         };
@@ -191,6 +211,18 @@ impl<const N: usize> Check<'_, N> {
         others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
+    /// The last digit of its words.
+    fn precision(&mut self) {
+        let checked = &mut *self.checked;
+        // A cycle goes through its points exactly, and of a spline all points are known.
+        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_) | Motion::Nurbs(_));
+        checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
+        if ROTATION && let Some(scaling) = self.scaled {
+            checked.digit *= scaling.least();
+        }
+    }
+
+    /// What a line does beside its motion.
     fn finish(self) {
         let checked = self.checked;
         checked.flow = match self.line.flow {
@@ -199,12 +231,6 @@ impl<const N: usize> Check<'_, N> {
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        // A cycle goes through its points exactly, and of a spline all points are known.
-        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_));
-        checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
-        if ROTATION && let Some(scaling) = self.scaled {
-            checked.digit *= scaling.least();
-        }
         checked.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))

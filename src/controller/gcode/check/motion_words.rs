@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::arc::{self, Vector};
 use crate::gcode::checked::{ArcMove, Feed, Motion};
-use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, ROTATION};
+use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind};
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Claim, Letters};
 use crate::units::{Coordinate, Decimal};
@@ -16,7 +16,13 @@ const TURNS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Check<'_, N> {
     pub(super) fn motion(&mut self) -> Result<(), Error> {
+        if SPLINES && self.line.extended.ends_control_points {
+            return self.nurbs();
+        }
         let mode = self.checked.modal.motion;
+        if SPLINES && self.line.modal.motion.is_some() {
+            self.leaves_control_points(mode)?;
+        }
         if mode == MotionMode::Cancelled {
             // To Grbl axis words are an error here even if another command uses them.
             let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
@@ -32,6 +38,7 @@ impl<const N: usize> Check<'_, N> {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
+            MotionMode::Spline(SplineKind::Nurbs) => self.control_point(),
             MotionMode::Spline(kind) => self.spline(kind),
             MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cycle(kind) => self.cycle(kind),
@@ -45,7 +52,7 @@ impl<const N: usize> Check<'_, N> {
         }
         let target = self.target();
         reachable(&target)?;
-        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_of_motion() };
+        let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_to(&target) };
         self.checked.motion = Motion::Line { via: None, target, feed };
         self.checked.position = target;
         Ok(())
@@ -60,7 +67,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::InvalidTarget);
         }
         reachable(&target)?;
-        let feed = self.feed_of_motion();
+        let feed = self.feed_to(&target);
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
         self.checked.position = target;
         Ok(())
@@ -105,7 +112,7 @@ impl<const N: usize> Check<'_, N> {
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
         // Without a radius there is nothing to go round; what is left is the way of the other axes.
         self.checked.motion = if arc::is_point(centre) {
-            Motion::Line { via: None, target, feed }
+            Motion::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
             Motion::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
         };

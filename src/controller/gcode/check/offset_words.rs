@@ -1,7 +1,7 @@
 //! Words of group 0 and their offsets: G10 L2 and L20, G28, G30, G52, G53, G92.
 
 use super::line::Check;
-use crate::axes::PerAxis;
+use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Feed, Motion};
@@ -153,7 +153,10 @@ impl<const N: usize> Check<'_, N> {
     fn go(&mut self, which: StoredOffset) -> Result<(), Error> {
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
-            (None, stored)
+            // What was stored while the machine had more axes does not move them.
+            let has = |axis: Axis| N <= LINEAR || axis.index() < self.state.axes();
+            let of = |axis| if has(axis) { along(&stored, axis) } else { self.position(axis) };
+            (None, PerAxis::from_axis(of))
         } else {
             let axes = self.line.axes;
             let mut target =

@@ -42,7 +42,7 @@ impl<const N: usize> Check<'_, N> {
                 // The same curve as one of third degree.
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
-            (SplineKind::Cubic, _) => {
+            (SplineKind::Cubic | SplineKind::Nurbs, _) => {
                 let arriving = self.vector(b"PQ", [values.p, values.q])?.ok_or(Error::ValueWordMissing)?;
                 // Without I and J where the last G5 has ended, as smoothly as it came there.
                 let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));

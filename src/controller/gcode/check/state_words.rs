@@ -1,4 +1,4 @@
-//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides, M70 to M72 for the modal state.
+//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides, M70 to M73 for the modal state.
 
 use super::line::Check;
 use crate::axes::PerAxis;
@@ -31,7 +31,7 @@ impl<const N: usize> Check<'_, N> {
         Ok(())
     }
 
-    /// M70 to M72, which have a line of their own.
+    /// M70 to M73, which have a line of their own.
     pub(super) fn keep_state(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.keep.filter(|_| EXTENDED) else { return Ok(()) };
         let mut others = self.line.values;
@@ -39,11 +39,14 @@ impl<const N: usize> Check<'_, N> {
         if !(others.is_empty() && self.line.groups.within(Groups::KEEP)) {
             return Err(Error::ModalGroupViolation);
         }
+        let level = self.state.computed.level();
         match word {
-            70 => self.checked.after.keeping = Keeping::Save,
+            70 | 73 if !self.state.saved.has_room(level) => return Err(Error::TooDeep),
+            70 | 73 => self.checked.after.keeping = Keeping::Save { until_return: word == 73 && level > 0 },
             71 => self.checked.after.keeping = Keeping::Forget,
             _ => {
-                let saved = self.state.saved.ok_or(Error::NothingSaved)?;
+                let saved = *self.state.saved.of(level).ok_or(Error::NothingSaved)?;
+                self.checked.after.keeping = Keeping::Restore;
                 let before = &self.state.modal;
                 let checked = &mut *self.checked;
                 checked.modal =

@@ -102,11 +102,20 @@ impl<const N: usize> Check<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
+        // Radius, angles and orientation of a tool in LinuxCNC's table, which this one does not have.
+        let unkept = Letters::of(b"IJQR");
+        let describes = l == 1 && self.unused.has_any(unkept);
+        if l == 1 {
+            self.unused.remove(unkept);
+        }
         let removes = self.line.axes.is_empty();
         if number == 0 || removes && known.is_none() || !removes && !has_room {
             return Err(Error::UnknownTool);
         }
         self.unused.remove(Letters::of(b"LP"));
+        if removes && describes {
+            return Ok(());
+        }
         let offsets = &self.state.offsets;
         // Where the work zero of the tool's tip is: L10 in the active system with its G92, L11 in the ninth, which holds a
         // fixture.

@@ -19,10 +19,10 @@ const TEXT: usize = 6144;
 pub(super) const MOST_MACROS: usize = 3072;
 /// Bytes of it that only the first line of something may take, so that its end is known even if it does not fit.
 pub(super) const SPARE: usize = 64;
-/// Conditions, loops and calls that may be under way within each other.
-const DEPTH: usize = 16;
+/// Conditions, loops and calls that may be under way within each other: a call in two conditions, sixteen times.
+const DEPTH: usize = 48;
 /// Bytes of their labels.
-const LABELS: usize = 160;
+pub(super) const LABELS: usize = 384;
 /// Arguments of a call.
 pub(super) const ARGUMENTS: usize = 30;
 /// How often held text may go back in one line of the host: a loop that never ends is found out.
@@ -50,6 +50,8 @@ pub(super) enum Keyword {
     EndRepeat,
     Break,
     Continue,
+    /// Any other word.
+    Unknown,
 }
 
 /// A text that begins another comes behind it.
@@ -81,6 +83,7 @@ pub(super) struct OWord<'a> {
 
 impl<'a> OWord<'a> {
     /// `None` for every other line; a message is no part of it. A number without a keyword, such as `O1000`, is one of them.
+    /// A label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
         let line = match line.strip_prefix(b"N") {
@@ -92,12 +95,12 @@ impl<'a> OWord<'a> {
         while let [b'0', b'0'..=b'9', ..] = text {
             text = text.get(1..)?;
         }
-        let length = match text.first()? {
-            b'<' => text.iter().position(|byte| *byte == b'>')? + 1,
-            _ => digits(text),
-        };
+        let length = label_length(text)?;
         let (label, text) = text.split_at_checked(length).filter(|(label, _)| !label.is_empty())?;
-        let (name, keyword) = KEYWORDS.iter().find(|(name, _)| text.starts_with(name))?;
+        let Some((name, keyword)) = KEYWORDS.iter().find(|(name, _)| text.starts_with(name)) else {
+            let is_word = label.first() == Some(&b'<') || matches!(text, [b'A'..=b'Z', b'A'..=b'Z', ..]);
+            return is_word.then_some(OWord { label, keyword: Keyword::Unknown, arguments: text });
+        };
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
@@ -112,10 +115,17 @@ impl<'a> OWord<'a> {
         other.keyword == end && other.label == self.label
     }
 
+    /// Whether the label is an expression, which calls may have.
+    pub(super) fn has_computed_label(&self) -> bool {
+        matches!(self.label.first(), Some(b'[' | b'#'))
+    }
+
     /// Whether what is behind the keyword may be its own: values in brackets if it takes any, or nothing.
     pub(super) fn is_well_formed(&self) -> bool {
         let bracket = self.arguments.first() == Some(&b'[');
         match self.keyword {
+            Keyword::Unknown => false,
+            keyword if keyword != Keyword::Call && self.has_computed_label() => false,
             Keyword::If | Keyword::ElseIf | Keyword::While | Keyword::Repeat => bracket,
             Keyword::Call | Keyword::Return | Keyword::EndSub => bracket || self.arguments.is_empty(),
             _ => self.arguments.is_empty(),
@@ -131,6 +141,29 @@ impl<'a> OWord<'a> {
         use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
         matches!(self.keyword, ElseIf | Else | EndIf | EndWhile | While | EndRepeat)
     }
+}
+
+/// Bytes of a label: a name, digits, or an expression that is `#` and a value, or a bracket.
+fn label_length(text: &[u8]) -> Option<usize> {
+    let signs = text.iter().take_while(|byte| **byte == b'#').count();
+    let text = text.get(signs..)?;
+    let length = match text.first()? {
+        b'<' => text.iter().position(|byte| *byte == b'>')? + 1,
+        b'[' => {
+            let mut open = 0_usize;
+            let closes = |byte: &u8| {
+                match byte {
+                    b'[' => open += 1,
+                    b']' => open = open.saturating_sub(1),
+                    _ => {}
+                }
+                open == 0
+            };
+            text.iter().position(closes)? + 1
+        }
+        _ => digits(text),
+    };
+    if signs > 0 && length == 0 { None } else { Some(signs + length) }
 }
 
 pub(super) fn digits(text: &[u8]) -> usize {

@@ -12,7 +12,7 @@ use crate::gcode::state::Interpreter;
 use crate::gcode::word::Word;
 use crate::messages::SpindleDirection;
 use crate::number;
-use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
+use crate::units::{Coordinate, DECIMAL_ONE, DECIMAL_PLACES, Decimal};
 
 /// Letters of numbers that select something: a computed one is meant to have at most two digits behind the point.
 const SELECTORS: &[u8] = b"DGHLMNOPT";
@@ -29,11 +29,16 @@ impl<const N: usize> Interpreter<N> {
         self.computed.probe_succeeded = succeeded;
     }
 
-    /// A remark with the values of its parameters, `#5` and `#<name>`, in six decimals, for `(DEBUG, ...)`; a name that has
-    /// not been set becomes `######`. What the line sets that is being checked counts as set. What `out` has no room for is cut off.
+    /// A remark with the values of its parameters, `#5` and `#<name>`, for `(DEBUG, ...)`: in six decimals, and behind `%d` in
+    /// none, behind `%f` in four, behind `%.2f` in two, which are left out themselves. A name that has not been set becomes
+    /// `######`. What the line sets that is being checked counts as set. What `out` has no room for is cut off.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
-        let mut rest = remark;
+        let (mut rest, mut places) = (remark, 6);
         while let Some((byte, behind)) = rest.split_first() {
+            if let (b'%', Some((wanted, after))) = (*byte, format(behind)) {
+                (rest, places) = (after, wanted);
+                continue;
+            }
             let digits = behind.iter().take_while(|byte| byte.is_ascii_digit()).count();
             let (name, after) = match (behind.first(), digits) {
                 (Some(b'<'), _) => expression::name(behind.get(1..).unwrap_or(&[])).unwrap_or_default(),
@@ -54,7 +59,7 @@ impl<const N: usize> Interpreter<N> {
                 letters.extend(capitals.take(parameters::NAME_LENGTH));
                 self.shown(ParameterReference::Name(&letters)).and_then(|value| value.ok_or(Error::InvalidArgument))
             };
-            write(value.ok(), out);
+            write(value.ok(), places, out);
         }
     }
 
@@ -185,7 +190,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     fn along(&self, letter: u8, place: &PerAxis<Coordinate, N>) -> Option<Real> {
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N)?;
+        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < self.axes())?;
         Some(self.in_units(place, axis.index() as i64))
     }
 
@@ -214,19 +219,32 @@ fn length<const N: usize>(place: &PerAxis<Coordinate, N>, index: i64) -> Option<
     usize::try_from(index).ok().and_then(|index| place.0.get(index)).copied()
 }
 
-/// Six decimals; what does not exist or is too great is `######`.
-fn write<const LENGTH: usize>(value: Option<Real>, out: &mut heapless::Vec<u8, LENGTH>) {
+/// How many decimals `d`, `f` or `.2f` behind a percent sign ask for, and what comes behind them. `None` for other text.
+fn format(text: &[u8]) -> Option<(u32, &[u8])> {
+    match text {
+        [b'd', rest @ ..] => Some((0, rest)),
+        [b'f', rest @ ..] => Some((4, rest)),
+        [b'.', places @ b'0'..=b'9', b'f', rest @ ..] => Some(((places - b'0').into(), rest)),
+        _ => None,
+    }
+}
+
+/// So many decimals, seven at most, rounded, a half away from zero; what does not exist or is too great is `######`.
+fn write<const LENGTH: usize>(value: Option<Real>, places: u32, out: &mut heapless::Vec<u8, LENGTH>) {
     use core::fmt::Write;
-    const MILLIONTH: u64 = DECIMAL_ONE as u64 / 1_000_000;
-    const MILLION: u64 = 1_000_000;
     let Some(Decimal(value)) = value.filter(|value| value.fits_decimal()).map(Real::to_decimal) else {
         let _ = out.extend_from_slice(b"######");
         return;
     };
-    let size = (value.unsigned_abs() + MILLIONTH / 2) / MILLIONTH;
+    let places = places.min(DECIMAL_PLACES);
+    let (one, unit) = (10_u64.pow(places), 10_u64.pow(DECIMAL_PLACES - places));
+    let size = (value.unsigned_abs() + unit / 2) / unit;
     let sign = if value < 0 && size > 0 { "-" } else { "" };
     let mut text = heapless::String::<24>::new();
-    let _ = write!(text, "{sign}{}.{:06}", size / MILLION, size % MILLION);
+    let _ = write!(text, "{sign}{}", size / one);
+    if places > 0 {
+        let _ = write!(text, ".{:0width$}", size % one, width = places as usize);
+    }
     for byte in text.bytes() {
         let _ = out.push(byte);
     }

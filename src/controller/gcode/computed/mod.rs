@@ -76,6 +76,11 @@ impl<const N: usize> Computed<N> {
         self.parameters.commit();
     }
 
+    /// Calls under way.
+    pub fn level(&self) -> u8 {
+        self.parameters.level()
+    }
+
     /// M2, M30: forgets what is local to the program, its subroutines among it.
     pub fn end_program(&mut self) {
         self.flow.end_program();

@@ -1,11 +1,18 @@
 //! O words in a program: what becomes of each line of the host, and which line of held text is next.
 
 use super::Computed;
-use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, OWord, PASSES, SPARE, STREAM, State, ends_program};
+use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
 use crate::gcode::state::Interpreter;
+use core::fmt::Write;
+
+/// The label of a call: a name or digits.
+type Label = heapless::Vec<u8, LABELS>;
+
+/// What restores a state.
+const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
     /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
@@ -21,6 +28,22 @@ impl<const N: usize> Interpreter<N> {
             return Ok(Direction::Check);
         }
         self.direct_order(line, remark, OWord::of(line))
+    }
+
+    /// Whether a line that is none of the program calls a subroutine, whose lines are then next.
+    ///
+    /// # Errors
+    /// Those of a call; [`Error::FlowSyntax`] for all other O words, [`Error::NotIdle`] within a block that has begun.
+    pub fn begin_call(&mut self, line: &[u8]) -> Result<bool, Error> {
+        match OWord::of(line) {
+            None => Ok(false),
+            Some(order) if order.keyword != Keyword::Call => Err(Error::FlowSyntax),
+            Some(_) if self.is_within_block() => Err(Error::NotIdle),
+            order => {
+                self.computed.begin();
+                self.direct_order(line, &[], order).map(|_| true)
+            }
+        }
     }
 
     /// Lines that a condition has left out.
@@ -81,10 +104,10 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
-                let (_, at) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
+                let (label, at) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
                 self.computed.flow.run(at, None);
-                self.call(order, STREAM, &arguments)?;
+                self.call(&label, STREAM, &arguments)?;
                 return Ok(Direction::Call);
             }
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
@@ -165,6 +188,7 @@ impl<const N: usize> Interpreter<N> {
     pub fn abandon_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
+        self.saved.abandon(0);
     }
 
     /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
@@ -174,6 +198,7 @@ impl<const N: usize> Interpreter<N> {
         self.scaling = None;
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
+        self.saved.abandon(0);
     }
 
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
@@ -205,13 +230,13 @@ impl<const N: usize> Interpreter<N> {
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
-                let (_, begin) = flow.find(order.label).ok_or(Error::FlowSyntax)?;
                 let back = flow.next;
+                let (label, begin) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
-                self.call(order, back, &arguments)?;
+                self.call(&label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
             }
-            Keyword::Return | Keyword::EndSub => return self.leave_call(order),
+            Keyword::Return | Keyword::EndSub => return self.leave_call(line),
             Keyword::Sub => return Err(Error::FlowSyntax),
             _ => self.go_round(order, at)?,
         }
@@ -226,12 +251,14 @@ impl<const N: usize> Interpreter<N> {
                 flow.push(FrameKind::If(true), order.label, 0)?;
                 // Unless the condition is found to hold no branch does.
                 flow.skipping = true;
+                order.must_be_well_formed()?;
                 let holds = self.condition(order.arguments)?;
                 self.take_branch(order.label, holds, holds)
             }
             Keyword::ElseIf => {
                 let taken = self.has_taken(order.label)?;
                 self.take_branch(order.label, true, false)?;
+                order.must_be_well_formed()?;
                 let holds = !taken && self.condition(order.arguments)?;
                 self.take_branch(order.label, taken || holds, holds)
             }
@@ -282,7 +309,7 @@ impl<const N: usize> Interpreter<N> {
                 self.begin_pass(order.label, true)
             }
             Keyword::Repeat => {
-                let count = self.argument(order.arguments)?.ceiling();
+                let count = self.argument(order.arguments)?.nearest_even();
                 let beyond = if count.is_negative() { 0 } else { i64::from(PASSES) };
                 let count = count.whole().unwrap_or(beyond).clamp(0, i64::from(PASSES)) as u32;
                 self.computed.flow.push(FrameKind::Repeat(count), order.label, next)?;
@@ -343,17 +370,33 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn call(&mut self, order: OWord, back: u16, arguments: &[Real]) -> Result<(), Error> {
+    /// The label of a subroutine that is called, computed if it is an expression, and where its second line begins.
+    fn called(&self, order: &OWord) -> Result<(Label, u16), Error> {
+        let mut label = Label::new();
+        if order.has_computed_label() {
+            let (value, rest) = self.value(order.label)?;
+            let number = value.whole().and_then(|number| u32::try_from(number).ok());
+            let number = number.filter(|_| rest.is_empty()).ok_or(Error::FlowSyntax)?;
+            write!(label, "{number}").map_err(|_| Error::FlowSyntax)?;
+        } else {
+            label.extend_from_slice(order.label).map_err(|_| Error::FlowSyntax)?;
+        }
+        let (_, begin) = self.computed.flow.find(&label).ok_or(Error::FlowSyntax)?;
+        Ok((label, begin))
+    }
+
+    fn call(&mut self, label: &[u8], back: u16, arguments: &[Real]) -> Result<(), Error> {
         let Computed { flow, parameters, .. } = &mut self.computed;
-        let pushed = flow.push(FrameKind::Call, order.label, back).and_then(|()| parameters.enter_call(arguments));
+        let pushed = flow.push(FrameKind::Call, label, back).and_then(|()| parameters.enter_call(arguments));
         if pushed.is_err() && back == STREAM {
             self.abandon_held();
         }
         pushed
     }
 
-    /// return, endsub: back to the line behind the call, with a value.
-    fn leave_call(&mut self, order: OWord) -> Result<Held, Error> {
+    /// return, endsub: back to the line behind the call, with a value; by way of M72 if M73 wants the state restored.
+    fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
+        let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
         let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
         let Computed { flow, parameters, returned, .. } = &mut self.computed;
         if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != FrameKind::Call {
@@ -366,6 +409,11 @@ impl<const N: usize> Interpreter<N> {
                 parameters.leave_call();
                 *returned = value;
                 flow.next = frame.at;
+                if self.saved.leave(parameters.level()) {
+                    line.clear();
+                    line.extend_from_slice(RESTORE).map_err(|_| Error::OutOfMemory)?;
+                    return Ok(Held::Line);
+                }
                 return Ok(if frame.at == STREAM { Held::End } else { Held::Again });
             }
         }

@@ -4,7 +4,7 @@
 //! 10.3 and nothing else. A difference below 10⁻¹⁴ of what it is the difference of is rounding and counts as 0, so three
 //! thirds are 1: for comparisons, whole parts and remainders, too. A quotient and a square root are right in eighteen digits; sine, cosine, arc tangent and
 //! logarithm are within 10⁻¹⁵, powers with a fraction in the exponent within 10⁻¹³ of their size. Integer arithmetic only:
-//! the same result on every machine, and every operation takes a bounded number of steps. Results beyond 10⁴⁰ are an error,
+//! the same result on every machine, and every operation takes a bounded number of steps. Results of 10⁴¹ and more are an error,
 //! results below 10⁻³² may be 0. Nothing here is inlined: flash is scarcer than the time of an expression.
 
 use crate::error::Error;
@@ -17,7 +17,7 @@ const DIGITS: u32 = 18;
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
 /// By so many digits a mantissa can be lengthened in an `i128`.
 const SPARE_DIGITS: u32 = 20;
-/// Greatest exponent; numbers beyond are an error.
+/// Numbers of 10 to the power of one more are an error.
 const EXPONENT_MAX: i32 = 40;
 /// Least exponent; smaller numbers are 0.
 const EXPONENT_MIN: i32 = -50;
@@ -68,7 +68,7 @@ impl Real {
         }
         match i8::try_from(exponent) {
             _ if size == 0 || exponent < EXPONENT_MIN => Ok(Real::ZERO),
-            Ok(exponent) if i32::from(exponent) <= EXPONENT_MAX => {
+            Ok(exponent) if i32::from(exponent) + size.ilog10() as i32 <= EXPONENT_MAX => {
                 Ok(Real { mantissa: if mantissa < 0 { -size } else { size }, exponent })
             }
             _ => Err(Error::InvalidResult),
@@ -280,6 +280,17 @@ impl Real {
     #[inline(never)]
     pub fn round(self) -> Real {
         self.whole_part(divided)
+    }
+
+    /// To the nearest whole number, a half to the even one.
+    pub fn nearest_even(self) -> Real {
+        let half = Real { mantissa: 5, exponent: -1 };
+        let even = |number: Real| number.mul(half).is_ok_and(|part| part.floor() == part);
+        match (self.add(half).map(Real::floor), self.sub(half)) {
+            (Ok(up), Ok(down)) if up.sub(down) == Ok(Real::ONE) && !even(up) => down,
+            (Ok(up), _) => up,
+            _ => self,
+        }
     }
 
     fn whole_part(self, divide: impl Fn(i128, i128) -> i128) -> Real {

@@ -339,6 +339,16 @@ fn tree() -> impl Strategy<Value = Tree> {
     })
 }
 
+#[test]
+fn too_great_a_result() {
+    for text in ["[EXP[94]]", "[10**40*9.99]", "[0-10**40]", "[10**40]"] {
+        assert!(compute(text).is_ok(), "{text}");
+    }
+    for text in ["[EXP[95]]", "[EXP[100]]", "[10**41]", "[0-10**41]", "[10**40*10]", "[11**40]", "[1.23456789**600]"] {
+        assert_eq!(compute(text), Err(Error::InvalidResult), "{text}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4000))]
 
@@ -388,6 +398,17 @@ proptest! {
             ("AND", a != 0 && b != 0), ("OR", a != 0 || b != 0), ("XOR", (a != 0) != (b != 0)),
         ] {
             prop_assert_eq!(is(&format!("[{a}{operator}{b}]")), Ok(f64::from(u8::from(truth))));
+        }
+    }
+
+    /// The end of the range does not depend on how many digits a number has.
+    #[test]
+    fn the_greatest_numbers(digits in 1..1_000_000_000_000_000_000_i64) {
+        let scale = digits.ilog10();
+        for (power, fits) in [(40, true), (41, false)] {
+            let text = format!("[{digits}*10**{}]", power - scale);
+            prop_assert_eq!(compute(&text).is_ok(), fits, "{}", text);
+            prop_assert_eq!(compute(&format!("[-{}]", text)).is_ok(), fits, "{}", text);
         }
     }
 

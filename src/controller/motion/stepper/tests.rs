@@ -21,6 +21,36 @@ fn signed(taken: i128, directions: u8, axis: usize) -> i32 {
     signed_add(0, taken as u32, directions >> axis & 1 != 0)
 }
 
+/// Plain ticks of a block of so many units in batches, and one by one.
+fn compare_batches<const N: usize, const WORDS: usize>(
+    mut single: Stepper<N>,
+    total: u32,
+    (level, ramp, start): (u8, i32, u32),
+    part: &[usize],
+    table: &[u32; WORDS],
+) -> Result<(), TestCaseError> {
+    let ticks = (total >> (MAX_LEVEL - level)).clamp(1, 60_000) as u16;
+    let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
+    single.load(ToStep::Segment(Segment { interval: 1 << 21, ramp, ticks, power: 0, level, flags }));
+    single.begin_at(start);
+    single.tick();
+    let mut batch = single.clone();
+    for room in part {
+        let (mut words, mut moments) = ([9; 70], [9; 70]);
+        let made = batch.plain_ticks(table, &mut words[..*room], &mut moments[..*room]);
+        prop_assert_eq!(made, (*room).min(single.piece.plain_ticks as usize));
+        for (word, at) in words.into_iter().zip(moments).take(made) {
+            prop_assert_eq!(at, single.moment());
+            let (least, greatest) = single.intervals();
+            let tick = single.tick();
+            prop_assert_eq!(word, table[usize::from(tick.steps)]);
+            prop_assert!((least..=greatest + 1).contains(&tick.interval));
+        }
+        prop_assert_eq!(format!("{single:?}"), format!("{batch:?}"));
+    }
+    Ok(())
+}
+
 proptest! {
     /// At every tick of blocks one after the other: one step of an axis at most, what is left in range, the place that
     /// of the definition and of the pulses.
@@ -70,28 +100,22 @@ proptest! {
         steps_by_axis in steps_by_axis(3000), level in 0_u8..=4, ramp in -300_i32..300, part in prop::collection::vec(0_usize..70, 1..12),
         table in prop::array::uniform8(any::<u32>()), start in any::<u32>(),
     ) {
-        let total = Measure::of(&steps_by_axis).total;
-        let ticks = (total >> (MAX_LEVEL - level)).clamp(1, 60_000) as u16;
         let mut single: Stepper<3> = Stepper::new();
         single.load(ToStep::Block { steps_by_axis, directions: 5 });
-        let flags = Segment::FLAG_NEW_BLOCK | Segment::FLAG_LAST;
-        single.load(ToStep::Segment(Segment { interval: 1 << 21, ramp, ticks, power: 0, level, flags }));
-        single.begin_at(start);
-        single.tick();
-        let mut batch = single.clone();
-        for room in part {
-            let (mut words, mut moments) = ([9; 70], [9; 70]);
-            let made = batch.plain_ticks(&table, &mut words[..room], &mut moments[..room]);
-            prop_assert_eq!(made, room.min(single.piece.plain_ticks as usize));
-            for (word, at) in words.into_iter().zip(moments).take(made) {
-                prop_assert_eq!(at, single.moment());
-                let (least, greatest) = single.intervals();
-                let tick = single.tick();
-                prop_assert_eq!(word, table[usize::from(tick.steps)]);
-                prop_assert!((least..=greatest + 1).contains(&tick.interval));
-            }
-            prop_assert_eq!(format!("{single:?}"), format!("{batch:?}"));
-        }
+        compare_batches(single, Measure::of(&steps_by_axis).total, (level, ramp, start), &part, &table)?;
+    }
+
+    /// The same with A.
+    #[test]
+    fn a_batch_of_four_axes_equals_its_ticks(
+        steps_by_axis in steps_by_axis(3000), rest in steps_by_axis(3000), level in 0_u8..=4, ramp in -300_i32..300,
+        part in prop::collection::vec(0_usize..70, 1..12), table in prop::array::uniform16(any::<u32>()), start in any::<u32>(),
+    ) {
+        let ([x, y, z], [a, ..]) = (steps_by_axis, rest);
+        let mut single: Stepper<4> = Stepper::new();
+        single.load(ToStep::BlockRest { steps_by_axis: [a, AxisSteps::default(), AxisSteps::default()] });
+        single.load(ToStep::Block { steps_by_axis, directions: 13 });
+        compare_batches(single, Measure::of(&[x, y, z, a]).total, (level, ramp, start), &part, &table)?;
     }
 
     /// A stop of ticks that were made ahead leaves the position at those that came out.

@@ -73,6 +73,7 @@ pub fn target(checked: &Checked<3>) -> [f64; 3] {
         Motion::Line { target, .. } | Motion::Probe { target, .. } => in_mm(&target),
         Motion::Arc(arc) => in_mm(&arc.target),
         Motion::Spline(spline) => in_mm(&spline.target),
+        Motion::Nurbs(nurbs) => in_mm(&nurbs.target),
     }
 }
 

@@ -1,0 +1,115 @@
+//! Words of curves whose control points have a line each: G5.2, and G5.3 at the end.
+
+use super::line::Check;
+use crate::axes::{Axis, AxisMask};
+use crate::error::Error;
+use crate::gcode::checked::{Keeping, Motion, NurbsMove};
+use crate::gcode::control_points::{Addition, ControlPoints, ORDER, ORDERS};
+use crate::gcode::modal::{MotionMode, Plane, SPLINES, SplineKind};
+use crate::gcode::values::{in_xy, reachable, whole};
+use crate::gcode::word::Claim;
+use crate::units::{Decimal, WeightedPoint};
+
+/// What a line has while control points follow.
+const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
+
+impl<const N: usize> Check<'_, N> {
+    /// Whether control points have begun, and the tool is still where they begin.
+    fn has_control_points(&self) -> bool {
+        let here = in_xy(&self.state.position);
+        self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
+    }
+
+    /// No other motion comes between control points.
+    pub(super) fn leaves_control_points(&self, mode: MotionMode) -> Result<(), Error> {
+        let leaves = !matches!(mode, POINTS | MotionMode::Cancelled);
+        if leaves && self.has_control_points() { Err(Error::ControlPointsNotEnded) } else { Ok(()) }
+    }
+
+    /// G5.2, or a line after it: a control point by X and Y, with its weight P and the order L. The first line may have none;
+    /// its P is then the weight of the start.
+    #[inline(never)]
+    pub(super) fn control_point(&mut self) -> Result<(), Error> {
+        let begins = !self.has_control_points();
+        if begins && self.line.modal.motion != Some(POINTS) {
+            return Err(Error::ControlPointsNotBegun);
+        }
+        let is_in_plane = !Axis::of_machine::<N>().skip(2).any(|axis| self.line.axes.has(axis));
+        if !is_in_plane || self.checked.modal.plane != Plane::Xy {
+            return Err(Error::SplineOutsideXy);
+        }
+        self.needs_plane(Plane::Xy.axes())?;
+        let has_point = !self.line.axes.is_empty();
+        if has_point && self.line.axes != AxisMask::NONE.with(Axis::X).with(Axis::Y) {
+            return Err(Error::ValueWordMissing);
+        }
+        let order = self.order(begins)?;
+        let weight = match self.take(b'P') {
+            true if self.line.value.p <= Decimal::ZERO => return Err(Error::ValueOutOfRange),
+            true => self.line.value.p.to_f32(),
+            false if has_point => return Err(Error::ValueWordMissing),
+            false => 1.0,
+        };
+        if has_point && !begins && self.state.control_points.iter().all(ControlPoints::is_full) {
+            return Err(Error::TooManyControlPoints);
+        }
+        let start = in_xy(&self.state.position);
+        let target = self.target();
+        reachable(&target)?;
+        // The tool is where it was, and what has been written for it holds.
+        self.checked.rotated.reached = None;
+        self.checked.rotated.scaled.rest = None;
+        let weight_of_start = if has_point { 1.0 } else { weight };
+        self.checked.after.keeping = Keeping::Add(
+            [Addition {
+                start: begins.then_some(WeightedPoint { place: start, weight: weight_of_start }),
+                point: has_point.then_some(WeightedPoint { place: in_xy(&target), weight }),
+                order,
+            }; SPLINES as usize],
+        );
+        Ok(())
+    }
+
+    /// L, or the order so far.
+    fn order(&mut self, begins: bool) -> Result<u8, Error> {
+        if !self.take(b'L') {
+            return Ok(if begins { ORDER } else { self.order_so_far() });
+        }
+        let order = whole(self.line.value.l)?;
+        match u32::try_from(order) {
+            Ok(order) if ORDERS.contains(&order) => Ok(order as u8),
+            _ => Err(Error::ValueOutOfRange),
+        }
+    }
+
+    fn order_so_far(&self) -> u8 {
+        self.state.control_points.first().map_or(ORDER, ControlPoints::order)
+    }
+
+    /// G5.3: along the curve of the control points. No motion stays in force.
+    #[inline(never)]
+    pub(super) fn nurbs(&mut self) -> Result<(), Error> {
+        self.checked.modal.motion = MotionMode::Cancelled;
+        if self.claim == Claim::Motion {
+            return Err(Error::AxisWordsUnused);
+        }
+        if !self.has_control_points() {
+            return Err(Error::ControlPointsNotBegun);
+        }
+        let (points, order) = (self.state.control_points(), self.order_so_far());
+        if points.len() < usize::from(order) {
+            return Err(Error::TooFewControlPoints);
+        }
+        if self.checked.modal.feed == Decimal::ZERO {
+            return Err(Error::UndefinedFeed);
+        }
+        let start = self.state.position;
+        let mut target = start;
+        for (axis, part) in [Axis::X, Axis::Y].into_iter().zip(points.last().map_or(in_xy(&start), |last| last.place)) {
+            target.set(axis, part);
+        }
+        self.checked.motion = Motion::Nurbs(NurbsMove { start, target, order, feed: self.feed_of_motion() });
+        self.checked.position = target;
+        Ok(())
+    }
+}

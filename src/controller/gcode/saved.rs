@@ -1,0 +1,95 @@
+//! States that M70 and M73 have saved: the program's own, and one of each call that is under way.
+
+use super::EXPRESSIONS;
+use super::modal::Modal;
+use crate::axes::PerAxis;
+use crate::units::Coordinate;
+
+/// So many states are saved at once: without subroutines one.
+const MOST: usize = if EXPRESSIONS { 8 } else { 1 };
+/// The call of a state that is to be restored has returned already.
+const RETURNED: u8 = u8::MAX;
+
+/// A saved state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Saved<const N: usize> {
+    pub modal: Modal,
+    pub tool_length: PerAxis<Coordinate, N>,
+    pub g92_acts: bool,
+    /// Calls under way when it was saved.
+    pub level: u8,
+    /// M73: it is restored at the end of its call.
+    pub until_return: bool,
+    /// M71: not unless another takes its place.
+    pub is_forgotten: bool,
+}
+
+/// All saved states, at most one of each level of calls.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SavedStates<const N: usize>(heapless::Vec<Saved<N>, MOST>);
+
+impl<const N: usize> SavedStates<N> {
+    pub const fn new() -> Self {
+        Self(heapless::Vec::new())
+    }
+
+    /// Whether M72 has nothing to restore.
+    pub fn is_empty(&self) -> bool {
+        self.0.iter().all(|saved| saved.is_forgotten)
+    }
+
+    /// What M72 restores at a level of calls; of a call that has returned its own.
+    pub fn of(&self, level: u8) -> Option<&Saved<N>> {
+        let at = |level| self.at(level).filter(|saved| !saved.is_forgotten);
+        at(RETURNED).or_else(|| at(level))
+    }
+
+    fn at(&self, level: u8) -> Option<&Saved<N>> {
+        self.0.iter().find(|saved| saved.level == level)
+    }
+
+    /// Whether a state of this level can be saved.
+    pub fn has_room(&self, level: u8) -> bool {
+        !self.0.is_full() || self.at(level).is_some()
+    }
+
+    /// Takes the place of what was saved at the same level; M73 stays in force.
+    pub fn save(&mut self, mut saved: Saved<N>) {
+        saved.until_return |= self.at(saved.level).is_some_and(|before| before.until_return);
+        self.0.retain(|before| before.level != saved.level);
+        let _ = self.0.push(saved);
+    }
+
+    /// M71.
+    pub fn forget(&mut self, level: u8) {
+        if let Some(saved) = self.0.iter_mut().find(|saved| saved.level == level) {
+            saved.is_forgotten = true;
+        }
+    }
+
+    /// Calls have ended, back to this level. Whether M73 wants a state restored.
+    #[cfg_attr(not(feature = "expressions"), allow(dead_code, reason = "there are no calls"))]
+    pub fn leave(&mut self, level: u8) -> bool {
+        let mut restores = false;
+        self.0.retain_mut(|saved| {
+            let leaves = saved.level > level;
+            let restored = leaves && saved.until_return && !saved.is_forgotten;
+            if restored {
+                saved.level = RETURNED;
+                restores = true;
+            }
+            !leaves || restored
+        });
+        restores
+    }
+
+    /// Calls are given up, or have returned with what they wanted restored.
+    pub fn abandon(&mut self, level: u8) {
+        self.0.retain(|saved| saved.level <= level);
+    }
+
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+}

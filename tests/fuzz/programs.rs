@@ -1,0 +1,132 @@
+//! Programs on a homed machine with soft limits, each line through the whole controller to the pulses: every dialect, lines,
+//! arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect.
+//!
+//! Promises: no pulse lies outside of the travel; each line is answered once, after a bounded number of rounds; nothing
+//! moves in an alarm; at rest the reported position is that of the pulses.
+
+use super::board::{AXES, Board, shows};
+use oxmill_controller::messages::Realtime;
+use std::collections::BTreeMap;
+
+/// Steps in a millimetre: few, so that a program is short. An execution is of as many lines as its input has.
+const STEPS_PER_MM: i64 = 4;
+/// Travel, mm.
+const TRAVEL: i32 = 60;
+const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $120=4000 $121=4000 $122=4000 $130=60 $131=60 \
+    $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
+/// Where the motors stand at the switches, steps from where they are at power-up.
+const SWITCHES: i32 = 20;
+/// Waits for an answer before the program is left to itself: a loop has no end of its own.
+const MOST_WAITS: usize = 40;
+/// Rounds without time in between that a line may take before it is taken for a loop, and how often one input may.
+const MOST_ROUNDS: usize = 600;
+const MOST_UNENDED: usize = 2;
+/// Lines of an input.
+const MOST_LINES: usize = 48;
+
+thread_local! {
+    /// Homed, in each dialect: a copy is cheaper than another homing.
+    static HOMED: [Board; 3] = ["$900=1", "$900=0", "$900=2"].map(homed);
+}
+
+fn homed(dialect: &str) -> Board {
+    let mut board = Board::new(BTreeMap::new());
+    for line in SETTINGS.split_ascii_whitespace().chain([dialect]) {
+        let said = board.ask(line);
+        assert!(said.ends_with("ok\r\n"), "{line}: {said}");
+    }
+    board.send(b"$H\n");
+    for _ in 0..200_000 {
+        let switches = board.motors.iter().enumerate().filter(|(_, place)| **place >= SWITCHES);
+        let word = switches.map(|(axis, _)| 1 << axis).sum();
+        board.inputs(word);
+        board.pass(200, false);
+        if board.controller.is_idle() && board.controller.is_trusted() {
+            break;
+        }
+    }
+    assert!(board.controller.is_trusted(), "homed: {} {:?}", board.take_said(), board.motors);
+    let places = board.controller.machine_position();
+    let mut zero = board.motors;
+    for (zero, place) in zero.iter_mut().zip(places.iter()) {
+        *zero -= (place.0 * STEPS_PER_MM / 10_000_000) as i32;
+    }
+    let travel = TRAVEL * STEPS_PER_MM as i32;
+    board.travel = Some(zero.map(|zero| (zero - travel, zero)));
+    board.inputs(0);
+    board.settle();
+    board.take_said();
+    board.most_rounds = MOST_ROUNDS;
+    board
+}
+
+/// The target.
+pub fn run(data: &[u8]) {
+    let Some((first, text)) = data.split_first() else { return };
+    let mut board = HOMED.with(|boards| boards[usize::from(*first % 3)].clone());
+    for line in text.split(|byte| matches!(byte, b'\n' | b'\r')).take(MOST_LINES) {
+        // Commands and settings may say that the travel is another; jogs may not. What a link takes for a command of its own
+        // is in no line.
+        let is_command = line.contains(&b'$') && !line.starts_with(b"$J=");
+        if is_command || line.iter().any(|byte| matches!(byte, b'!' | b'?' | b'~' | 0x18 | 0x80..)) {
+            continue;
+        }
+        if !board.has_time() || !carry_out(&mut board, line) {
+            break;
+        }
+    }
+    end(board);
+}
+
+/// Sends a line and waits for its answer; false if there is none, as in a loop without end.
+fn carry_out(board: &mut Board, line: &[u8]) -> bool {
+    if !board.has_room(line.len() + 1) {
+        return false;
+    }
+    board.send(line);
+    board.send(b"\n");
+    board.settle();
+    for wait in 0..MOST_WAITS {
+        if board.is_read() {
+            if shows() {
+                println!("{:?} {:?} {:?}", String::from_utf8_lossy(line), board.take_said(), board.motors);
+            }
+            if board.controller.alarm().is_some() {
+                // Where the machine has been stopped at speed it is not trusted any more, and nothing holds it.
+                board.ask("$X");
+                if !board.controller.is_trusted() {
+                    board.travel = None;
+                }
+            }
+            return true;
+        }
+        if board.unended > MOST_UNENDED {
+            return false;
+        }
+        board.pass(50_000 << (wait / 4).min(12), false);
+        if wait % 4 == 3 {
+            // M0, M6 and the like wait for somebody.
+            board.command(Realtime::CycleStart);
+            board.settle();
+        }
+    }
+    false
+}
+
+/// Whatever moves comes to its end, and the position is that of the pulses.
+fn end(mut board: Board) {
+    for _ in 0..MOST_WAITS {
+        if board.controller.is_idle() || !board.has_time() || board.unended > MOST_UNENDED {
+            break;
+        }
+        board.pass(200_000, false);
+    }
+    let Some(travel) = board.travel.filter(|_| board.controller.is_idle()) else { return };
+    let places = board.controller.machine_position();
+    for (axis, place) in places.iter().enumerate().take(AXES) {
+        let steps = i64::from(board.motors[axis] - travel[axis].1);
+        // In hundredths of a step.
+        let apart = place.0 * STEPS_PER_MM / 100_000 - 100 * steps;
+        assert!(apart.abs() <= 100, "axis {axis} is at {} of 0.1 nm, and has made {steps} steps", place.0);
+    }
+}

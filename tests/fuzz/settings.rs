@@ -1,0 +1,269 @@
+//! `$` commands and texts of settings, startup lines, macros and build info in each dialect, with a store that works or does
+//! not, and power-ups in between. The first byte chooses the dialect.
+//!
+//! Promises: each line is answered once; one that is refused leaves every listing as it was; one that is accepted reads back
+//! as it was set and changes nothing else; after a power-up all is as it was, if the store has taken it.
+
+use super::board::{Board, shows};
+use arbitrary::{Arbitrary, Unstructured};
+use oxmill_controller::settings::Key;
+use std::collections::BTreeMap;
+
+#[derive(Arbitrary)]
+enum Action<'a> {
+    Set { number: Number, value: Value },
+    Raw(u16, &'a str),
+    Startup(u8, &'a str),
+    Macro(u8, &'a str),
+    MacroOf(u8, u8),
+    Info(&'a str),
+    Restore(u8),
+    Command(u8),
+    Text(&'a str),
+    StoreFails(bool),
+    PowerUp,
+}
+
+#[derive(Arbitrary)]
+enum Number {
+    /// One that there is.
+    Known(u8),
+    Any(u16),
+}
+
+#[derive(Arbitrary)]
+enum Value {
+    Small(u8),
+    Decimal(i32, u8),
+    Text([u8; 4]),
+}
+
+/// Settings with a meaning beyond their value, or with neighbours.
+const KNOWN: [u16; 48] = [
+    0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 20, 21, 22, 23, 24, 25, 26, 27, 29, 30, 31, 32, 33, 37, 40, 41, 43, 44, 56,
+    57, 58, 59, 100, 101, 110, 112, 120, 122, 130, 132, 140, 900, 901, 904, 905, 924, 928,
+];
+const LINES: [&str; 10] =
+    ["O1SUB", "O1ENDSUB", "G0X1", "O2IF[#1]", "O2ENDIF", "O1RETURN", "(a)", "G91", "#1=2", "O1CALL"];
+const COMMANDS: [&str; 10] = ["$X", "$", "$G", "$I", "$C", "$RC", "$PINS", "$ES", "$EG", "$SLP"];
+/// What is listed of all that can be set.
+const LISTINGS: [&str; 5] = ["$$", "$#", "$N", "$I", "$M"];
+/// Lines of `$#` that a power-up forgets.
+const PASSING: [&str; 3] = ["[G92", "[TLO", "[PRB"];
+
+impl Number {
+    fn number(&self) -> u16 {
+        match self {
+            Number::Known(index) => KNOWN[usize::from(*index) % KNOWN.len()],
+            Number::Any(number) => *number,
+        }
+    }
+}
+
+impl Value {
+    fn text(&self) -> String {
+        match self {
+            Value::Small(value) => value.to_string(),
+            Value::Decimal(value, places) => {
+                let digits = format!("{:010}", value.unsigned_abs());
+                let (whole, part) = digits.split_at(10 - usize::from(places % 10));
+                format!("{}{}.{part}", if *value < 0 { "-" } else { "" }, whole.trim_start_matches('0'))
+            }
+            Value::Text(bytes) => {
+                bytes.iter().map(|byte| char::from(b"0123456789.-+eE "[usize::from(byte % 16)])).collect()
+            }
+        }
+    }
+}
+
+/// What the listings say, a line after the other.
+type Listed = Vec<String>;
+
+#[derive(Clone)]
+struct Machine {
+    board: Board,
+    listed: Listed,
+    /// All that has been set since the last power-up has been stored.
+    is_stored: bool,
+}
+
+/// Actions of an input: after each all is listed.
+const MOST_ACTIONS: usize = 16;
+
+thread_local! {
+    /// As it is after a start, in each dialect.
+    static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
+        let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true };
+        machine.board.ask(dialect);
+        machine.listed = machine.list();
+        machine
+    });
+}
+
+/// The target.
+pub fn run(data: &[u8]) {
+    let Some((first, data)) = data.split_first() else { return };
+    let mut machine = STARTED.with(|machines| machines[usize::from(first % 3)].clone());
+    let mut input = Unstructured::new(data);
+    for _ in 0..MOST_ACTIONS {
+        if input.is_empty() {
+            break;
+        }
+        let Ok(action) = input.arbitrary() else { break };
+        machine.act(action);
+    }
+}
+
+/// A text that is one line, and which the link takes for nothing else.
+fn one_line(text: &str) -> String {
+    text.chars().filter(|c| c.is_ascii() && !c.is_ascii_control() && !matches!(c, '!' | '?' | '~')).take(110).collect()
+}
+
+/// As the controller reads it: no blanks, no remarks, upper case.
+fn is_plain(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_graphic() && !byte.is_ascii_lowercase() && !b"();\\/\"%".contains(&byte))
+}
+
+impl Machine {
+    fn act(&mut self, action: Action) {
+        match action {
+            Action::Set { number, value } => self.set(number.number(), &value.text()),
+            Action::Raw(number, text) => self.set(number, &one_line(text)),
+            Action::Startup(index, text) => self.text(&format!("$N{}=", index % 3), &one_line(text), "$N"),
+            Action::Macro(index, text) => self.text(&format!("$M{}=", index % 66), &one_line(text), "$M"),
+            Action::MacroOf(index, which) => {
+                self.text(&format!("$M{}=", index % 8), LINES[usize::from(which) % LINES.len()], "$M");
+            }
+            Action::Info(text) => self.text("$I=", &one_line(text), "$I"),
+            Action::Restore(which) => {
+                let line = ["$RST=$", "$RST=#", "$RST=*", "$RST=&"][usize::from(which % 4)];
+                let _ = self.line(line, |_, _| true);
+            }
+            Action::Command(which) => {
+                let _ = self.line(COMMANDS[usize::from(which) % COMMANDS.len()], |_, _| false);
+            }
+            Action::Text(text) => {
+                let _ = self.line(&one_line(text), |_, _| true);
+            }
+            Action::StoreFails(fails) => self.board.store_fails = fails,
+            Action::PowerUp => self.power_up(),
+        }
+    }
+
+    /// Sends a line; what is listed changes only where it may, and not at all if it was refused.
+    fn line(&mut self, line: &str, may: impl Fn(&str, &str) -> bool) -> bool {
+        let said = self.board.ask(line);
+        if shows() {
+            println!("{line:?} {said:?}");
+        }
+        self.is_stored &= !self.board.store_fails;
+        if line.contains("$SLP") || said.contains("[MSG:Sleeping]") {
+            self.reset();
+        }
+        let answers: Vec<&str> = said.lines().filter(|said| *said == "ok" || said.starts_with("error:")).collect();
+        assert_eq!(answers.len(), 1, "{line:?}: {said}");
+        // Whatever it has begun has its end, or is ended.
+        if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || line.contains("$C") {
+            self.reset();
+        }
+        let listed = self.list();
+        let accepted = answers == ["ok"];
+        let lines = self.listed.len().max(listed.len());
+        for index in 0..lines {
+            let before = self.listed.get(index).map_or("", String::as_str);
+            let after = listed.get(index).map_or("", String::as_str);
+            assert!(before == after || accepted && may(before, after), "{line:?} {said:?}: {before} is {after}");
+        }
+        self.listed = listed;
+        accepted
+    }
+
+    fn reset(&mut self) {
+        self.board.command(oxmill_controller::messages::Realtime::Reset);
+        self.board.pass(300_000, false);
+        self.board.ask("$X");
+    }
+
+    /// A setting: as it was set, in the digits of the report; its neighbours stay.
+    fn set(&mut self, number: u16, text: &str) {
+        let name = format!("${number}=");
+        // Homing switches soft limits off with it; inches are another way to say the same; another dialect has other lists.
+        let follows = |line: &str| match number {
+            22 => line.starts_with("$20="),
+            13 => line.starts_with("[G") || line.starts_with("[T") || line.starts_with("[P"),
+            900 => true,
+            _ => false,
+        };
+        let accepted = self.line(&format!("{name}{text}"), |before, after| {
+            before.starts_with(&name) && after.starts_with(&name) || follows(before) || follows(after)
+        });
+        if accepted && number != 900 {
+            let Some(entry) = self.listed.iter().find_map(|line| line.strip_prefix(&name)) else {
+                // Grbl's dialect takes all of them and lists its own.
+                assert!(self.board.controller.settings().whole(Key::Dialect) == 0, "{name} is not listed");
+                return;
+            };
+            let listed: f64 = entry.split(' ').next().unwrap_or_default().parse().expect("a number");
+            let set: f64 = text.trim().parse().unwrap_or(f64::NAN);
+            // Whole numbers are cut, rates of the spindle shown without decimals, of switches anything but 0 is 1, others are
+            // shown with three decimals.
+            let whole = !entry.contains('.');
+            let switched = listed == 1.0 && set.trunc() != 0.0;
+            let near = if whole {
+                (set - listed).abs() <= 1.0 + set.abs() * 1e-6 || switched
+            } else {
+                (set - listed).abs() <= 0.0011 + set.abs() * 1e-6
+            };
+            assert!(near || set.is_nan(), "${number}={text} is {entry}");
+        }
+    }
+
+    /// A text: as it was set, and nothing else has changed.
+    fn text(&mut self, name: &str, text: &str, listing: &str) {
+        let number = name.trim_start_matches("$N").trim_start_matches("$M").trim_end_matches('=');
+        let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
+        let accepted = self.line(&format!("{name}{text}"), |before, after| {
+            // The listing of macros has those alone that there are: all behind one that comes or goes are elsewhere.
+            let of = |line: &str| {
+                line.is_empty() || line.starts_with(listing) || listing == "$I" && line.starts_with("[VER")
+            };
+            // A startup line is carried out when it is set.
+            let carried_out = |line: &str| listing == "$N" && line.starts_with("[");
+            of(before) || of(after) || carried_out(before) || carried_out(after)
+        });
+        if accepted && is_plain(text) && listing != "$I" && !text.is_empty() {
+            let found = self.listed.iter().any(|line| line.starts_with(&shown) && line.ends_with(text));
+            assert!(found, "{name}{text} is not in {:#?}", self.listed);
+        }
+    }
+
+    fn list(&mut self) -> Listed {
+        let mut listed = Vec::new();
+        for listing in LISTINGS {
+            let said = self.board.ask(listing);
+            // The letters of the options follow from settings.
+            let kept = said.lines().filter(|line| *line != "ok" && !line.starts_with("[OPT:"));
+            listed.extend(kept.map(str::to_owned));
+        }
+        listed
+    }
+
+    /// What was stored is there again; startup lines are carried out, and change no listing but what passes.
+    fn power_up(&mut self) {
+        self.board = Board::new(std::mem::take(&mut self.board.records));
+        self.board.pass(2_000_000, false);
+        self.reset();
+        let listed = self.list();
+        if self.is_stored {
+            let kept = |listed: &Listed| -> Listed {
+                let passes = |line: &String| PASSING.iter().any(|start| line.starts_with(start));
+                listed.iter().filter(|line| !passes(line)).cloned().collect()
+            };
+            let (before, after) = (kept(&self.listed), kept(&listed));
+            let differ = before.iter().zip(&after).find(|(before, after)| before != after);
+            assert!(before == after, "after a power-up {differ:?}, {} and {} lines", before.len(), after.len());
+        }
+        self.listed = listed;
+        self.is_stored = true;
+    }
+}

@@ -1,0 +1,181 @@
+//! A fourth axis that turns, on the steps of the machine: it moves evenly with X, Y and Z, comes to its end exactly, and F means
+//! what RS274NGC says (2.1.2.5 and 2.1.2.6).
+
+use oxmill_simulator::{Options, Simulator, boards};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+const HZ: f64 = boards::DESK.step_clock_hz as f64;
+/// Steps of a mm of X, Y and Z, and of a degree.
+const STEPS: [f64; 4] = [400.0, 320.0, 450.0, 100.0];
+/// Large, so that ramps take next to no time.
+const ACCELERATION: f64 = 100_000.0;
+
+fn mill() -> Simulator {
+    let mut mill = Simulator::new(Options { keep_steps: true, ..Options::default() });
+    run(&mut mill, "$930=4\n$0=1\n");
+    for (axis, steps) in STEPS.iter().enumerate() {
+        run(&mut mill, &format!("$10{axis}={steps}\n$11{axis}=60000\n$12{axis}={ACCELERATION}\n"));
+    }
+    run(&mut mill, "G21 G91\n");
+    mill.trace_mut().restart();
+    mill
+}
+
+/// All lines, to the end.
+fn run(mill: &mut Simulator, text: &str) {
+    mill.send(text);
+    assert!(mill.run_until_idle(), "{text}");
+    let said = mill.take_output();
+    assert!(!said.contains("error") && !said.contains("ALARM"), "{text}: {said}");
+}
+
+/// Seconds, and the steps of all axes, of each step event.
+fn course(mill: &Simulator) -> Vec<(f64, [f64; 4])> {
+    let place = |record: &oxmill_simulator::trace::StepRecord| {
+        let ([x, y, z], [a]) = (record.position, record.rotary);
+        [x, y, z, a].map(f64::from)
+    };
+    mill.trace().kept().iter().map(|record| (record.at as f64 / HZ, place(record))).collect()
+}
+
+/// From the first to the last step.
+fn seconds(mill: &Simulator) -> f64 {
+    let course = course(mill);
+    course.last().expect("it moves").0 - course[0].0
+}
+
+/// How long a line takes after this one.
+fn time_of(line: &str) -> f64 {
+    let mut mill = mill();
+    run(&mut mill, &format!("{line}\n"));
+    seconds(&mill)
+}
+
+#[track_caller]
+fn near(found: f64, expected: f64) {
+    assert!((found - expected).abs() < 0.01 * expected + 0.002, "{found} s, not {expected}");
+}
+
+#[test]
+fn f_is_along_x_y_and_z_or_degrees_per_minute() {
+    near(time_of("G1 X30 Y40 F600"), 5.0);
+    near(time_of("G1 X30 Y40 A90 F600"), 5.0);
+    near(time_of("G1 X30 Y40 A-720 F600"), 5.0);
+    near(time_of("G1 A90 F600"), 9.0);
+    near(time_of("G20 G1 A90 F600"), 9.0);
+    near(time_of("G20 G1 X1 A90 F10"), 6.0);
+    near(time_of("G93 G1 X1 A90 F12"), 5.0);
+    near(time_of("G93 G1 A90 F12"), 5.0);
+    near(time_of("$J=A90 F600"), 9.0);
+}
+
+/// A quarter of a circle of radius 20 at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
+#[test]
+fn an_arc_takes_it_along_and_keeps_its_feed() {
+    let quarter = 20.0 * core::f64::consts::FRAC_PI_2 / 10.0;
+    near(time_of("G2 X20 Y-20 J-20 F600"), quarter);
+    near(time_of("G2 X20 Y-20 J-20 A90 F600"), quarter);
+    near(time_of("G2 X20 Y-20 J-20 A-900 F600"), quarter);
+    let turns = ((6.0 * core::f64::consts::PI * 10.0).powi(2) + 15.0 * 15.0_f64).sqrt() / 10.0;
+    near(time_of("G17 G3 Z15 I10 P3 F600"), turns);
+    near(time_of("G17 G3 Z15 I10 P3 A1080 F600"), turns);
+    near(time_of("G19 G3 X15 J10 P3 A45 F600"), turns);
+    near(time_of("G93 G2 X20 Y-20 J-20 A90 F12"), 5.0);
+}
+
+/// What the axis can do holds whatever F asks for.
+#[test]
+fn its_own_rate_bounds_the_path() {
+    let mut mill = mill();
+    run(&mut mill, "$113=3600\nG1 X10 A120 F6000\n");
+    near(seconds(&mill), 2.0);
+    assert_eq!(mill.machine().motors(), [4000, 0, 0, 12_000]);
+}
+
+/// The evenness of an arc: A turns in proportion to the angle about its centre.
+#[test]
+fn it_turns_evenly_along_an_arc() {
+    let mut mill = mill();
+    run(&mut mill, "G2 X40 I20 A300 F1200\n");
+    for (_, [x, y, _, a]) in course(&mill) {
+        let (x, y) = (20.0 - x / STEPS[0], y / STEPS[1]);
+        let turned = y.atan2(x) / core::f64::consts::PI;
+        // Two steps of the circle, seen from its centre, and one of A.
+        let slack = 2.0 / STEPS[1] / 20.0 / core::f64::consts::PI + 1.0 / STEPS[3] / 300.0;
+        assert!((turned - a / STEPS[3] / 300.0).abs() < slack, "{turned} {a}");
+    }
+    assert_eq!(mill.machine().motors(), [16_000, 0, 0, 30_000]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
+
+    /// On a line each axis is within a step of its share of the way, at every step; and the ends are exact however many lines
+    /// there are.
+    #[test]
+    fn it_interpolates_with_the_others(
+        ways in prop::collection::vec(prop::array::uniform4(-2000_i32..2000), 1..6), feed in 60_u32..6000,
+    ) {
+        let mut mill = mill();
+        let mut place = [0.0; 4];
+        for way in ways {
+            let step = way.map(|hundredths| f64::from(hundredths) / 100.0);
+            if step == [0.0; 4] {
+                continue;
+            }
+            mill.trace_mut().restart();
+            let from = mill.machine().motors().map(f64::from);
+            let [x, y, z, a] = step;
+            run(&mut mill, &format!("G1 X{x:.2} Y{y:.2} Z{z:.2} A{a:.2} F{feed}\n"));
+            place = std::array::from_fn(|axis| place[axis] + step[axis]);
+            let motors: [f64; 4] = mill.machine().motors().map(f64::from);
+            let whole: [f64; 4] = std::array::from_fn(|axis| motors[axis] - from[axis]);
+            let dominant = (0..4).max_by(|a, b| whole[*a].abs().total_cmp(&whole[*b].abs())).unwrap_or(0);
+            for (_, steps) in course(&mill) {
+                // The dominant axis is up to half a step behind or ahead of the way, too.
+                let part = (steps[dominant] - from[dominant]) / whole[dominant];
+                for axis in 0..4 {
+                    let meant = from[axis] + whole[axis] * part;
+                    prop_assert!((steps[axis] - meant).abs() < 1.01, "axis {axis}: {} for {meant}", steps[axis]);
+                }
+            }
+            for axis in 0..4 {
+                prop_assert!((motors[axis] - place[axis] * STEPS[axis]).abs() < 0.501, "axis {axis}: {motors:?} {place:?}");
+            }
+        }
+    }
+}
+
+/// With three axes in use the machine makes the steps that it makes without a fourth, whatever that was told before.
+#[test]
+fn three_axes_are_as_without_it() {
+    let job = "G21 G90\nG1 X3 Y2 F900\nG2 X6 Y5 I3 A_\nG0 Z1\nG1 X0.1 Y0.2 Z0.3\n";
+    let digest = |fourth: bool| {
+        let mut mill = Simulator::new(Options::default());
+        if fourth {
+            run(&mut mill, "$930=4\n$103=33.3\nG0 A7.1\nG28.1\n$930=3\n");
+            mill.trace_mut().restart();
+        }
+        run(&mut mill, &job.replace(" A_", ""));
+        (mill.trace().digest().order_hash(), mill.trace().digest().time_hash(), mill.machine().position())
+    };
+    let ((order, _, place), (other_order, _, other_place)) = (digest(false), digest(true));
+    assert_eq!((order, place), (other_order, other_place));
+}
+
+/// A path tolerance is for X, Y and Z: lines along which A turns stay exact, whatever turns them.
+#[test]
+fn a_path_tolerance_leaves_moves_with_it_exact() {
+    let digest = |path: &str, a: &str| {
+        let mut mill = mill();
+        let back = a.replace("A", "A-");
+        let lines = [("X5", a), ("Y5", a), ("X-5", back.as_str()), ("Y0.02", a), ("Y0.03 X0.001", a), ("X-5 Y3", a)];
+        let lines: String = lines.iter().map(|(way, a)| format!("{way} {a}\n")).collect();
+        run(&mut mill, &format!("{path}\nG1 F6000\n{lines}"));
+        (mill.trace().digest().order_hash(), mill.trace().digest().time_hash())
+    };
+    assert_ne!(digest("G64 P0.2", ""), digest("G61", ""), "corners are rounded");
+    assert_eq!(digest("G64 P0.2", "A7"), digest("G61", "A7"));
+    assert_eq!(digest("G64 P0.2", "A0.01"), digest("G61", "A0.01"));
+}

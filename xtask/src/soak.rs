@@ -1,0 +1,310 @@
+//! Long runs of the firmware: a job of any length with holds, doors, overrides, reports, stops, resets and hosts that close
+//! their port, on QEMU or on a virtual board. `tests/soak.rs` is the same on the simulator.
+//!
+//! At each rest every line has been answered once, the motors have made the steps that the program asked for and no other,
+//! and the reported position is theirs. How deep the stack has been is told at the start, in the middle and at the end: the
+//! firmware allocates nothing else.
+
+use crate::qemu::{self, Preload};
+use crate::script::Script;
+use crate::{Failure, QEMU_BOARD, image, root, virtual_board};
+use oxmill_test_support::program::{AXES, Program, SETTINGS, STEPS_PER_MM};
+use oxmill_test_support::{Random, numbers};
+use std::collections::VecDeque;
+use std::fs;
+use std::time::{Duration, Instant};
+
+/// Lines that may be unanswered while the next is sent: shorter than the receive queue together.
+const ON_THEIR_WAY: usize = 4;
+/// More lines than a machine carries out in a second.
+const LINES_PER_SECOND: u64 = 25;
+/// Wall time for a second of machine time in QEMU, at most, s.
+const SLOWEST: u64 = 10;
+
+/// What has been sent in a record beside lines, and what holds at its end.
+struct Record {
+    sent: Sent,
+    end: End,
+}
+
+/// Of what is no line.
+#[derive(Clone, Copy, Default)]
+struct Sent {
+    holds: u64,
+    overrides: u64,
+    hosts: u64,
+}
+
+enum End {
+    /// So many lines have been answered, and the motors are so many steps from where they were when the program began anew.
+    Rest { lines: u64, place: [i64; AXES] },
+    /// Motion was ended: the program begins anew from here.
+    Stopped,
+}
+
+/// What happens to the job.
+#[derive(Default, Debug)]
+struct Counts {
+    lines: u64,
+    rests: u64,
+    polls: u64,
+    holds: u64,
+    overrides: u64,
+    stops: u64,
+    resets_in_motion: u64,
+    hosts: u64,
+}
+
+/// A job as a script, and what holds at the end of each of its records.
+struct Job {
+    script: Script,
+    random: Random,
+    program: Program,
+    waiting: VecDeque<String>,
+    records: Vec<Record>,
+    sent: Sent,
+    has_port: bool,
+}
+
+impl Job {
+    fn new(seed: u64, seconds: u64, has_port: bool) -> Job {
+        let mut job = Job {
+            script: Script::default(),
+            random: Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
+            program: Program { place: [0; AXES], relative: false },
+            waiting: SETTINGS.map(str::to_owned).into(),
+            records: Vec::new(),
+            sent: Sent::default(),
+            has_port,
+        };
+        job.script.wait(300);
+        job.note(End::Stopped);
+        let mut lines = 0;
+        while lines < LINES_PER_SECOND * seconds {
+            // A virtual board is slow: it rests more often.
+            for _ in 0..1 + job.random.below(if has_port { 12 } else { 60 }) {
+                job.program.lines(&mut job.random, &mut job.waiting);
+            }
+            lines += job.chunk();
+            job.script.end_after((seconds * 1_000) as u32);
+        }
+        job
+    }
+
+    fn note(&mut self, end: End) {
+        self.script.note();
+        let sent = std::mem::take(&mut self.sent);
+        self.records.push(Record { sent, end });
+    }
+
+    /// Sends all that waits, and what happens meanwhile; the lines of it.
+    fn chunk(&mut self) -> u64 {
+        let mut sent = 0;
+        while let Some(line) = self.waiting.pop_front() {
+            if sent >= ON_THEIR_WAY {
+                self.script.answers((sent - ON_THEIR_WAY + 1) as u32);
+            }
+            self.script.send(format!("{line}\n").as_bytes());
+            sent += 1;
+            if self.random.below(12) == 0 {
+                self.disturb();
+            }
+            if self.random.below(300) == 0 {
+                self.interrupt();
+                return sent as u64;
+            }
+        }
+        self.script.answers(sent as u32);
+        if self.has_port && self.random.below(4) == 0 {
+            // The host goes while the machine may still move, which brakes then and resumes when it is told to.
+            self.script.reopen(self.random.below(100) as u32);
+            self.sent.hosts += 1;
+            self.resume();
+        }
+        self.script.wait(20);
+        self.script.wait_for_idle(50);
+        self.note(End::Rest { lines: sent as u64, place: self.program.place });
+        sent as u64
+    }
+
+    /// One `~` may come while the machine still brakes.
+    fn resume(&mut self) {
+        self.script.send(b"~");
+        self.script.wait(600);
+        self.script.send(b"~");
+    }
+
+    fn disturb(&mut self) {
+        match self.random.below(12) {
+            0 | 1 => self.script.send(b"?"),
+            2..=5 => {
+                self.script.send(&[[b'!', 0x84][usize::from(self.random.below(4) == 0)]]);
+                self.script.wait(self.random.below(150) as u32);
+                self.resume();
+                self.sent.holds += 1;
+            }
+            // Jog cancel: there is no jog.
+            6 => self.script.send(&[0x85]),
+            _ => {
+                let bytes = [0x90, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99, 0x9A, 0x9B];
+                self.script.send(&[bytes[self.random.below(11) as usize]]);
+                self.sent.overrides += 1;
+            }
+        }
+        self.script.wait(self.random.below(60) as u32);
+    }
+
+    /// Ends what is under way, and goes on from where it ended.
+    fn interrupt(&mut self) {
+        self.script.wait(self.random.below(200) as u32);
+        if self.random.below(3) == 0 {
+            self.script.send(&[0x19]);
+            self.script.wait(3_000);
+            self.resume();
+        } else {
+            self.script.send(&[0x18]);
+        }
+        self.script.wait(700);
+        self.script.send(b"?");
+        self.script.wait(100);
+        self.note(End::Stopped);
+        self.program = Program { place: [0; AXES], relative: false };
+        self.waiting = ["$X", "G90", "G92X0Y0Z0"].map(str::to_owned).into();
+    }
+}
+
+/// What the test stand says at the end of a record.
+#[derive(Clone, Copy)]
+struct Note {
+    bytes: usize,
+    ms: u64,
+    steps: [i64; AXES],
+    stack: [u32; 2],
+}
+
+impl Note {
+    fn of(line: &str) -> Option<Note> {
+        let words: Vec<&str> = line.strip_prefix("note ")?.split(' ').collect();
+        let field = |name: &str| words.iter().find_map(|word| word.strip_prefix(name));
+        let mut steps = field("steps=")?.split(',').map(|steps| steps.parse().ok());
+        Some(Note {
+            bytes: field("bytes=")?.parse().ok()?,
+            ms: field("at=")?.parse().ok()?,
+            steps: [steps.next()??, steps.next()??, steps.next()??],
+            stack: [field("stack=")?.parse().ok()?, words.last()?.parse().ok()?],
+        })
+    }
+}
+
+/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]`. A virtual board ends at the first rest after `--wall` seconds.
+pub fn run(arguments: &[&str]) -> Result<(), Failure> {
+    let (board, rest) = arguments.split_first().ok_or("soak on what? `qemu`, or a board")?;
+    let (mut seconds, mut seed, mut wall) = (60, 1, None);
+    for pair in rest.chunks(2) {
+        let ([name, number], Ok(value)) = (pair, pair.last().unwrap_or(&"").parse::<u64>()) else {
+            return Err(format!("{pair:?} is not `--minutes N`, `--seconds N`, `--wall N` or `--seed N`"));
+        };
+        match *name {
+            "--minutes" => seconds = value * 60,
+            "--seconds" => seconds = value,
+            "--seed" => seed = value,
+            "--wall" => wall = Some(value),
+            _ => return Err(format!("{number} of what? `{name}` is not known")),
+        }
+    }
+    let on_qemu = matches!(*board, "qemu" | QEMU_BOARD);
+    let job = Job::new(seed, seconds, !on_qemu);
+    let folder = root().join("target/soak");
+    let path = folder.join(board);
+    let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, job.script.codes()));
+    written.map_err(|error| format!("{}: {error}", path.display()))?;
+    let elf = image::build(if on_qemu { QEMU_BOARD } else { board })?.path;
+    let begin = Instant::now();
+    let (said, report) = if on_qemu {
+        qemu::preloaded(&elf, Preload::Script, &path, Duration::from_secs(SLOWEST * seconds))?
+    } else {
+        virtual_board::soak(board, &elf, &path, wall)?
+    };
+    let notes: Vec<Note> = report.lines().filter_map(Note::of).collect();
+    let counts = account(&job.records, &notes, &said)?;
+    let (Some(last), middle) = (notes.last(), notes.get(notes.len() / 2)) else {
+        return Err("nothing was noted".into());
+    };
+    let ratio = begin.elapsed().as_secs_f64() * 1000.0 / last.ms.max(1) as f64;
+    println!(
+        "soak on {board}, seed {seed}: {:.1} minutes of machine time, {ratio:.2} s each second",
+        last.ms as f64 / 6e4
+    );
+    println!("{counts:?}");
+    let depths: Vec<String> =
+        [notes.first(), middle, Some(last)].iter().flatten().map(|n| n.stack[0].to_string()).collect();
+    println!("stack at the start, in the middle, at the end: {} of {} bytes", depths.join(", "), last.stack[1]);
+    if last.ms < seconds * 1_000 && wall.is_none() {
+        Err(format!("the script was at its end after {} ms", last.ms))
+    } else {
+        Ok(())
+    }
+}
+
+/// Compares what was said and done with what the job asked for, a record after the other.
+fn account(records: &[Record], notes: &[Note], said: &str) -> Result<Counts, Failure> {
+    let mut counts = Counts::default();
+    let (mut base, mut from) = ([0; AXES], 0);
+    for (number, (record, note)) in records.iter().zip(notes).enumerate() {
+        let fail = |what: &str, text: &str| Err(format!("record {number} at {} ms: {what}\n{text}", note.ms));
+        let Some(text) = said.get(from..note.bytes) else { return fail("nothing was said", "") };
+        from = note.bytes;
+        let answers = text.lines().filter(|line| *line == "ok").count() as u64;
+        if text.contains("error:") {
+            return fail("an error", text);
+        }
+        counts.polls += text.lines().filter(|line| line.starts_with('<')).count() as u64;
+        if let Some(report) = text.lines().rfind(|line| line.starts_with('<')) {
+            let Some(place) = numbers::<AXES>(report, "MPos") else { return fail("no position", report) };
+            if place.map(|mm| (mm * STEPS_PER_MM).round() as i64) != note.steps {
+                return fail(&format!("the motors have made {:?} steps", note.steps), report);
+            }
+        }
+        counts.holds += record.sent.holds;
+        counts.overrides += record.sent.overrides;
+        counts.hosts += record.sent.hosts;
+        match &record.end {
+            End::Rest { lines, place } => {
+                let made: [i64; AXES] = std::array::from_fn(|axis| note.steps[axis] - base[axis]);
+                if answers != *lines || text.contains("ALARM") {
+                    return fail(&format!("{answers} answers to {lines} lines"), text);
+                }
+                if made != *place {
+                    return fail(&format!("{made:?} steps, and {place:?} were asked for"), text);
+                }
+                counts.lines += lines;
+                counts.rests += 1;
+            }
+            End::Stopped => {
+                base = note.steps;
+                counts.stops += u64::from(number > 0);
+                counts.resets_in_motion += u64::from(text.contains("ALARM:3"));
+            }
+        }
+    }
+    if counts.rests == 0 { Err("no record has come to its end".into()) } else { Ok(counts) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lost_step_and_a_lost_answer_are_seen() {
+        let ends = [End::Stopped, End::Rest { lines: 2, place: [250, 0, 0] }];
+        let records = ends.map(|end| Record { sent: Sent::default(), end });
+        let said = "Grbl\r\nok\r\nok\r\n<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n";
+        let report = |steps: i64| {
+            let line = format!("note bytes={} at=7 steps={steps},0,0 stack=9 of 90", said.len());
+            [Note::of("note bytes=6 at=1 steps=0,0,0 stack=8 of 90").expect("a note"), Note::of(&line).expect("a note")]
+        };
+        assert_eq!(account(&records, &report(250), said).expect("all is well").lines, 2);
+        assert!(account(&records, &report(249), said).is_err());
+        assert!(account(&records, &report(250), &said.replacen("ok", "no", 1)).is_err());
+    }
+}
