@@ -91,7 +91,7 @@ pub const NUCLEO_F401RE: Board = Board {
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
-    recording_pages: 12,
+    recording_pages: 6,
     ..HARDWARE
 };
 
