@@ -160,7 +160,9 @@ fn dialects_of_letter(letter: char) -> Vec<&'static str> {
         mill.take_output();
         mill.send(format!("{letter}1\n"));
         mill.run_until_idle();
-        if !mill.take_output().contains(&format!("error:{}", Error::UnsupportedCommand.code())) {
+        let output = mill.take_output();
+        let unknown = [Error::UnsupportedCommand, Error::NoParallelAxes];
+        if !unknown.iter().any(|error| output.contains(&format!("error:{}", error.code()))) {
             found.push(name);
         }
     }

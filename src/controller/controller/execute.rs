@@ -24,7 +24,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let checked = &self.line.checked;
         let checking = matches!(self.mode, Mode::Check);
         let stops_before = !jog && self.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
-        let drain = !checking && (stops_before || !checked.moves_only && self.acts_at_rest());
+        let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
@@ -74,7 +74,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Task::Job(job) = self.task {
             return !self.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
         }
-        let progressed = self.advance_task() || matches!(self.task, Task::JogWaits) && self.begin_waiting_jog();
+        let progressed = self.advance_task();
         if progressed {
             self.pins.disturb();
         }
@@ -85,7 +85,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
-        let only_moved = self.line.checked.moves_only
+        let only_moved = self.line.checked.moves_only()
             && !job.jog
             && matches!(self.mode, Mode::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
@@ -155,7 +155,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
                 Stage::Apply if !self.has_room_for_pins() => None,
                 // There is nothing to wait for but a record of a line before.
-                Stage::Apply if self.line.checked.moves_only && self.records.are_stored() => {
+                Stage::Apply if self.line.checked.moves_only() && self.records.are_stored() => {
                     self.interpreter.commit(&self.line.checked);
                     // A stop may have left another one.
                     self.accessories.set_speed(self.line.checked.speed);

@@ -322,6 +322,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.may_advance() && self.advance() {
             return Some(Output::Worked);
         }
+        if matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
+            self.pins.disturb();
+            return Some(Output::Worked);
+        }
         self.auto_start();
         if room.step
             && let Some(message) = self.step_message()

@@ -123,11 +123,11 @@ pub(super) enum Stage {
     Dwell,
     /// Spindle on: it has turned long enough at this moment, and tells that it is up to speed.
     SpinningUp,
-    /// G4 goes on when the hold ends.
+    /// G4 continues when the hold ends.
     DwellSuspended,
     /// M66 until a moment at most.
     Input,
-    /// The same, which goes on when the hold ends.
+    /// The same, which continues when the hold ends.
     InputSuspended,
     /// G28, G30: the intermediate point.
     Via,

@@ -36,9 +36,6 @@ pub struct Checked<const N: usize> {
     pub uses_machine_place: bool,
     /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
-    /// It is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by it, and nothing
-    /// waits for it. Nearly all lines are like that.
-    pub moves_only: bool,
     /// The motion.
     pub motion: Motion<N>,
     /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
@@ -62,6 +59,8 @@ pub(super) struct Afterwards {
     pub(super) spindle_word: bool,
     /// M6 is without axis words and tool offsets.
     pub(super) tool_alone: bool,
+    /// See [`Checked::moves_only`].
+    pub(super) moves_only: bool,
     /// What G92.3 brings back is the G92 of this line.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
@@ -71,6 +70,13 @@ pub(super) struct Afterwards {
 }
 
 impl<const N: usize> Checked<N> {
+    /// Whether the line is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by
+    /// it, and nothing waits for it. Nearly all lines are like that.
+    #[inline]
+    pub fn moves_only(&self) -> bool {
+        self.after.moves_only
+    }
+
     /// The modal state afterwards.
     pub fn modal(&self) -> &Modal {
         &self.modal
@@ -168,7 +174,6 @@ impl<const N: usize> Checked<N> {
         dwell: None,
         work_offset_changed: false,
         uses_machine_place: false,
-        moves_only: false,
         store: None,
         motion: Motion::None,
         digit: 0.0,
@@ -180,6 +185,7 @@ impl<const N: usize> Checked<N> {
             spindle_tool: 0,
             spindle_word: false,
             tool_alone: false,
+            moves_only: false,
             keeps_g92: false,
             g92_acts: false,
             keeping: Keeping::Leave,
@@ -194,7 +200,7 @@ impl<const N: usize> Checked<N> {
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
-        self.moves_only = false;
+        self.after.moves_only = false;
         self.motion = Motion::None;
         self.position = state.position;
         self.rotated.reached = None;

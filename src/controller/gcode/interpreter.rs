@@ -98,7 +98,7 @@ impl<const N: usize> Interpreter<N> {
         if checked.coolant.is_none() && checked.flow != Flow::End {
             self.modal.coolant = coolant;
         }
-        if !checked.moves_only {
+        if !checked.moves_only() {
             self.commit_beside_motion(checked);
         }
         self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);

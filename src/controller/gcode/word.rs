@@ -349,15 +349,22 @@ impl GWord {
         })
     }
 
+    /// What Grbl's dialect does not have, as far as it needs no more of the code; an error for numbers that are no code.
+    fn beyond_grbl(code: Code) -> Option<Result<GWord, Error>> {
+        match (code.whole, code.hundredths) {
+            (_, Code::NO_CODE) => return Some(Err(Error::UnsupportedCommand)),
+            (41 | 42, 0 | 10) => return Some(Err(Error::CutterCompensation)),
+            _ => {}
+        }
+        Self::extended(code).map(|word| if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) })
+    }
+
     /// The word of a code. A fraction that a command does not have is "not a whole number" where the command has none
     /// at all, and "unsupported" where it has others.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
-        if more && code.hundredths == Code::NO_CODE {
-            return Err(Error::UnsupportedCommand);
-        }
-        if more && let Some(word) = Self::extended(code) {
-            return if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) };
+        if more && let Some(word) = Self::beyond_grbl(code) {
+            return word;
         }
         Ok(match (code.whole, code.hundredths) {
             (0, 0) => GWord::Motion(MotionMode::Rapid),
@@ -406,8 +413,7 @@ impl GWord {
             (92, 10) => GWord::NonModal(NonModal::ClearOffset),
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
-            (41 | 42, 0 | 10) if more => return Err(Error::CutterCompensation),
-            (5 | 7 | 8 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (7 | 8 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
             (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),

@@ -414,7 +414,7 @@ fn states_saved_until_a_call_returns() {
     );
     // The value that is returned is that of before.
     goes("o1 sub\nM73\nG91\no1 endsub [#<_incremental>+6]\no1 call\nX#<_value>", &[7]);
-    // Each call has a state of its own, and a call in a call restores before its caller goes on.
+    // Each call has a state of its own, and a call in a call restores before its caller continues.
     goes("o1 sub\nM73\nG91\no2 call\nX1\no1 endsub\no2 sub\nM73\nG90\nX8\no2 endsub\nX5\no1 call\nX1", &[5, 8, 9, 1]);
     goes(
         "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",

@@ -227,7 +227,7 @@ fn a_line_that_only_moves_changes_nothing_else() {
         {
             let before = (program.interpreter.clone(), *program.interpreter.modal());
             let checked = program.run(line);
-            assert!(checked.moves_only, "{line}");
+            assert!(checked.moves_only(), "{line}");
             assert!(!checked.changes_outputs() && !checked.needs_machine() && !checked.work_offset_changed, "{line}");
             assert!(checked.dwell.is_none() && !checked.uses_machine_place && checked.flow == Flow::None, "{line}");
             let (old, modal) = (before.0, program.interpreter.modal());
@@ -242,10 +242,10 @@ fn a_line_that_only_moves_changes_nothing_else() {
         for line in
             ["S9", "M3", "M8", "G4 P1", "G10 L20 P1 X0", "G43.1 Z1", "G49", "G92 X0", "G55", "T2", "M0", "M2", "G53 X0"]
         {
-            assert!(!program.check(line).unwrap().moves_only, "{line} in {dialect:?}");
+            assert!(!program.check(line).unwrap().moves_only(), "{line} in {dialect:?}");
         }
         for line in ["G28", "G28.1", "G30 Z0", "G92.1", "G38.2 Z-9 F9", "G61", "M30"] {
-            assert!(!program.check(line).unwrap().moves_only, "{line} in {dialect:?}");
+            assert!(!program.check(line).unwrap().moves_only(), "{line} in {dialect:?}");
         }
     }
 }

@@ -75,7 +75,7 @@ pub(super) fn check<const N: usize>(
     check.precision();
     if is_move {
         let checked = check.checked;
-        checked.moves_only =
+        checked.after.moves_only =
             matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
                 && matches!(checked.after.keeping, Keeping::Leave);
     } else {
