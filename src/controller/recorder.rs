@@ -502,8 +502,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
             let mut hash = self.blocks;
-            for axis in steps_by_axis {
-                hash = (hash ^ axis.word()).wrapping_mul(PRIME);
+            // Axes that stand are left out: a board may have fewer of them than the machine that plays it.
+            for (axis, number) in steps_by_axis.iter().zip(1..) {
+                if axis.steps() != 0 {
+                    hash = (hash ^ axis.word()).wrapping_mul(PRIME) ^ number;
+                }
             }
             self.blocks = (hash ^ u32::from(*directions)).wrapping_mul(PRIME);
         }
