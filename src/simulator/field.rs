@@ -60,6 +60,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
+            // Else it is that one which the order has stopped.
+            && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
             // The one that is here now is another.
@@ -96,6 +98,11 @@ fn is_of_line(input: &Input) -> bool {
         Input::Told(Told::Noted(Noted::More)) => true,
         _ => false,
     }
+}
+
+/// Whether it is the begin of a line without its end.
+fn is_begin(input: &Input) -> bool {
+    matches!(input, Input::Host(bytes) if is_of_line(input) && !bytes.ends_with(b"\n") && !bytes.ends_with(b"\r"))
 }
 
 /// Whether it stops the step task.
@@ -155,7 +162,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, begin, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(begin + 1) {
-            let time = time + self.shift;
+            // The begin of a line has the time of what came behind it, and was there already if it waited behind the line before.
+            let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
+            let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
             match input {
                 Input::Host(bytes) => self.host(time, bytes, later),
@@ -274,7 +283,15 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let wanted: Vec<i32> =
             counters.iter().zip(&self.offset).map(|(board, offset)| board.wrapping_sub(*offset)).collect();
         let step = self.hz() / 1_000_000;
-        self.meet(time, step, |simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]))
+        let is_there = |simulator: &Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
+        // At its own time, if it can be: motion may not have left a place, or have come to it long ago.
+        let mut ahead = self.simulator.clone();
+        ahead.advance_to(time);
+        if is_there(&ahead) {
+            self.advance(time);
+            return true;
+        }
+        self.meet(time, step, is_there)
     }
 
     // What comes in
@@ -366,28 +383,39 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     // The step task sees the contact before the filter does, but for one that was there when it began to look.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
-                    let told = later.iter().find_map(|(_, input)| match input {
+                    let told = later.iter().find_map(|(time, input)| match input {
                         Input::Told(Told::Noted(Noted::Inputs { active, .. })) => {
-                            Some(Signals::of_word(active ^ inverted).probe)
+                            Some((time + self.shift, Signals::of_word(active ^ inverted).probe))
                         }
                         _ => None,
                     });
-                    pins.probe = told.unwrap_or(!pins.probe);
+                    pins.probe = match told {
+                        Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
+                        // The filter has seen it before.
+                        Some(_) => pins.probe,
+                        None => !pins.probe,
+                    };
                     self.simulator.set_pins(pins);
                     return Ok(());
                 }
             }
             Stopping::Underrun => return Err(format!("{}: the board's step queue ran dry", self.seconds(time))),
             Stopping::Miscounted => return Err(format!("{}: the board's outputs miscounted", self.seconds(time))),
-            Stopping::Moving | Stopping::AtRest => self.advance(time),
+            Stopping::Moving => self.advance(time),
+            // Braking may have begun a step clock's tick or two later.
+            Stopping::AtRest => {
+                self.meet_place(time, counters);
+            }
         }
         self.compare(time, counters)
     }
 
     fn compare(&self, time: u64, counters: &[i32]) -> Result<(), String> {
         let here = self.as_on_board();
-        // The board may have fewer axes.
-        if here.get(..counters.len()) == Some(counters) {
+        // Either may have counters of axes that the other does not have, and that stand.
+        let common = here.len().min(counters.len());
+        let others = here.iter().skip(common).chain(counters.iter().skip(common));
+        if here[..common] == counters[..common] && others.into_iter().all(|axis| *axis == 0) {
             return Ok(());
         }
         Err(format!("{} the recording has the motors at {counters:?}; here they are at {here:?}", self.seconds(time)))

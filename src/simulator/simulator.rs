@@ -144,6 +144,8 @@ impl Simulator {
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
+        // What waited has been taken, though it may be the begin of a line that is told when it ends.
+        self.host.follow(false);
     }
 
     /// For a replay, which does not know when the host was heard: it is never silent.
