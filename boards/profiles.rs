@@ -25,6 +25,8 @@ pub struct Board {
     pub blocks: usize,
     /// Greatest step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
+    /// Shortest step pulse (`$0`), tenths of a microsecond.
+    pub least_pulse_tenths: u16,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
     /// Outputs and inputs for programs (M62 to M66).
@@ -40,12 +42,13 @@ pub const DESK: Board = Board {
     axes: AXES,
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
     received_bytes: 255,
     program_pins: [4, 1],
 };
 
-/// What is so on all boards with hardware: no pins for programs yet.
-const HARDWARE: Board = Board { program_pins: [0, 0], ..DESK };
+/// What is so on boards with hardware: no pulse below 1 us unless a board has been tried with it, no pins for programs yet.
+const HARDWARE: Board = Board { least_pulse_tenths: 10, program_pins: [0, 0], ..DESK };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
@@ -65,8 +68,14 @@ pub const BLACKPILL_F401: Board = Board {
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock.
-pub const NUCLEO_F446RE: Board =
-    Board { name: "nucleo_f446re", step_clock_hz: 90_000_000, core_hz: 180_000_000, safe_step_hz: 490_000, ..HARDWARE };
+pub const NUCLEO_F446RE: Board = Board {
+    name: "nucleo_f446re",
+    step_clock_hz: 90_000_000,
+    core_hz: 180_000_000,
+    safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
+    ..HARDWARE
+};
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
 pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..HARDWARE };

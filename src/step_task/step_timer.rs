@@ -215,7 +215,7 @@ impl Step {
             stepper: Stepper::new(),
             output,
             state: State::Rest,
-            timing: StepTiming::new(TICKS_PER_US, 10, 0),
+            timing: StepTiming::new(TICKS_PER_US, 100, 0),
             is_regular: false,
             one_by_one: false,
             last: 0,
@@ -316,11 +316,11 @@ impl Step {
             first_stands: wiring.ganged_motors == GangedMotors::Second,
         };
         self.output.set_polarity(wiring.step_invert, wiring.direction_invert, second);
-        self.output.set_pulse(u32::from(wiring.pulse_us));
+        self.output.set_pulse(wiring.pulse_tenths);
         self.output.set_pwm(wiring.pwm_hz, self.beam.shown);
         self.directions = UNKNOWN;
         self.probe_invert = wiring.probe_invert;
-        self.timing = StepTiming::new(TICKS_PER_US, u32::from(wiring.pulse_us), u32::from(wiring.direction_setup_us));
+        self.timing = StepTiming::new(TICKS_PER_US, wiring.pulse_tenths, u32::from(wiring.direction_setup_us));
     }
 
     /// Makes the first events, the next tick at this moment.

@@ -185,11 +185,12 @@ pub fn describe() -> Value {
 /// A row of the table of settings, with the default of a new controller.
 fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let (kind, min, max) = match row.entry.kind {
-        Kind::Whole(min, max) => ("whole", Some(min), Some(max)),
-        Kind::Mask(bits) => ("mask", Some(0), Some(bits)),
-        Kind::Switch => ("switch", Some(0), Some(1)),
-        Kind::Axes => ("axes", Some(0), Some((1 << AXES) - 1)),
-        Kind::Real | Kind::Speed => ("real", Some(0), None),
+        Kind::Whole(min, max) => ("whole", Some(f64::from(min)), Some(f64::from(max))),
+        Kind::Tenths(min, max) => ("tenths", Some(f64::from(min) / 10.0), Some(f64::from(max) / 10.0)),
+        Kind::Mask(bits) => ("mask", Some(0.0), Some(f64::from(bits))),
+        Kind::Switch => ("switch", Some(0.0), Some(1.0)),
+        Kind::Axes => ("axes", Some(0.0), Some(f64::from((1 << AXES) - 1))),
+        Kind::Real | Kind::Speed => ("real", Some(0.0), None),
         Kind::Place => ("place", None, None),
     };
     let (mut name, mut values) = (Text::new(), Text::new());

@@ -97,8 +97,14 @@ class Wiring:
     def safe_step_hz(self):
         return self.promised("safe_step_hz")
 
+    @property
+    def least_pulse_us(self):
+        return self.promised("least_pulse_tenths") / 10
+
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
+        if pulse_us < 1:
+            return min(0.5e6 / pulse_us, self.safe_step_hz)
         period = pulse_us + min(pulse_us, 1.9) + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)
 

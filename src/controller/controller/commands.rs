@@ -18,6 +18,7 @@ const HOMING: u16 = Key::Homing.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
 const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const STEP_PULSE: u16 = Key::StepPulse.number();
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A line that begins with `$`.
@@ -140,6 +141,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 RESET_IS_EMERGENCY_STOP if self.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
+        }
+        if number == STEP_PULSE && value >= Decimal::ZERO && value < self.settings_lock.least_pulse() {
+            return Err(Error::StepPulseTooShort);
         }
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;

@@ -7,6 +7,7 @@
 
 use crate::settings::Settings;
 use crate::step_rates::StepRates;
+use crate::units::{DECIMAL_ONE, Decimal};
 
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +35,11 @@ impl SettingsLock {
     /// How many outputs and inputs the board has for programs.
     pub(super) fn program_pins(&self) -> [u8; 2] {
         self.program_pins
+    }
+
+    /// The shortest step pulse (`$0`) that the board makes, microseconds.
+    pub(super) fn least_pulse(&self) -> Decimal {
+        Decimal(i64::from(self.rates.least_pulse_tenths) * (DECIMAL_ONE / 10))
     }
 
     /// The setting that locks motion.
@@ -80,7 +86,7 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false, [0; 2]);
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, least_pulse_tenths: 5 }, false, [0; 2]);
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }

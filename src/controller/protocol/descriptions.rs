@@ -42,7 +42,7 @@ impl DataType {
             Kind::Whole(..) if labelled && description.unit == "mask" => DataType::Bits,
             Kind::Whole(..) if labelled => DataType::Choice,
             Kind::Whole(..) => DataType::Integer,
-            Kind::Real | Kind::Speed | Kind::Place => DataType::Decimal,
+            Kind::Tenths(..) | Kind::Real | Kind::Speed | Kind::Place => DataType::Decimal,
         }
     }
 }
@@ -124,6 +124,7 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
         (DataType::Bits | DataType::Choice, _) => row.description.labels.as_bytes(),
         (DataType::Axes, _) => b"axes",
         (DataType::Integer, _) | (DataType::Decimal, Kind::Speed) => b"#####0",
+        (DataType::Decimal, Kind::Tenths(..)) => b"##0.0",
         (DataType::Decimal, Kind::Place) => b"-#####0.000",
         (DataType::Decimal, _) => b"#####0.000",
     }
@@ -133,12 +134,24 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
 fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     match row.entry.kind {
         Kind::Whole(least, _) if data_type == DataType::Integer => whole(out, u64::from(least)),
+        Kind::Tenths(least, _) => tenths(out, least),
         Kind::Real | Kind::Speed => put(out, b"0"),
         _ => {}
     }
     put(out, between);
-    if let (Kind::Whole(_, greatest), DataType::Integer) = (row.entry.kind, data_type) {
-        whole(out, u64::from(greatest));
+    match (row.entry.kind, data_type) {
+        (Kind::Whole(_, greatest), DataType::Integer) => whole(out, u64::from(greatest)),
+        (Kind::Tenths(_, greatest), _) => tenths(out, greatest),
+        _ => {}
+    }
+}
+
+/// A number of tenths, with a decimal if there is one.
+fn tenths(out: &mut Text, tenths: u32) {
+    whole(out, u64::from(tenths / 10));
+    if tenths % 10 != 0 {
+        put(out, b".");
+        whole(out, u64::from(tenths % 10));
     }
 }
 
@@ -179,6 +192,12 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
             whole(out, u64::from(least));
             put(out, b" to ");
             whole(out, u64::from(greatest));
+        }
+        (Kind::Tenths(least, greatest), _) => {
+            tenths(out, least);
+            put(out, b" to ");
+            tenths(out, greatest);
+            put(out, b" in tenths");
         }
         (Kind::Real | Kind::Speed, _) => put(out, b"0 and above"),
         (Kind::Place, _) => put(out, b"any"),
@@ -286,7 +305,7 @@ mod tests {
     #[test]
     fn settings_are_described_in_the_formats_of_grblhal() {
         for (number, expected) in [
-            (0, "[SETTING:0|2|Step pulse|us|5|#####0|1|255|0|0]\r\n"),
+            (0, "[SETTING:0|2|Step pulse|us|6|##0.0|0.5|255|0|0]\r\n"),
             (4, "[SETTING:4|2|Enable invert||0||||0|0]\r\n"),
             (10, "[SETTING:10|1|Status report|mask|1|Machine position,Buffer state|||0|0]\r\n"),
             (11, "[SETTING:11|6|Junction deviation|mm|6|#####0.000|0||0|0]\r\n"),
