@@ -73,6 +73,12 @@ const UNKNOWN: u8 = u8::MAX;
 /// Segments that can begin in events that are ahead, and changes of power.
 const MARKS: usize = 32;
 
+/// The sooner of two moments of a wrapping clock.
+#[inline(always)]
+fn sooner(a: u32, b: u32) -> u32 {
+    if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
+}
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
     /// Nothing is put out.
@@ -672,8 +678,8 @@ impl Step {
             // A run has been too short for what there is, as where segments are shorter than runs.
             State::Running if self.wants_more(now, ahead) => now,
             State::Running if !self.one_by_one && ahead > left => {
-                let (half, last_chance) = (self.output.moment_before(left), self.last_chance());
-                if half.wrapping_sub(last_chance) as i32 <= 0 { half } else { last_chance }
+                let half = self.output.moment_before(left);
+                sooner(sooner(half, self.before_two_runs()), self.last_chance())
             }
             State::Running if self.one_by_one && ahead > 0 => return None,
             State::Running => self.last_chance(),
@@ -683,6 +689,13 @@ impl Step {
             State::Rest => return None,
         };
         Some(later(at, now.wrapping_add(PAUSE_TICKS)))
+    }
+
+    /// Two runs before the end of what is ahead, but no sooner than there is room for a batch: at the greatest rates half of the
+    /// ring is hardly more than a run and what may come before it.
+    #[inline(always)]
+    fn before_two_runs(&self) -> u32 {
+        later(self.output.moment_before(StepPins::DEPTH.saturating_sub(MOST_EVENTS)), self.last.wrapping_sub(IN_TIME_TICKS))
     }
 
     /// As many segments or changes of power are ahead as can be kept in mind.

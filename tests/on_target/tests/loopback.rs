@@ -456,7 +456,7 @@ mod suite {
 
     #[test]
     fn train_at_the_safe_rate(bench: &mut Bench) {
-        train(bench, boards::PROFILE.rates.safe_hz, LONGEST_TRAIN, 1);
+        train(bench, boards::PROFILE.rates.greatest_hz(10) as u32, LONGEST_TRAIN, 1);
     }
 
     #[test]
