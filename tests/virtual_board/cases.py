@@ -1618,11 +1618,11 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
-LINES_A_SECOND = {"blackpill_f411": 2_500, "blackpill_f401": 1_800}
+LINES_A_SECOND = {"blackpill_f411": 1_600, "blackpill_f401": 1_000}
 """Short lines a second that a board reads over USB while it moves, with the look-ahead full all the time."""
 
 
-def usb_lines(bench, wanted=None, seconds=0.5):
+def usb_lines(bench, wanted=None, seconds=0.4):
     """A circle in chords of 0.05 mm at a feed that takes so many lines a second, by character counting: once full, the look-ahead
     stays full, and every period is at least the one that was planned."""
     board, host = with_usb(bench)
