@@ -273,7 +273,8 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     /// The length of the step pulse in ticks of the timer that makes it.
     fn set_pulse(&mut self, tenths: u16) {
-        self.chain.set_pulse(oxmill_controller::pulse_ticks(tenths, self.clocks.pulse_mhz));
+        // What is no whole number of ticks is rounded up: a driver is never given less than it asks for.
+        self.chain.set_pulse((u32::from(tenths) * self.clocks.pulse_mhz).div_ceil(10));
     }
 
     fn set_pwm(&mut self, hz: u32, power: u16) {

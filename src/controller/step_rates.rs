@@ -1,6 +1,14 @@
 //! How fast a board can step.
 
-use crate::step_timing::least_period_ns;
+/// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
+const TENTH_NS: u32 = 100;
+/// What drivers want of a pause at most: the slowest common one (DRV8825) asks for 1.9 us, and for as much of the pulse
+/// itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of both, TMC2209 0.1 us.
+const LONGEST_PAUSE_NS: u32 = 1_900;
+/// Pulses shorter than this are for drivers that are far from their limit with a pause as long.
+const SHORT_PULSE_NS: u32 = 1_000;
+/// A step may come so much sooner than planned: intervals are whole ticks, two of which are 0.024 us at 84 MHz.
+const ROUNDING_NS: u32 = 40;
 
 /// What bounds the step rate of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +25,24 @@ impl StepRates {
         let kept = 1.0e9 / least_period_ns(pulse_tenths) as f32;
         if kept < self.safe_hz as f32 { kept } else { self.safe_hz as f32 }
     }
+}
+
+/// The pause after a step pulse at least: as long as the pulse, but no longer than any driver asks for. After a short pulse a
+/// single one may be shorter by the rounding of intervals, so that a square wave can be kept.
+pub(crate) const fn least_pause_ns(pulse_tenths: u16) -> u32 {
+    let pulse = pulse_tenths as u32 * TENTH_NS;
+    if pulse < SHORT_PULSE_NS {
+        pulse.saturating_sub(ROUNDING_NS)
+    } else if pulse < LONGEST_PAUSE_NS {
+        pulse
+    } else {
+        LONGEST_PAUSE_NS
+    }
+}
+
+/// From step to step at least, as planned: the rounding of intervals leaves the pulse and the pause after it.
+const fn least_period_ns(pulse_tenths: u16) -> u32 {
+    pulse_tenths as u32 * TENTH_NS + least_pause_ns(pulse_tenths) + ROUNDING_NS
 }
 
 #[cfg(test)]

@@ -695,7 +695,10 @@ impl Step {
     /// ring is hardly more than a run and what may come before it.
     #[inline(always)]
     fn before_two_runs(&self) -> u32 {
-        later(self.output.moment_before(StepPins::DEPTH.saturating_sub(MOST_EVENTS)), self.last.wrapping_sub(IN_TIME_TICKS))
+        later(
+            self.output.moment_before(StepPins::DEPTH.saturating_sub(MOST_EVENTS)),
+            self.last.wrapping_sub(IN_TIME_TICKS),
+        )
     }
 
     /// As many segments or changes of power are ahead as can be kept in mind.

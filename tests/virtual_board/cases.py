@@ -1618,15 +1618,17 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
-LINES_A_SECOND = {"blackpill_f411": 1_600, "blackpill_f401": 1_000}
+LINES_A_SECOND = {"blackpill_f411": 1_600}
 """Short lines a second that a board reads over USB while it moves, with the look-ahead full all the time."""
 
 
 def usb_lines(bench, wanted=None, seconds=0.4):
     """A circle in chords of 0.05 mm at a feed that takes so many lines a second, by character counting: once full, the look-ahead
     stays full, and every period is at least the one that was planned."""
+    wanted = wanted or LINES_A_SECOND.get(bench.wiring.name)
+    if not wanted:
+        raise NotYet("no figure for this board")
     board, host = with_usb(bench)
-    wanted = wanted or LINES_A_SECOND[bench.wiring.name]
     feed, chord, radius = wanted * 0.05 * 60, 0.05, 40
     bench.settings(**{f"s{number}": value for number, value in ((110, 15_000), (111, 15_000), (120, 5_000), (121, 5_000), (10, 3))})
     room = blocks_free(bench.status())
