@@ -149,7 +149,7 @@ fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
 /// A number of tenths, with a decimal if there is one.
 fn tenths(out: &mut Text, tenths: u32) {
     whole(out, u64::from(tenths / 10));
-    if tenths % 10 != 0 {
+    if !tenths.is_multiple_of(10) {
         put(out, b".");
         whole(out, u64::from(tenths % 10));
     }
