@@ -154,7 +154,7 @@ impl Board {
         let mut controller = Box::new(Controller::new(Profile {
             name: "test",
             step_clock_hz: 1_000_000,
-            rates: StepRates { safe_hz: 100_000 },
+            rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
             has_second_motor: false,
             program_pins: [0; 2],
             has_store: true,
