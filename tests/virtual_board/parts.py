@@ -90,8 +90,13 @@ class Wiring:
 
     def promised(self, number):
         """A number of the board's row in `profiles.rs`: what is tried is what is promised."""
-        row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1]
-        return int(re.search(rf"{number}: ([0-9_]+)", row)[1])
+        text, begin = PROFILES.read_text(), f'name: "{self.name}"'
+        while True:
+            # What a row does not have is that of the one after its two dots.
+            row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
+            if found := re.search(rf"\b{number}: ([0-9_]+)", row):
+                return int(found[1])
+            begin = f"const {rest.strip()}: Board"
 
     @property
     def safe_step_hz(self):
