@@ -416,7 +416,7 @@ impl<const N: usize> Settings<N> {
                 }
                 whole as f32
             }
-            Kind::Tenths(least, greatest) => self.tenths(value, least..=greatest)? as f32 / 10.0,
+            Kind::Tenths(least, greatest) => self.tenths(value, least, greatest)? as f32 / 10.0,
             Kind::Mask(bits) => match u32::try_from(value.truncate()) {
                 Ok(mask) if mask & !bits == 0 => mask as f32,
                 _ => return Err(Error::InvalidStatement),
@@ -447,14 +447,15 @@ impl<const N: usize> Settings<N> {
 
     /// The step pulse in tenths of a microsecond. In Grbl's dialect no fraction counts, and no pulse is shorter than 3 us; in others
     /// nothing is rounded: what is no whole number of tenths is refused.
-    fn tenths(&self, value: Decimal, range: core::ops::RangeInclusive<u32>) -> Result<u32, Error> {
+    fn tenths(&self, value: Decimal, least: u32, greatest: u32) -> Result<u32, Error> {
+        /// A tenth as a decimal; 2550 of them fit 32 bits.
+        const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
         let grbl = self.value(Key::Dialect) == 0.0;
-        let (tenths, least) =
-            if grbl { (i64::from(value.truncate()) * 10, 30) } else { (value.0 / (DECIMAL_ONE / 10), *range.start()) };
-        match u32::try_from(tenths) {
-            Ok(tenths) if tenths >= least && range.contains(&tenths) => {
-                let exact = grbl || value.0 % (DECIMAL_ONE / 10) == 0;
-                if exact { Ok(tenths) } else { Err(Error::InvalidStatement) }
+        let value = if grbl { Decimal::from_int(value.truncate()) } else { value };
+        let least = if grbl { 30 } else { least };
+        match u32::try_from(value.0) {
+            Ok(value) if (least * TENTH..=greatest * TENTH).contains(&value) => {
+                if value.is_multiple_of(TENTH) { Ok(value / TENTH) } else { Err(Error::InvalidStatement) }
             }
             _ => Err(Error::StepPulseTooShort),
         }

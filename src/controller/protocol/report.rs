@@ -250,7 +250,7 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     }
     let places = match entry.kind {
         Kind::Real | Kind::Place => 3,
-        Kind::Tenths(..) if value != libm::truncf(value) => 1,
+        Kind::Tenths(..) if value != value as u32 as f32 => 1,
         _ => 0,
     };
     real(out, value.abs(), places);
