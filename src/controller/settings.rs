@@ -455,7 +455,11 @@ impl<const N: usize> Settings<N> {
         let least = if grbl { 30 } else { least };
         match u32::try_from(value.0) {
             Ok(value) if (least * TENTH..=greatest * TENTH).contains(&value) => {
-                if value.is_multiple_of(TENTH) { Ok(value / TENTH) } else { Err(Error::InvalidStatement) }
+                if value.is_multiple_of(TENTH) {
+                    Ok(value / TENTH)
+                } else {
+                    Err(Error::InvalidStatement)
+                }
             }
             _ => Err(Error::StepPulseTooShort),
         }
