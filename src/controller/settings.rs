@@ -714,6 +714,19 @@ mod tests {
         }
     }
 
+    /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
+    #[test]
+    fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
+        for (record, tenths) in
+            [([0x00, 0x00, 0x80, 0x3f], 10), ([0x00, 0x00, 0x20, 0x41], 100), ([0x00, 0x00, 0x7f, 0x43], 2550)]
+        {
+            let mut s = Settings::<3>::default();
+            set(&mut s, 0, 2_500).unwrap();
+            s.restore(0, f32::from_le_bytes(record));
+            assert_eq!(s.step_pulse_tenths(), tenths);
+        }
+    }
+
     #[test]
     fn a_pulse_that_the_board_does_not_make_locks_motion() {
         let mut s = Settings::<3>::default();
