@@ -36,7 +36,7 @@ ANSWER_S = 20e-3
 """From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
-CALL_CYCLES = 208
+CALL_CYCLES = 212
 """From the call of the step task to where no event begins any more, when it is at rest."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
