@@ -183,6 +183,20 @@ mod tests {
     }
 
     #[test]
+    fn nothing_of_a_host_that_has_gone_is_for_the_next_one() {
+        let mut replies = Replies::new();
+        replies.push(b"$0=10\r\n", 0);
+        replies.host_left(1);
+        for row in [b"$1=25\r\n".as_slice(), b"[G54:0.000,0.000,0.000]\r\n", b"ok\r\n"] {
+            replies.push(row, 0);
+        }
+        replies.push(b"[MSG:Reset to continue]\r\n", 0);
+        assert_eq!(sent(&mut replies), "[MSG:Reset to continue]\r\n");
+        replies.push(b"$0=10\r\n", 1);
+        assert_eq!(sent(&mut replies), "$0=10\r\n");
+    }
+
+    #[test]
     fn a_host_that_has_gone_gets_no_answers_until_its_lines_are_read() {
         let mut replies = Replies::new();
         replies.host_left(1);
