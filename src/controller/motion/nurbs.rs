@@ -25,7 +25,7 @@ const LONGEST: i64 = UNIT / 2;
 /// The shortest ones, whatever the tolerance asks for.
 const SHORTEST: i64 = UNIT >> 20;
 /// Pieces that are looked at for limits, so that a call is bounded whatever rounding does; with more a curve counts as outside.
-/// None is known that needs a tenth of them.
+/// None is known that needs so many.
 const MOST_PIECES: u32 = 1000;
 /// Pieces of a span of which the length is summed up.
 const PIECES: i64 = 16;
