@@ -280,7 +280,7 @@ impl<const N: usize> Nurbs<N> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "splines"))]
 mod tests {
     use super::*;
     use proptest::prelude::*;
