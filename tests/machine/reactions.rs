@@ -14,6 +14,8 @@ const FEED: f64 = 20.0;
 const PARKED_Z: f64 = -5.0;
 /// What a machine covers at the feed before a pin's filter and the next look of the control task have told of a fault, mm.
 const LATE: f64 = 0.1;
+/// How long a host may be silent, ms.
+const SILENCE: u64 = 500;
 /// What it covers with the segments that the step task has been given before a hold acts, mm.
 const QUEUED: f64 = 0.02 * FEED;
 
@@ -24,13 +26,21 @@ enum Fault {
     Driver,
     Spindle,
     Host,
+    Silence,
 }
 
 impl Fault {
-    const ALL: [Fault; 5] = [Fault::Limit, Fault::Emergency, Fault::Driver, Fault::Spindle, Fault::Host];
+    const ALL: [Fault; 6] =
+        [Fault::Limit, Fault::Emergency, Fault::Driver, Fault::Spindle, Fault::Host, Fault::Silence];
 
     fn setting(self) -> u16 {
-        924 + Fault::ALL.iter().position(|fault| *fault == self).unwrap() as u16
+        match self {
+            Fault::Limit => 924,
+            Fault::Emergency => 925,
+            Fault::Driver => 926,
+            Fault::Spindle => 927,
+            Fault::Host | Fault::Silence => 928,
+        }
     }
 
     fn reactions(self) -> std::ops::Range<u8> {
@@ -44,7 +54,23 @@ impl Fault {
             Fault::Driver => pin(mill, "fault 1"),
             Fault::Spindle => pin(mill, "at_speed 0"),
             Fault::Host => mill.disconnect(),
+            // Nothing but time.
+            Fault::Silence => {}
         }
+    }
+
+    /// How long it has to last before it is one, ms.
+    fn lasts(self) -> u64 {
+        match self {
+            Fault::Spindle => 51,
+            // The state has been asked for 3 ms ago.
+            Fault::Silence => SILENCE - 3 + 1,
+            _ => 0,
+        }
+    }
+
+    fn is_of_host(self) -> bool {
+        matches!(self, Fault::Host | Fault::Silence)
     }
 
     fn alarm(self) -> &'static str {
@@ -53,7 +79,7 @@ impl Fault {
             Fault::Emergency => "ALARM:101\r",
             Fault::Driver => "ALARM:102\r",
             Fault::Spindle => "ALARM:14\r",
-            Fault::Host => "ALARM:3\r",
+            Fault::Host | Fault::Silence => "ALARM:3\r",
         }
     }
 }
@@ -64,6 +90,9 @@ enum State {
     Idle,
     Run,
     Dwell,
+    Probe,
+    Pause,
+    ToolChange,
     Jog,
     HoldBraking,
     HoldAtRest,
@@ -79,10 +108,13 @@ enum State {
 }
 
 impl State {
-    const ALL: [State; 15] = [
+    const ALL: [State; 18] = [
         State::Idle,
         State::Run,
         State::Dwell,
+        State::Probe,
+        State::Pause,
+        State::ToolChange,
         State::Jog,
         State::HoldBraking,
         State::HoldAtRest,
@@ -103,6 +135,9 @@ impl State {
             State::Idle => ("M3 S500\n", ""),
             State::Run => (run, ""),
             State::Dwell => ("M3 S500\nG4 P20\n", ""),
+            State::Probe => ("M3 S500\nG91 G38.3 X-20 F1200\n", ""),
+            State::Pause => ("M3 S500\nM0\n", ""),
+            State::ToolChange => ("M3 S500\nT2 M6\n", ""),
             State::Jog => ("M3 S500\n$J=G91 X-20 F1200\n", ""),
             State::HoldBraking => (run, "!"),
             State::HoldAtRest => (run, "! "),
@@ -131,7 +166,8 @@ impl State {
         let name = status(mill);
         let wanted = match self {
             State::Idle => "<Idle|",
-            State::Run | State::Dwell => "<Run|",
+            State::Run | State::Dwell | State::Probe => "<Run|",
+            State::Pause | State::ToolChange => "<Hold:0|",
             State::Jog => "<Jog|",
             State::HoldBraking | State::Stopping => "<Hold:1|",
             State::HoldAtRest => "<Hold:0|",
@@ -148,7 +184,10 @@ impl State {
 
     /// Moves of the job, which have room to brake.
     fn brakes(self) -> bool {
-        matches!(self, State::Run | State::Jog | State::HoldBraking | State::Stopping | State::DoorBraking)
+        matches!(
+            self,
+            State::Run | State::Probe | State::Jog | State::HoldBraking | State::Stopping | State::DoorBraking
+        )
     }
 
     fn moves(self) -> bool {
@@ -158,7 +197,9 @@ impl State {
     fn spindle_turns(self) -> bool {
         !matches!(
             self,
-            State::DoorBraking
+            // M6 switches it off.
+            State::ToolChange
+                | State::DoorBraking
                 | State::DoorPullingOut
                 | State::DoorParked
                 | State::DoorReturning
@@ -174,7 +215,8 @@ impl State {
         match fault {
             Fault::Limit => !matches!(self, State::Home | State::Alarm),
             Fault::Emergency | Fault::Driver => true,
-            Fault::Spindle | Fault::Host => matches!(self, State::Run | State::Dwell),
+            Fault::Spindle | Fault::Host => matches!(self, State::Run | State::Dwell | State::Probe),
+            Fault::Silence => matches!(self, State::Run | State::Dwell | State::Probe | State::Jog),
         }
     }
 }
@@ -188,6 +230,14 @@ fn status(mill: &mut Simulator) -> String {
     mill.send("?");
     mill.run_for(Duration::from_millis(3));
     mill.take_output()
+}
+
+/// Lets time pass with a host that asks for the state.
+fn listened(mill: &mut Simulator, seconds: u32) {
+    for _ in 0..10 * seconds {
+        mill.send("?");
+        mill.run_for(Duration::from_millis(100));
+    }
 }
 
 /// A homed machine with parking, at rest above its work.
@@ -252,16 +302,19 @@ impl Case {
     fn run(homed: &Simulator, fault: Fault, reaction: u8, state: State) -> Case {
         let mut mill = homed.clone();
         let origin = (mill.machine().position(), position(&mill));
-        mill.send(format!("${}={reaction}\n", fault.setting()));
+        mill.send(format!("$900=1\n$918=1\n${}={reaction}\n", fault.setting()));
+        if fault == Fault::Silence {
+            let seconds = SILENCE as f64 / 1000.0;
+            mill.send(format!("$922={seconds}\n$923={seconds}\n"));
+        }
         assert!(mill.run_until_idle());
         state.enter(&mut mill);
         let trusted = mill.controller().is_trusted();
         mill.take_output();
         let at_fault = moved(&mill, origin.0);
         fault.happen(&mut mill);
-        // A lost speed has to last.
-        mill.run_for(Duration::from_millis(if fault == Fault::Spindle { 51 } else { 3 }));
-        let at_fault = if fault == Fault::Spindle { moved(&mill, origin.0) } else { at_fault };
+        mill.run_for(Duration::from_millis(fault.lasts().max(3)));
+        let at_fault = if fault.lasts() > 0 { moved(&mill, origin.0) } else { at_fault };
         mill.run_for(Duration::from_secs(12));
         let said = mill.take_output();
         Case { fault, reaction, state, mill, origin, at_fault, trusted, said }
@@ -326,6 +379,16 @@ impl Case {
         assert!(!self.mill.controller().is_trusted() && !turns(&self.mill), "{name}");
     }
 
+    /// A jog ends as by its cancel, whatever is set for jobs.
+    fn check_jog(self) {
+        let name = self.name();
+        let (x, z) = self.after_fault();
+        let braking = FEED * FEED / 2.0 / ACCELERATION;
+        assert!(x >= braking * 0.9 && x <= braking + QUEUED + LATE && z.abs() <= LATE, "{x}, {z}: {name}");
+        assert!(self.mill.is_idle() && self.mill.controller().is_trusted(), "{name}");
+        assert!(self.said.contains("The host is silent") && !self.said.contains("ALARM:"), "{name}");
+    }
+
     /// A job that waits for its host can be resumed, and ends where it should.
     fn check_wait(mut self) {
         self.check_path();
@@ -338,10 +401,10 @@ impl Case {
         let wanted = if self.reaction == 4 { "<Hold:0|" } else { "<Door:0|" };
         assert!(state.contains(wanted), "{state} after {name}");
         self.mill.send("~");
-        self.mill.run_for(Duration::from_secs(30));
+        listened(&mut self.mill, 30);
         assert!(self.mill.is_idle() && turns(&self.mill), "{name}");
         let travelled = moved(&self.mill, self.origin.0)[0];
-        let wanted = if self.state == State::Run { -20.0 } else { 0.0 };
+        let wanted = if self.state == State::Dwell { 0.0 } else { -20.0 };
         assert!((travelled - wanted).abs() < 0.003, "X has moved by {travelled}: {name}");
     }
 
@@ -357,7 +420,7 @@ impl Case {
         self.mill.run_for(Duration::from_millis(100));
         assert!(!turns(&self.mill), "{}", self.name());
         self.mill.send("$X\nG90 G53 G0 X-90 Y-90\n");
-        self.mill.run_for(Duration::from_secs(5));
+        listened(&mut self.mill, 5);
         let said = self.mill.take_output();
         assert!(self.mill.is_idle(), "{said} after {}", self.name());
         let there = position(&self.mill);
@@ -375,7 +438,11 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
             for state in State::ALL.into_iter().filter(|state| state.heeds(fault)) {
                 let case = Case::run(&homed, fault, reaction, state);
                 cases += 1;
-                if fault == Fault::Host && reaction % 3 != 0 {
+                if state == State::Jog && fault == Fault::Silence {
+                    case.check_jog();
+                    continue;
+                }
+                if fault.is_of_host() && reaction % 3 != 0 {
                     case.check_wait();
                     continue;
                 }
@@ -389,7 +456,8 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
             }
         }
     }
-    assert_eq!(cases, 15 * (3 + 6) + 13 * 6 + 2 * (6 + 6), "states, reactions and faults");
+    let with_job = 3;
+    assert_eq!(cases, 18 * (3 + 6) + 16 * 6 + with_job * (6 + 6 + 6) + 6, "states, reactions and faults");
 }
 
 #[test]
