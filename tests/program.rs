@@ -496,7 +496,7 @@ fn a_recorded_job_is_played_again() {
     let changed = file("changed.rec", &other);
     let output = run(&["replay", text(&changed)]);
     assert_eq!(output.status.code(), Some(3), "worse than the refused line that both have");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("at its end the recording has the motors at"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("at its end the recording has the machine at"));
     // One that was cut off cannot be compared.
     let (cut, _) = other.trim_end().rsplit_once('\n').expect("lines");
     assert_eq!(run(&["replay", text(&file("cut.rec", &format!("{cut}\n")))]).status.code(), Some(3));

@@ -9,7 +9,8 @@
 //! 1512000 connect                         a host has opened the port; `disconnect`: closed it
 //! 1530000 host G1 X10 F600\n              bytes of the host, escaped as in Rust
 //! 1600000 pin door 1                      a line of the pin protocol
-//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a      position of the motors, and hash of all steps in their order
+//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a alarm 0 trusted cw 500 flood
+//!                                         position of the motors, hash of all steps in their order; alarm and outputs
 //! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
 //! job G0 X1\n                             each line of it
 //! ```
@@ -24,7 +25,7 @@ use crate::power_up::board_named;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
 use oxmill_controller::axes::LINEAR;
-use oxmill_controller::messages::{Noted, Record, Standing, Stopping, Store as Change};
+use oxmill_controller::messages::{Noted, Record, SpindleDirection, Standing, Stopping, Store as Change};
 use oxmill_controller::units::Coordinate;
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -92,7 +93,34 @@ fn place(simulator: &Simulator) -> String {
     let position = simulator.machine().motors();
     let axes = if simulator.machine().motor_pulses()[LINEAR..] == [0; AXES - LINEAR] { LINEAR } else { AXES };
     let places: String = position[..axes].iter().map(|steps| format!("{steps} ")).collect();
-    format!("{places}{:016x}", simulator.trace().digest().order_hash())
+    format!("{places}{:016x} {}", simulator.trace().digest().order_hash(), state(simulator))
+}
+
+/// What else two runs are compared by: the alarm, what is known of the position, and the outputs.
+fn state(simulator: &Simulator) -> String {
+    let controller = simulator.controller();
+    let mut words = format!("alarm {}", controller.alarm().map_or(0, |alarm| alarm.code()));
+    let mut word = |of: &str, holds: bool| {
+        if holds {
+            words.push(' ');
+            words.push_str(of);
+        }
+    };
+    word("trusted", controller.is_trusted());
+    word("paused", controller.is_paused());
+    let Some(outputs) = simulator.outputs() else { return words };
+    word("drivers", outputs.drivers);
+    word(&format!("cw {}", outputs.power), outputs.spindle == SpindleDirection::Clockwise);
+    word(&format!("ccw {}", outputs.power), outputs.spindle == SpindleDirection::CounterClockwise);
+    word("flood", outputs.coolant.flood);
+    word("mist", outputs.coolant.mist);
+    word(&format!("pins {:02x}", outputs.digital), outputs.digital != 0);
+    words
+}
+
+/// Whether a machine is where it was recorded. Recordings of older versions have no more than the motors.
+fn agrees(recorded: &str, here: &str) -> bool {
+    here.strip_prefix(recorded).is_some_and(|rest| rest.is_empty() || rest.starts_with(" alarm "))
 }
 
 /// Writes a recording while it happens.
@@ -303,9 +331,9 @@ impl Recording {
     pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
         let here = place(simulator);
         match self.inputs.last() {
-            Some((_, Input::At(recorded))) if *recorded == here => Ok(()),
+            Some((_, Input::At(recorded))) if agrees(recorded, &here) => Ok(()),
             Some((_, Input::At(recorded))) => {
-                Err(format!("at its end the recording has the motors at {recorded}; here they are at {here}"))
+                Err(format!("at its end the recording has the machine at {recorded}; here it is at {here}"))
             }
             _ => Err("the recording has no end: nothing can be compared".into()),
         }
@@ -440,10 +468,10 @@ impl Recording {
                 }
                 Input::At(recorded) => {
                     let here = place(simulator);
-                    if here != *recorded {
+                    if !agrees(recorded, &here) {
                         let seconds = simulator.clock().seconds(time.saturating_sub(begin));
                         return Err(format!(
-                            "{seconds:.6} s after its begin the recording has the motors at {recorded}; here they are at {here}"
+                            "{seconds:.6} s after its begin the recording has the machine at {recorded}; here it is at {here}"
                         ));
                     }
                 }
@@ -494,7 +522,7 @@ fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
             let (blocks, counters) = words.split_first().ok_or("where is it at rest?")?;
             Noted::Rest { blocks: number(blocks)?, counters: axes(counters)? }
         }
-        "state" => state(&words)?,
+        "state" => standing(&words)?,
         "ended" => return ended(rest, &words).map(Some),
         _ => return Ok(None),
     };
@@ -506,7 +534,7 @@ fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String
     heapless::Vec::from_slice(&axes).map_err(|_| "these are too many axes".into())
 }
 
-fn state(words: &[&str]) -> Result<Noted, String> {
+fn standing(words: &[&str]) -> Result<Noted, String> {
     let [flags, blocks, tool, active, axes @ .., words] = words else { return Err("a state has more words".into()) };
     let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
     for pair in axes.chunks(2) {
