@@ -6,6 +6,7 @@
 
 use super::board::{Board, shows};
 use arbitrary::{Arbitrary, Unstructured};
+use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use std::collections::BTreeMap;
 
@@ -85,15 +86,19 @@ struct Machine {
     listed: Listed,
     /// All that has been set since the last power-up has been stored.
     is_stored: bool,
+    /// A startup line moves for long: nothing more is asked.
+    is_busy: bool,
 }
 
 /// Actions of an input: after each all is listed.
 const MOST_ACTIONS: usize = 16;
+/// Times that a line may wait for the operator.
+const MOST_WAITS: usize = 4;
 
 thread_local! {
     /// As it is after a start, in each dialect.
     static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
-        let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true };
+        let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true, is_busy: false };
         machine.board.ask(dialect);
         machine.listed = machine.list();
         machine
@@ -106,7 +111,7 @@ pub fn run(data: &[u8]) {
     let mut machine = STARTED.with(|machines| machines[usize::from(first % 3)].clone());
     let mut input = Unstructured::new(data);
     for _ in 0..MOST_ACTIONS {
-        if input.is_empty() {
+        if input.is_empty() || machine.is_busy {
             break;
         }
         let Ok(action) = input.arbitrary() else { break };
@@ -124,6 +129,11 @@ fn is_plain(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_graphic() && !byte.is_ascii_lowercase() && !b"();\\/\"%".contains(&byte))
 }
 
+/// The answers to a line.
+fn answers(said: &str) -> Vec<&str> {
+    said.lines().filter(|said| *said == "ok" || said.starts_with("error:")).collect()
+}
+
 impl Machine {
     fn act(&mut self, action: Action) {
         match action {
@@ -137,13 +147,13 @@ impl Machine {
             Action::Info(text) => self.text("$I=", &one_line(text), "$I"),
             Action::Restore(which) => {
                 let line = ["$RST=$", "$RST=#", "$RST=*", "$RST=&"][usize::from(which % 4)];
-                let _ = self.line(line, |_, _| true);
+                let _ = self.line(line, |_| true);
             }
             Action::Command(which) => {
-                let _ = self.line(COMMANDS[usize::from(which) % COMMANDS.len()], |_, _| false);
+                let _ = self.line(COMMANDS[usize::from(which) % COMMANDS.len()], |_| false);
             }
             Action::Text(text) => {
-                let _ = self.line(&one_line(text), |_, _| true);
+                let _ = self.line(&one_line(text), |_| true);
             }
             Action::StoreFails(fails) => self.board.store_fails = fails,
             Action::PowerUp => self.power_up(),
@@ -151,8 +161,16 @@ impl Machine {
     }
 
     /// Sends a line; what is listed changes only where it may, and not at all if it was refused.
-    fn line(&mut self, line: &str, may: impl Fn(&str, &str) -> bool) -> bool {
-        let said = self.board.ask(line);
+    fn line(&mut self, line: &str, may: impl Fn(&str) -> bool) -> bool {
+        let mut said = self.board.ask(line);
+        // One that waits for the operator goes on with `~`.
+        for _ in 0..MOST_WAITS {
+            if !answers(&said).is_empty() {
+                break;
+            }
+            self.go_on();
+            said.push_str(&self.board.take_said());
+        }
         if shows() {
             println!("{line:?} {said:?}");
         }
@@ -160,28 +178,45 @@ impl Machine {
         if line.contains("$SLP") || said.contains("[MSG:Sleeping]") {
             self.reset();
         }
-        let answers: Vec<&str> = said.lines().filter(|said| *said == "ok" || said.starts_with("error:")).collect();
-        assert_eq!(answers.len(), 1, "{line:?}: {said}");
+        let answers = answers(&said);
+        // A dwell or a move that takes long is cut off, and not answered.
+        let is_cut = answers.is_empty() && !self.board.controller.is_idle();
+        assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
         // Whatever it has begun has its end, or is ended.
         if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || line.contains("$C") {
             self.reset();
         }
+        if self.is_busy {
+            return false;
+        }
         let listed = self.list();
         let accepted = answers == ["ok"];
-        let lines = self.listed.len().max(listed.len());
-        for index in 0..lines {
-            let before = self.listed.get(index).map_or("", String::as_str);
-            let after = listed.get(index).map_or("", String::as_str);
-            assert!(before == after || accepted && may(before, after), "{line:?} {said:?}: {before} is {after}");
+        let gone = self.listed.iter().filter(|line| !listed.contains(line));
+        let new = listed.iter().filter(|line| !self.listed.contains(line));
+        for changed in gone.chain(new) {
+            assert!((accepted || is_cut) && may(changed), "{line:?} {said:?} changes {changed}");
         }
         self.listed = listed;
         accepted
     }
 
     fn reset(&mut self) {
-        self.board.command(oxmill_controller::messages::Realtime::Reset);
+        self.board.command(Realtime::Reset);
         self.board.pass(300_000, false);
+        // A startup line may be an M0.
+        for _ in 0..MOST_WAITS {
+            if self.board.controller.is_idle() {
+                break;
+            }
+            self.go_on();
+        }
+        self.is_busy = !self.board.controller.is_idle();
         self.board.ask("$X");
+    }
+
+    fn go_on(&mut self) {
+        self.board.command(Realtime::CycleStart);
+        self.board.pass(1_000_000, false);
     }
 
     /// A setting: as it was set, in the digits of the report; its neighbours stay.
@@ -194,9 +229,7 @@ impl Machine {
             900 => true,
             _ => false,
         };
-        let accepted = self.line(&format!("{name}{text}"), |before, after| {
-            before.starts_with(&name) && after.starts_with(&name) || follows(before) || follows(after)
-        });
+        let accepted = self.line(&format!("{name}{text}"), |changed| changed.starts_with(&name) || follows(changed));
         if accepted && number != 900 {
             let Some(entry) = self.listed.iter().find_map(|line| line.strip_prefix(&name)) else {
                 // Grbl's dialect takes all of them and lists its own.
@@ -222,14 +255,10 @@ impl Machine {
     fn text(&mut self, name: &str, text: &str, listing: &str) {
         let number = name.trim_start_matches("$N").trim_start_matches("$M").trim_end_matches('=');
         let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
-        let accepted = self.line(&format!("{name}{text}"), |before, after| {
-            // The listing of macros has those alone that there are: all behind one that comes or goes are elsewhere.
-            let of = |line: &str| {
-                line.is_empty() || line.starts_with(listing) || listing == "$I" && line.starts_with("[VER")
-            };
+        let accepted = self.line(&format!("{name}{text}"), |changed| {
             // A startup line is carried out when it is set.
-            let carried_out = |line: &str| listing == "$N" && line.starts_with("[");
-            of(before) || of(after) || carried_out(before) || carried_out(after)
+            let carried_out = listing == "$N" && changed.starts_with('[');
+            changed.starts_with(&shown) || listing == "$I" && changed.starts_with("[VER") || carried_out
         });
         if accepted && is_plain(text) && listing != "$I" && !text.is_empty() {
             let found = self.listed.iter().any(|line| line.starts_with(&shown) && line.ends_with(text));
@@ -253,6 +282,9 @@ impl Machine {
         self.board = Board::new(std::mem::take(&mut self.board.records));
         self.board.pass(2_000_000, false);
         self.reset();
+        if self.is_busy {
+            return;
+        }
         let listed = self.list();
         if self.is_stored {
             let kept = |listed: &Listed| -> Listed {
