@@ -40,6 +40,8 @@ enum Amount {
     Seconds(u64),
     /// So many executions, without them.
     Executions(u64),
+    /// As many from a seed and the corpora of the tree alone: the same on any machine.
+    Repeated(u64, u64),
 }
 
 impl Amount {
@@ -50,22 +52,29 @@ impl Amount {
                 let each = (seconds * workers / targets.len() as u64).max(1);
                 vec![format!("-max_total_time={each}"), format!("-max_len={LONGEST}"), "-use_value_profile=1".into()]
             }
-            Amount::Executions(all) => {
+            Amount::Executions(all) | Amount::Repeated(all, _) => {
                 let share = |target: &str| SHARES.iter().find(|(name, ..)| *name == target);
                 let whole: u64 = targets.iter().filter_map(|target| share(target)).map(|(_, parts, _)| parts).sum();
                 let (_, parts, longest) = share(target).copied().unwrap_or((target, 1, LONGEST));
-                vec![format!("-runs={}", all * parts / whole.max(1)), format!("-max_len={longest}")]
+                let mut options = vec![format!("-runs={}", all * parts / whole.max(1)), format!("-max_len={longest}")];
+                if let Amount::Repeated(_, seed) = self {
+                    options.push(format!("-seed={seed}"));
+                }
+                options
             }
         }
     }
 }
 
-/// `cargo xtask fuzz [--seconds N|--hours N|--executions N] [TARGET..]`, or `minimise`.
+/// `cargo xtask fuzz [--seconds N|--hours N|--executions N [--seed S]] [TARGET..]`, or `minimise`.
 pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     let (amount, targets) = match arguments {
         ["minimise"] => return minimise(),
         ["--hours", hours, targets @ ..] => (Amount::Seconds(number(hours)? * 3600), targets),
         ["--seconds", seconds, targets @ ..] => (Amount::Seconds(number(seconds)?), targets),
+        ["--executions", executions, "--seed", seed, targets @ ..] => {
+            (Amount::Repeated(number(executions)?, number(seed)?), targets)
+        }
         ["--executions", executions, targets @ ..] => (Amount::Executions(number(executions)?), targets),
         targets => (Amount::Seconds(300), targets),
     };
@@ -86,7 +95,7 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
         for _ in 0..workers {
             scope.spawn(|| {
                 while let Some(target) = next(&left) {
-                    let row = one(&program, target, &amount.options(target, targets, workers as u64));
+                    let row = one(&program, target, amount, &amount.options(target, targets, workers as u64));
                     rows.lock().expect("no thread panics").push((*target, row));
                 }
             });
@@ -222,7 +231,7 @@ fn seeds(target: &str) -> Result<PathBuf, Failure> {
     Ok(folder)
 }
 
-fn one(program: &Path, target: &str, options: &[String]) -> Result<Row, Failure> {
+fn one(program: &Path, target: &str, amount: Amount, options: &[String]) -> Result<Row, Failure> {
     let found = folder("found", target)?;
     let before = files(&found)?;
     let mut command = Command::new(program);
@@ -231,8 +240,19 @@ fn one(program: &Path, target: &str, options: &[String]) -> Result<Row, Failure>
     if matches!(target, "lines" | "programs" | "session" | "events" | "settings") {
         command.arg(format!("-dict={}", root().join("tests/fuzz/gcode.dict").display()));
     }
-    let output =
-        command.arg(folder("corpus", target)?).arg(seeds(target)?).output().map_err(|error| error.to_string())?;
+    let seeds = seeds(target)?;
+    if matches!(amount, Amount::Repeated(..)) {
+        // In the order of their names: that of a folder is another on each machine.
+        let mut paths = files(&seeds)?;
+        paths.sort();
+        let names: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+        let list = folder("lists", target)?.join("seeds");
+        fs::write(&list, names.join(",")).map_err(|error| format!("{}: {error}", list.display()))?;
+        command.arg(format!("-seed_inputs=@{}", list.display()));
+    } else {
+        command.arg(folder("corpus", target)?).arg(seeds);
+    }
+    let output = command.output().map_err(|error| error.to_string())?;
     let text = String::from_utf8_lossy(&output.stderr);
     let executions = text.lines().find_map(|line| line.strip_prefix("stat::number_of_executed_units:"));
     let found: Vec<PathBuf> = files(&found)?.into_iter().filter(|path| !before.contains(path)).collect();
@@ -290,6 +310,7 @@ mod tests {
         let options = Amount::Executions(1_000_000).options("lines", &names, 2);
         assert_eq!(options, ["-runs=240000", "-max_len=128"]);
         assert_eq!(Amount::Executions(1_000).options("usb", &["usb"], 2)[0], "-runs=1000");
+        assert_eq!(Amount::Repeated(1_000, 7).options("usb", &["usb"], 2)[2], "-seed=7");
     }
 
     #[test]
