@@ -93,6 +93,7 @@ enum State {
     Probe,
     Pause,
     ToolChange,
+    SingleBlock,
     Jog,
     HoldBraking,
     HoldAtRest,
@@ -108,13 +109,14 @@ enum State {
 }
 
 impl State {
-    const ALL: [State; 18] = [
+    const ALL: [State; 19] = [
         State::Idle,
         State::Run,
         State::Dwell,
         State::Probe,
         State::Pause,
         State::ToolChange,
+        State::SingleBlock,
         State::Jog,
         State::HoldBraking,
         State::HoldAtRest,
@@ -138,6 +140,8 @@ impl State {
             State::Probe => ("M3 S500\nG91 G38.3 X-20 F1200\n", ""),
             State::Pause => ("M3 S500\nM0\n", ""),
             State::ToolChange => ("$900=1\n$918=1\nM3 S500\nT2 M6\n", ""),
+            // It waits behind the first move.
+            State::SingleBlock => ("M3 S500\nG91 G1 X-1 F1200\nX-20\n", ""),
             State::Jog => ("M3 S500\n$J=G91 X-20 F1200\n", ""),
             State::HoldBraking => (run, "!"),
             State::HoldAtRest => (run, "! "),
@@ -152,6 +156,9 @@ impl State {
             State::Check => ("$C\n", ""),
             State::Sleep => ("$SLP\n", "      "),
         };
+        if self == State::SingleBlock {
+            mill.send([0x89]);
+        }
         mill.send(lines);
         mill.run_for(Duration::from_millis(300));
         for command in then.chars() {
@@ -167,7 +174,7 @@ impl State {
         let wanted = match self {
             State::Idle => "<Idle|",
             State::Run | State::Dwell | State::Probe => "<Run|",
-            State::Pause | State::ToolChange => "<Hold:0|",
+            State::Pause | State::ToolChange | State::SingleBlock => "<Hold:0|",
             State::Jog => "<Jog|",
             State::HoldBraking | State::Stopping => "<Hold:1|",
             State::HoldAtRest => "<Hold:0|",
@@ -462,7 +469,7 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
         }
     }
     let with_job = 3;
-    assert_eq!(cases, 18 * (3 + 6) + 16 * 6 + with_job * (6 + 6 + 6) + 6, "states, reactions and faults");
+    assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 6, "states, reactions and faults");
 }
 
 /// Without a job to end: what the machine does it goes on with, or comes to its end as if the host were there.
@@ -491,7 +498,7 @@ fn a_host_that_goes_or_is_silent_is_no_fault_without_a_job() {
             }
         }
     }
-    assert_eq!(cases, 13 * 6 * 2, "states, reactions and faults");
+    assert_eq!(cases, 14 * 6 * 2, "states, reactions and faults");
 }
 
 /// The job that has been resumed is one that nobody watches.
