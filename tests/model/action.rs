@@ -142,13 +142,18 @@ pub const JOG_CANCEL: u8 = 0x85;
 pub const FEED_100: u8 = 0x90;
 pub const FEED_UP: u8 = 0x91;
 pub const FEED_DOWN: u8 = 0x92;
+pub const FEED_UP_FINE: u8 = 0x93;
+pub const FEED_DOWN_FINE: u8 = 0x94;
 pub const RAPID_100: u8 = 0x95;
 pub const RAPID_50: u8 = 0x96;
 pub const RAPID_25: u8 = 0x97;
 pub const SPINDLE_100: u8 = 0x99;
 pub const SPINDLE_UP: u8 = 0x9A;
 pub const SPINDLE_DOWN: u8 = 0x9B;
+pub const SPINDLE_UP_FINE: u8 = 0x9C;
+pub const SPINDLE_DOWN_FINE: u8 = 0x9D;
 pub const SPINDLE_STOP: u8 = 0x9E;
+pub const FLOOD_TOGGLE: u8 = 0xA0;
 
 impl Action {
     /// As a line of `tests/conversations/`.
@@ -233,12 +238,18 @@ fn one() -> impl Strategy<Value = Action> {
         FEED_100,
         FEED_UP,
         FEED_DOWN,
+        FEED_UP_FINE,
+        FEED_DOWN_FINE,
         RAPID_100,
         RAPID_50,
         RAPID_25,
         SPINDLE_100,
         SPINDLE_UP,
         SPINDLE_DOWN,
+        SPINDLE_UP_FINE,
+        SPINDLE_DOWN_FINE,
+        FLOOD_TOGGLE,
+        FLOOD_TOGGLE,
         SPINDLE_STOP,
         SPINDLE_STOP,
         JOG_CANCEL,
