@@ -374,7 +374,7 @@ fn over_a_late_link_no_axis_changes_its_speed_faster() {
         let limits = limits(80.0);
         let settings = settings(&limits, 0.0);
         let (text, course) = program(&points, Style::mm(4), feed);
-        let mean = points.windows(2).map(|ends| between(ends)).sum::<f64>() / points.len() as f64;
+        let mean = points.windows(2).map(between).sum::<f64>() / points.len() as f64;
         let line_s = random.within(0.05, 2.0) * mean / feed;
         let (first, rest) = text.split_once('\n').unwrap();
         for (which, words) in ["G61".to_string(), format!("G64 P{p:.4}")].iter().enumerate() {
