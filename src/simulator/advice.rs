@@ -171,7 +171,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::ToolChangeNotAlone => "Write T and M6 on one line, and G43, G49 or the move on the next.",
         Error::NoSuchPin => {
-            "Leave the line out: a board with pins for programs is not there yet, but for the simulator."
+            "Leave the line out, or take a number that the board has: P0 and P1 on a Nucleo. A Black Pill has none, and no board has analog ones."
         }
         Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
         Error::NoParallelAxes => "Choose a post-processor for machines with the axes X, Y and Z.",
