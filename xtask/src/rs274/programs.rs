@@ -424,7 +424,10 @@ impl Writer {
         }
         let end = self.one_of(&["G80", "G0", "G1"]);
         let axes = self.axes();
-        self.put(if end == "G80" { "G80".into() } else { format!("{end}{axes}") });
+        // Where that is refused the series has to end all the same: a change of plane may follow.
+        if end == "G80" || !self.put(format!("{end}{axes}")) {
+            self.put("G80".into());
+        }
     }
 
     fn offsets(&mut self) {
