@@ -141,7 +141,9 @@ pub fn for_error(error: Error) -> &'static str {
         | Error::InvalidResult => {
             "Correct the expression; docs/expressions.md has operators, functions and parameters."
         }
-        Error::FlowSyntax => "Look for the beginning or the end of this block: each O number needs both.",
+        Error::FlowSyntax => {
+            "Look for the beginning or the end of this block: each O number needs both, and only that of a call may be computed."
+        }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
