@@ -415,7 +415,7 @@ pub struct Observed {
     pub rx_free: u16,
     /// Line bytes received and not yet given, also those that have no room in the queue.
     pub received: u16,
-    /// Line bytes received since power-up (wrapping): while it changes, the host is heard.
+    /// Bytes received since power-up (wrapping), commands aside: while it changes, the host is heard.
     pub heard: u16,
 }
 

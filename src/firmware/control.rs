@@ -177,8 +177,9 @@ impl Control {
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
         // A job has its next bytes ready until its end.
-        let heard = SERIAL.bytes_received.load(Ordering::Relaxed);
-        let received = heard.wrapping_sub(self.line_bytes_out) as usize;
+        let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
+        let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
+        let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
         Observed {

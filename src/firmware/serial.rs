@@ -72,6 +72,10 @@ impl Queues for ToControl {
         shared::ask_for_stop();
         boards::call_step();
     }
+
+    fn ignored(&mut self) {
+        count(&SERIAL.bytes_ignored);
+    }
 }
 
 /// A link and its port.

@@ -9,8 +9,9 @@
 //! 1512000 connect                         a host has opened the port; `disconnect`: closed it
 //! 1530000 host G1 X10 F600\n              bytes of the host, escaped as in Rust
 //! 1600000 pin door 1                      a line of the pin protocol
-//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a alarm 0 trusted cw 500 flood
-//!                                         position of the motors, hash of all steps in their order; alarm and outputs
+//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a alarm 0 trusted cw 32896 flood
+//!                                         position of the motors, hash of all steps in their order; alarm and
+//!                                         outputs, the spindle's power from 0 to 65535
 //! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
 //! job G0 X1\n                             each line of it
 //! ```
@@ -42,7 +43,7 @@ pub enum Input {
     Host(Vec<u8>),
     /// A line of the pin protocol.
     Pin(String),
-    /// Where the motors were, and the hash of all steps.
+    /// Where the motors were, the hash of all steps, the alarm and the outputs.
     At(String),
     /// A job begins.
     Job,

@@ -33,6 +33,8 @@ pub struct SerialStatus {
     pub bytes_queued: AtomicU32,
     /// Line bytes received since power-up (wrapping): those in the queue, and those that wait for room in it.
     pub bytes_received: AtomicU32,
+    /// Bytes received that are neither of lines nor commands, since power-up (wrapping).
+    pub bytes_ignored: AtomicU32,
     /// Commands received and line bytes queued since power-up (wrapping).
     pub heard: AtomicU32,
     /// How often a host that got the floor by it has opened a port since power-up (wrapping).
@@ -49,6 +51,7 @@ pub struct SerialStatus {
 pub static SERIAL: SerialStatus = SerialStatus {
     bytes_queued: AtomicU32::new(0),
     bytes_received: AtomicU32::new(0),
+    bytes_ignored: AtomicU32::new(0),
     heard: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),

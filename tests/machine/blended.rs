@@ -444,3 +444,47 @@ fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
     assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
     assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
+
+/// Runs a program line by line over a link that needs so many seconds for a line.
+fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
+    let mut rig = Rig::with(settings);
+    for line in text.lines() {
+        rig.send(format!("{line}\n").as_bytes());
+        rig.run_for(line_s);
+    }
+    assert!(rig.run_until(1000.0, |rig| rig.is_idle()));
+    rig
+}
+
+/// A bend that is seen late is braked for: with a tolerance as well as without one no axis changes its speed by more than
+/// it does where all lines are there in time.
+#[test]
+fn over_a_late_link_no_axis_changes_its_speed_faster() {
+    let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);
+    let (mut random, mut greatest, mut faults) = (Random(23), [0.0_f64; 2], Vec::new());
+    for case in 0..cases {
+        let points = walk(&mut random);
+        let (feed, p) = (random.within(20.0, 100.0), random.within(0.01, 0.2));
+        let limits = limits(80.0);
+        let settings = settings(&limits, 0.0);
+        let (text, course) = program(&points, Style::mm(4), feed);
+        let mean = points.windows(2).map(between).sum::<f64>() / points.len() as f64;
+        let line_s = random.within(0.05, 2.0) * mean / feed;
+        let (first, rest) = text.split_once('\n').unwrap();
+        for (which, words) in ["G61".to_string(), format!("G64 P{p:.4}")].iter().enumerate() {
+            let rig = run_late(&settings, &format!("{first}\n{words}\n{rest}"), line_s);
+            let change =
+                greatest_change(&rig.trace, HZ as f64, &course, &limits, 0.005).map_or(0.0, |change| change.ratio);
+            greatest[which] = greatest[which].max(change);
+            if change > CHANGE {
+                faults.push(format!("case {case}, {words}, {feed} mm/s, {line_s} s a line: {change}"));
+            }
+        }
+    }
+    println!("{cases} jobs: greatest change {greatest:.3?}");
+    assert!(faults.is_empty(), "{} of {cases}:\n{}", faults.len(), faults.join("\n"));
+}
+
+fn between(ends: &[Point]) -> f64 {
+    (0..AXES).map(|axis| (ends[1][axis] - ends[0][axis]).powi(2)).sum::<f64>().sqrt()
+}

@@ -93,6 +93,7 @@ enum State {
     Probe,
     Pause,
     ToolChange,
+    SingleBlock,
     Jog,
     HoldBraking,
     HoldAtRest,
@@ -108,13 +109,14 @@ enum State {
 }
 
 impl State {
-    const ALL: [State; 18] = [
+    const ALL: [State; 19] = [
         State::Idle,
         State::Run,
         State::Dwell,
         State::Probe,
         State::Pause,
         State::ToolChange,
+        State::SingleBlock,
         State::Jog,
         State::HoldBraking,
         State::HoldAtRest,
@@ -137,7 +139,9 @@ impl State {
             State::Dwell => ("M3 S500\nG4 P20\n", ""),
             State::Probe => ("M3 S500\nG91 G38.3 X-20 F1200\n", ""),
             State::Pause => ("M3 S500\nM0\n", ""),
-            State::ToolChange => ("M3 S500\nT2 M6\n", ""),
+            State::ToolChange => ("$900=1\n$918=1\nM3 S500\nT2 M6\n", ""),
+            // It waits behind the first move.
+            State::SingleBlock => ("M3 S500\nG91 G1 X-1 F1200\nX-20\n", ""),
             State::Jog => ("M3 S500\n$J=G91 X-20 F1200\n", ""),
             State::HoldBraking => (run, "!"),
             State::HoldAtRest => (run, "! "),
@@ -152,6 +156,9 @@ impl State {
             State::Check => ("$C\n", ""),
             State::Sleep => ("$SLP\n", "      "),
         };
+        if self == State::SingleBlock {
+            mill.send([0x89]);
+        }
         mill.send(lines);
         mill.run_for(Duration::from_millis(300));
         for command in then.chars() {
@@ -167,7 +174,7 @@ impl State {
         let wanted = match self {
             State::Idle => "<Idle|",
             State::Run | State::Dwell | State::Probe => "<Run|",
-            State::Pause | State::ToolChange => "<Hold:0|",
+            State::Pause | State::ToolChange | State::SingleBlock => "<Hold:0|",
             State::Jog => "<Jog|",
             State::HoldBraking | State::Stopping => "<Hold:1|",
             State::HoldAtRest => "<Hold:0|",
@@ -233,7 +240,7 @@ fn status(mill: &mut Simulator) -> String {
 }
 
 /// Lets time pass with a host that asks for the state.
-fn listened(mill: &mut Simulator, seconds: u32) {
+fn run_polled(mill: &mut Simulator, seconds: u32) {
     for _ in 0..10 * seconds {
         mill.send("?");
         mill.run_for(Duration::from_millis(100));
@@ -302,7 +309,7 @@ impl Case {
     fn run(homed: &Simulator, fault: Fault, reaction: u8, state: State) -> Case {
         let mut mill = homed.clone();
         let origin = (mill.machine().position(), position(&mill));
-        mill.send(format!("$900=1\n$918=1\n${}={reaction}\n", fault.setting()));
+        mill.send(format!("${}={reaction}\n", fault.setting()));
         if fault == Fault::Silence {
             let seconds = SILENCE as f64 / 1000.0;
             mill.send(format!("$922={seconds}\n$923={seconds}\n"));
@@ -390,10 +397,15 @@ impl Case {
     }
 
     /// A job that waits for its host can be resumed, and ends where it should.
-    fn check_wait(mut self) {
+    fn check_wait(self) {
         self.check_path();
+        self.check_resumed();
+    }
+
+    fn check_resumed(mut self) {
         let name = self.name();
         assert!(self.mill.controller().is_trusted() && !self.said.contains("ALARM"), "{name}");
+        assert_eq!(self.said.contains("The host is silent"), self.fault == Fault::Silence, "{name}");
         assert_eq!(turns(&self.mill), self.reaction >= 3, "{name}");
         self.mill.connect();
         self.mill.run_for(Duration::from_millis(10));
@@ -401,7 +413,7 @@ impl Case {
         let wanted = if self.reaction == 4 { "<Hold:0|" } else { "<Door:0|" };
         assert!(state.contains(wanted), "{state} after {name}");
         self.mill.send("~");
-        listened(&mut self.mill, 30);
+        run_polled(&mut self.mill, 30);
         assert!(self.mill.is_idle() && turns(&self.mill), "{name}");
         let travelled = moved(&self.mill, self.origin.0)[0];
         let wanted = if self.state == State::Dwell { 0.0 } else { -20.0 };
@@ -420,7 +432,7 @@ impl Case {
         self.mill.run_for(Duration::from_millis(100));
         assert!(!turns(&self.mill), "{}", self.name());
         self.mill.send("$X\nG90 G53 G0 X-90 Y-90\n");
-        listened(&mut self.mill, 5);
+        run_polled(&mut self.mill, 5);
         let said = self.mill.take_output();
         assert!(self.mill.is_idle(), "{said} after {}", self.name());
         let there = position(&self.mill);
@@ -457,7 +469,92 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
         }
     }
     let with_job = 3;
-    assert_eq!(cases, 18 * (3 + 6) + 16 * 6 + with_job * (6 + 6 + 6) + 6, "states, reactions and faults");
+    assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 6, "states, reactions and faults");
+}
+
+/// Without a job to end: what the machine does it goes on with, or comes to its end as if the host were there.
+#[test]
+fn a_host_that_goes_or_is_silent_is_no_fault_without_a_job() {
+    let homed = homed();
+    let mut cases = 0;
+    for fault in Fault::ALL.into_iter().filter(|fault| fault.is_of_host()) {
+        let without_job = |state: &State| !state.heeds(fault) && !matches!(state, State::Jog | State::DoorReturning);
+        for state in State::ALL.into_iter().filter(without_job) {
+            let mut polled = homed.clone();
+            state.enter(&mut polled);
+            run_polled(&mut polled, 12);
+            let wanted = status(&mut polled);
+            for reaction in fault.reactions() {
+                cases += 1;
+                let mut case = Case::run(&homed, fault, reaction, state);
+                let name = case.name();
+                assert!(!case.said.contains("The host is silent"), "{name}");
+                assert!(!case.said.contains(fault.alarm()), "{name}");
+                case.mill.connect();
+                case.mill.run_for(Duration::from_millis(10));
+                let there = status(&mut case.mill);
+                assert_eq!(place_and_mode(&there), place_and_mode(&wanted), "{name}");
+                assert_eq!(turns(&case.mill), turns(&polled), "{name}");
+            }
+        }
+    }
+    assert_eq!(cases, 14 * 6 * 2, "states, reactions and faults");
+}
+
+/// The job that has been resumed is one that nobody watches.
+#[test]
+fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
+    let homed = homed();
+    for fault in [Fault::Host, Fault::Silence] {
+        for reaction in fault.reactions() {
+            let mut case = Case::run(&homed, fault, reaction, State::DoorReturning);
+            // Back, and out of the cut again.
+            case.mill.run_for(Duration::from_secs(12));
+            let name = case.name();
+            let (x, _) = case.after_fault();
+            let longest = if fault == Fault::Host { 1.0 } else { 1.0 + FEED * (SILENCE as f64 / 1000.0 + 0.1) };
+            assert!(x < longest, "X {x}: {name}");
+            if reaction % 3 == 0 {
+                assert!(case.said.contains("ALARM:3"), "{name}");
+                assert_eq!(turns(&case.mill), reaction == 3, "{name}");
+            } else {
+                case.check_resumed();
+            }
+        }
+    }
+}
+
+/// Of a report: the mode and the position.
+fn place_and_mode(report: &str) -> Vec<&str> {
+    let report = report.lines().find(|line| line.starts_with('<')).expect("a report");
+    report.split('|').take(2).collect()
+}
+
+#[test]
+fn a_host_that_goes_while_a_spindle_comes_up_again_leaves_the_job_held() {
+    // An operator at the machine may still resume it.
+    for by_button in [false, true] {
+        let mut mill = milling("$916=10\n");
+        for command in [b'!', 0x9e] {
+            mill.send([command]);
+            mill.run_for(Duration::from_secs(1));
+        }
+        pin(&mut mill, "at_speed 0");
+        mill.send("~");
+        mill.run_for(Duration::from_secs(1));
+        let there = mill.machine().position();
+        mill.disconnect();
+        if by_button {
+            pin(&mut mill, "start 1");
+        }
+        mill.run_for(Duration::from_secs(1));
+        pin(&mut mill, "at_speed 1");
+        mill.run_for(Duration::from_secs(5));
+        let x = moved(&mill, there)[0].abs();
+        assert!(if by_button { x > 5.0 } else { x < 0.5 }, "{by_button} {x}: {}", mill.take_output());
+        mill.connect();
+        assert!(by_button || status(&mut mill).contains("<Hold:0|"));
+    }
 }
 
 #[test]

@@ -129,6 +129,8 @@ pub enum Action {
     Pin(Pin, bool),
     /// Virtual time, s.
     Pass(f64),
+    /// The host goes, and another comes after this time, s.
+    Absent(f64),
 }
 
 pub const RESET: u8 = 0x18;
@@ -140,13 +142,18 @@ pub const JOG_CANCEL: u8 = 0x85;
 pub const FEED_100: u8 = 0x90;
 pub const FEED_UP: u8 = 0x91;
 pub const FEED_DOWN: u8 = 0x92;
+pub const FEED_UP_FINE: u8 = 0x93;
+pub const FEED_DOWN_FINE: u8 = 0x94;
 pub const RAPID_100: u8 = 0x95;
 pub const RAPID_50: u8 = 0x96;
 pub const RAPID_25: u8 = 0x97;
 pub const SPINDLE_100: u8 = 0x99;
 pub const SPINDLE_UP: u8 = 0x9A;
 pub const SPINDLE_DOWN: u8 = 0x9B;
+pub const SPINDLE_UP_FINE: u8 = 0x9C;
+pub const SPINDLE_DOWN_FINE: u8 = 0x9D;
 pub const SPINDLE_STOP: u8 = 0x9E;
+pub const FLOOD_TOGGLE: u8 = 0xA0;
 
 impl Action {
     /// As a line of `tests/conversations/`.
@@ -157,6 +164,7 @@ impl Action {
             Action::Byte(byte) => format!("=> \\x{byte:02x}"),
             Action::Pin(pin, on) => format!("pin {} {}", PINS[pin.index()].2, u8::from(*on)),
             Action::Pass(seconds) => format!(".. {seconds}"),
+            Action::Absent(seconds) => format!("host goes\n.. {seconds}\nhost comes"),
         }
     }
 }
@@ -230,12 +238,18 @@ fn one() -> impl Strategy<Value = Action> {
         FEED_100,
         FEED_UP,
         FEED_DOWN,
+        FEED_UP_FINE,
+        FEED_DOWN_FINE,
         RAPID_100,
         RAPID_50,
         RAPID_25,
         SPINDLE_100,
         SPINDLE_UP,
         SPINDLE_DOWN,
+        SPINDLE_UP_FINE,
+        SPINDLE_DOWN_FINE,
+        FLOOD_TOGGLE,
+        FLOOD_TOGGLE,
         SPINDLE_STOP,
         SPINDLE_STOP,
         JOG_CANCEL,
@@ -250,6 +264,7 @@ fn one() -> impl Strategy<Value = Action> {
         4 => (prop::sample::select(pins), any::<bool>()).prop_map(|(pin, on)| Action::Pin(pin, on)),
         2 => any::<bool>().prop_map(|on| Action::Pin(Pin::Door, on)),
         8 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Pass),
+        2 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Absent),
     ]
 }
 
@@ -292,6 +307,28 @@ fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
+/// A job that a closed door resumes, and what may come meanwhile.
+fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
+    let outputs = prop::sample::select(vec![Line::Spindle(true), Line::Flood(true)]);
+    let passes = || prop::sample::select(PASSES[1..].to_vec());
+    let meanwhile = prop_oneof![
+        2 => passes().prop_map(Action::Absent),
+        1 => prop::sample::select(vec![HOLD, START, DOOR, STOP, RESET]).prop_map(Action::Byte),
+        1 => Just(Action::Pin(Pin::Door, true)),
+    ];
+    (outputs, passes(), meanwhile).prop_map(|(output, pass, meanwhile)| {
+        let mut actions = vec![Action::Line(output), Action::Line(Line::Move(2, -15, true)), Action::Pass(PASSES[2])];
+        actions.extend([
+            Action::Byte(DOOR),
+            Action::Pass(PASSES[3]),
+            Action::Byte(START),
+            Action::Pass(pass),
+            meanwhile,
+        ]);
+        actions
+    })
+}
+
 fn some() -> impl Strategy<Value = Vec<Action>> {
     prop_oneof![
         40 => one().prop_map(|action| vec![action]),
@@ -299,6 +336,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         1 => sequence(homed_by_hand()),
         // Jogs that meet what ends jogs, and lines that wait.
         3 => ended_jog().prop_flat_map(sequence),
+        1 => resumed_job().prop_flat_map(sequence),
         // Part of a homing cycle.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]

@@ -71,6 +71,12 @@ impl Talk {
                 assert_eq!(self.mill.pin_line(&line), "ok", "{line}");
             }
             Action::Pass(seconds) => self.mill.run_for(Duration::from_secs_f64(*seconds)),
+            Action::Absent(seconds) => {
+                self.mill.disconnect();
+                self.mill.run_for(Duration::from_secs_f64(*seconds));
+                self.mill.take_output();
+                self.mill.connect();
+            }
         }
         let said = self.mill.take_output();
         self.mill.send("?");

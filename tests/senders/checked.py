@@ -24,8 +24,8 @@ import checked_sender  # noqa: E402
 
 import machine  # noqa: E402
 
-JOBS = [f"tests/jobs/{name}.nc" for name in ["axes", "arcs", "chords", "helix", "increments", "jerk", "lines", "power"]]
-JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch"]]
+JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "jerk", "lines", "relief"]]
+JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
 # Long enough that a late byte is seen, short enough that nobody waits.
 LATE = 0.02
 
@@ -127,7 +127,7 @@ def main():
     failed = []
     all_faults = 0
     for n, job in enumerate(options.jobs):
-        name, lines = Path(job).stem, checked_sender.program(job)
+        name, lines = str(Path(job).resolve()).removeprefix(f"{ROOT}/"), checked_sender.program(job)
         wanted, said, _, clean = run(options, lines, checked, 0, 0)
         if "stopped" in said:
             sys.exit(f"{name} over a clean link: {said}")
@@ -136,14 +136,15 @@ def main():
         all_faults += sum(faults.values())
         order = "same" if steps == wanted else "other"
         outcome = f"ok, {order} order" if is_same else f"FAILED\n  {wanted[0]}\n  {steps[0]}"
-        print(f"{name}: {len(lines)} lines, {seconds:.1f} s ({clean:.1f} s over a clean link) ... {outcome}")
+        rates = f"{len(lines) / seconds:.0f} lines/s ({len(lines) / clean:.0f} over a clean link)"
+        print(f"{name}: {len(lines)} lines, {rates} ... {outcome}")
         print(f"  {', '.join(f'{count} {fault}' for fault, count in faults.items())}; {said}", flush=True)
         if not is_same:
             failed.append(name)
         if options.plain:
             steps, said, faults, seconds = run(options, lines, plain, options.rate, options.seed + 2 * n)
             outcome = "the same steps" if steps[0] == wanted[0] else "OTHER STEPS"
-            print(f"  without checks: {outcome} ({seconds:.1f} s); {said}", flush=True)
+            print(f"  without checks: {outcome}, {len(lines) / seconds:.0f} lines/s; {said}", flush=True)
     print(f"checked lines: {len(options.jobs) - len(failed)} of {len(options.jobs)} jobs made the same steps")
     if all_faults == 0:
         sys.exit("the link had no fault: nothing was tested")

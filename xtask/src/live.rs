@@ -5,6 +5,8 @@ use crate::{Failure, QEMU_BOARD, image, qemu};
 use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::{Duration, Instant};
 
 const LIMIT: Duration = Duration::from_secs(300);
@@ -20,7 +22,7 @@ type Test = fn(&mut Lines) -> Result<(), Failure>;
 /// All of them, each with a machine that was just switched on.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    let tests: [(&str, Test); 10] = [
+    let tests: [(&str, Test); 11] = [
         ("a_panic_is_told_after_the_reset_and_locks", panics),
         ("a_fault_is_told_after_the_reset_and_locks", faults),
         ("a_control_task_that_hangs_is_found_and_told", control_hangs),
@@ -29,6 +31,7 @@ pub fn all() -> Result<(), Failure> {
         ("settings_are_there_again_after_a_reset_of_the_machine", settings),
         ("a_flood_of_lines_behind_a_dwell_loses_nothing", flood),
         ("a_hold_brakes_and_a_resume_goes_on_to_the_end", hold_and_resume),
+        ("a_host_that_says_nothing_more_is_missed", silence),
         ("a_reset_in_motion_stops_for_good_and_raises_an_alarm", reset_in_motion),
         ("a_reset_drops_what_came_before_it_and_nothing_after", reset_between_lines),
     ];
@@ -283,6 +286,33 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     let report = lines.report()?;
     hold_on(status.contains("MPos:8.000,2.000,0.000"), || status)?;
     hold_on(report.contains("steps=2000,500,0"), || report)
+}
+
+/// Any byte is a sign of life, even one that means nothing.
+fn silence(lines: &mut Lines) -> Result<(), Failure> {
+    lines.send(b"$922=2\n")?;
+    lines.expect("ok\r\n")?;
+    let mut writer = lines.host.try_clone().map_err(|error| error.to_string())?;
+    lines.send(b"G4P10\n")?;
+    let is_over = AtomicBool::new(false);
+    let answer = thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(Ordering::Relaxed) && writer.write_all(&[0xFE]).is_ok() {
+                thread::sleep(Duration::from_millis(5));
+            }
+        });
+        let answer = lines.expect("\n");
+        is_over.store(true, Ordering::Relaxed);
+        answer
+    })?;
+    hold_on(answer == "ok\r\n", || answer)?;
+    lines.send(b"G4P10\n")?;
+    let answer = lines.expect("\n")?;
+    hold_on(answer == "[MSG:The host is silent]\r\n", || answer)?;
+    lines.wait_for("<Hold:0|")?;
+    lines.send(b"\x18")?;
+    lines.expect("Grbl")?;
+    Ok(())
 }
 
 fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {

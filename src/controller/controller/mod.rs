@@ -232,6 +232,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Event::Stored => self.stored(true),
             Event::StoreFailed => self.stored(false),
             Event::Connected => {
+                self.lines.heartbeat_mut().set_gone(false);
                 self.greet();
                 self.tell_lock();
             }

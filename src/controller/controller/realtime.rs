@@ -84,6 +84,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn cycle_start(&mut self) {
+        self.lines.heartbeat_mut().set_gone(false);
         match self.mode {
             Mode::Normal => self.start_motion(),
             Mode::Hold if self.accessories.spinning_up().is_some() => {}
@@ -111,13 +112,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn host_left(&mut self) {
         match self.mode {
             Mode::Jog { .. } => self.end_jog_of_no_host(),
-            Mode::Normal if self.is_at_work() && self.settings.is_on(Key::HoldWithoutHost) => self.host_fault(),
+            _ if !self.settings.is_on(Key::HoldWithoutHost) => {}
+            Mode::Normal if self.is_at_work() => self.host_fault(),
+            // The fault acts where the job would go on.
+            _ if self.mode.is_resuming() || self.accessories.spinning_up().is_some() => {
+                self.lines.heartbeat_mut().set_gone(true);
+            }
             _ => {}
         }
     }
 
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(super) fn look_for_host(&mut self) {
+        if matches!(self.mode, Mode::Normal) && self.lines.heartbeat_mut().take_gone() && self.is_at_work() {
+            self.host_fault();
+        }
         let longest = match self.mode {
             Mode::Jog { cancelling: false } => Key::JogSilence,
             _ => Key::HostSilence,

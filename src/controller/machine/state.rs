@@ -104,6 +104,12 @@ impl<const N: usize> Mode<N> {
         matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
     }
 
+    /// Whether a door has been closed, and the machine is on its way back to the job.
+    pub fn is_resuming(&self) -> bool {
+        use Door::{CoolantRestoring, Plunging, Returning, SpindleRestoring};
+        matches!(self, Mode::Door(Returning | SpindleRestoring(_) | CoolantRestoring(_) | Plunging))
+    }
+
     /// Whether a received line may be read.
     #[inline]
     pub fn takes_lines(&self) -> bool {

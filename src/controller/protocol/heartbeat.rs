@@ -13,11 +13,14 @@ pub struct Heartbeat {
     heard_at: Instant,
     /// When it will have been silent for too long.
     silent_at: Option<Instant>,
+    /// It has gone while a job was about to be resumed.
+    gone: bool,
 }
 
 impl Heartbeat {
     /// Not heard yet.
-    pub const NONE: Heartbeat = Heartbeat { bytes: 0, heard: false, heard_at: Instant::from_ticks(0), silent_at: None };
+    pub const NONE: Heartbeat =
+        Heartbeat { bytes: 0, heard: false, heard_at: Instant::from_ticks(0), silent_at: None, gone: false };
 
     /// So many bytes of lines have been received (wrapping).
     #[inline]
@@ -47,6 +50,16 @@ impl Heartbeat {
         let silent_at = self.heard_at + longest;
         self.silent_at = Some(silent_at);
         now >= silent_at
+    }
+
+    /// Notes whether it has gone while a job was about to be resumed.
+    pub fn set_gone(&mut self, gone: bool) {
+        self.gone = gone;
+    }
+
+    /// Whether it has; told once.
+    pub fn take_gone(&mut self) -> bool {
+        core::mem::take(&mut self.gone)
     }
 
     /// When it will have been, if it says nothing more; none while silence is allowed.

@@ -29,6 +29,8 @@ pub trait Queues {
     fn is_free(&self) -> bool;
     /// A reset has come: stops the step task, before anyone has queued or decided anything.
     fn stop(&mut self);
+    /// A byte has come that is neither a line's nor a command: no more than a sign of life.
+    fn ignored(&mut self) {}
 }
 
 /// Arbitration between the hosts on several links: the floor, and what their bytes pass through together.
@@ -157,7 +159,10 @@ impl<const HELD: usize> Link<HELD> {
         queues: &mut impl Queues,
     ) -> bool {
         match Received::of(byte) {
-            Received::Nothing => false,
+            Received::Nothing => {
+                queues.ignored();
+                false
+            }
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();

@@ -123,43 +123,63 @@ proptest! {
     }
 }
 
-#[test]
-fn another_machine_parts_from_it() {
+/// The text of a recording in which a host sends this, and then looks after a second.
+fn recorded(sent: &str) -> (String, Simulator) {
     let (mut mill, mut recorder, file, _) = machine();
-    recorder.input(&mill, &Input::Host(b"G1 X1 F600\n".to_vec())).unwrap();
-    mill.send("G1 X1 F600\n");
+    recorder.input(&mill, &Input::Host(sent.as_bytes().to_vec())).unwrap();
+    mill.send(sent);
     mill.run_for(Duration::from_secs(1));
     recorder.look(&mill).unwrap();
-    let text = file.text();
+    (file.text(), mill)
+}
+
+/// What comes of playing it.
+fn played(text: &str) -> Result<(), String> {
+    let recording = Recording::parse(text).unwrap();
+    recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {})
+}
+
+#[test]
+fn another_machine_parts_from_it() {
+    let (text, mill) = recorded("G1 X1 F600\n");
+    assert_eq!(played(&text), Ok(()));
     let place = format!(" at {} ", mill.machine().position()[0]);
     for (from, to) in [("G1 X1 F600", "G1 Y1 F600"), (place.as_str(), " at 1 ")] {
         assert!(text.contains(from), "{text}");
-        let recording = Recording::parse(&text.replace(from, to)).unwrap();
-        let why = recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {}).unwrap_err();
+        let why = played(&text.replace(from, to)).unwrap_err();
         assert!(why.starts_with("1.000000 s after its begin"), "{why}");
     }
 }
 
 #[test]
 fn another_state_parts_from_it() {
-    let (mut mill, mut recorder, file, _) = machine();
-    recorder.input(&mill, &Input::Host(b"M4 S500 M8\n".to_vec())).unwrap();
-    mill.send("M4 S500 M8\n");
-    mill.run_for(Duration::from_secs(1));
-    recorder.look(&mill).unwrap();
-    let text = file.text();
-    assert!(text.contains(" alarm 0 trusted ccw 32896 flood\n"), "{text}");
-    for (from, to) in
-        [("M4 S500", "M3 S500"), ("M4 S500", "M4 S600"), (" M8", " M7"), (" M8", ""), (" flood\n", " mist\n")]
-    {
-        let recording = Recording::parse(&text.replace(from, to)).unwrap();
-        let why = recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {}).unwrap_err();
-        assert!(why.contains("has the machine at 0 0 0 "), "{why}");
+    for (sent, state) in [
+        ("$1=255\n", "alarm 0 trusted drivers"),
+        ("G4 P9\n!", "alarm 0 trusted paused"),
+        ("M3 S500\n", "alarm 0 trusted cw 32896"),
+        ("M4 S500 M8\n", "alarm 0 trusted ccw 32896 flood"),
+        ("M4 S600 M7\n", "alarm 0 trusted ccw 39423 mist"),
+        ("$900=1\nM64 P1\nM65 P0\n", "alarm 0 trusted pins 02"),
+        // The switch at 1.5 mm.
+        ("G1 X9 F900\n", "alarm 1 drivers"),
+        ("$SLP\n", "alarm 0"),
+    ] {
+        let (text, _) = recorded(sent);
+        assert!(text.ends_with(&format!(" {state}\n")), "{sent:?} is {text}");
+        assert_eq!(played(&text), Ok(()));
+        // Each word by itself is looked at.
+        let words: Vec<&str> = state.split(' ').collect();
+        for index in 0..words.len() {
+            let changed = [&words[..index], &["other"], &words[index + 1..]].concat().join(" ");
+            let why = played(&text.replace(state, &changed)).unwrap_err();
+            assert!(why.contains("has the machine at "), "{sent:?} without {}: {why}", words[index]);
+        }
     }
     // A recording of an older version tells of no outputs.
+    let (text, _) = recorded("M4 S500 M8\n");
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" alarm ").next().unwrap())).collect();
-    let recording = Recording::parse(&older.replace(" M8", "")).unwrap();
-    assert_eq!(recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {}), Ok(()));
+    assert_eq!(played(&older.replace(" M8", "")), Ok(()));
+    assert!(played(&text.replace(" M8", "")).is_err());
 }
 
 #[test]

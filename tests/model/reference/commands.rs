@@ -25,6 +25,7 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
+            action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
             // Oxmill: also in an alarm that only a reset ends.
             _ => self.override_speed(byte),
         }
@@ -37,12 +38,16 @@ impl Model {
             action::FEED_100 => *feed = 100,
             action::FEED_UP => *feed = (*feed + 10).min(200),
             action::FEED_DOWN => *feed = (*feed - 10).max(10),
+            action::FEED_UP_FINE => *feed = (*feed + 1).min(200),
+            action::FEED_DOWN_FINE => *feed = (*feed - 1).max(10),
             action::RAPID_100 => *rapid = 100,
             action::RAPID_50 => *rapid = 50,
             action::RAPID_25 => *rapid = 25,
             action::SPINDLE_100 => *spindle = 100,
             action::SPINDLE_UP => *spindle = (*spindle + 10).min(200),
             action::SPINDLE_DOWN => *spindle = (*spindle - 10).max(10),
+            action::SPINDLE_UP_FINE => *spindle = (*spindle + 1).min(200),
+            action::SPINDLE_DOWN_FINE => *spindle = (*spindle - 1).max(10),
             _ => {}
         }
         let ratio = |i: usize| f64::from(before[i]) / f64::from(self.overrides[i]);

@@ -110,6 +110,8 @@ pub struct Model {
     motion: Option<Motion>,
     /// When a motion that is being stopped rests.
     braking: Option<Span>,
+    /// No host is there.
+    absent: bool,
     /// What it has not carried out at rest behind a door will not be carried out.
     forgets: bool,
     work: Option<Work>,
@@ -149,6 +151,7 @@ impl Model {
             mode: Mode::Free,
             motion: None,
             braking: None,
+            absent: false,
             forgets: false,
             work: None,
             waiting: VecDeque::new(),
@@ -266,6 +269,8 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
+            // What would be answered meanwhile is answered to nobody.
+            Action::Absent(_) => self.waiting.is_empty() && self.work.is_none(),
         }
     }
 
@@ -286,11 +291,18 @@ impl Model {
                 model.must_step =
                     *seconds >= 0.1 && model.motion.as_ref().is_some_and(|m| !m.held && m.time.from > end);
             }
+            Action::Absent(seconds) => {
+                end += seconds;
+                model.host_goes();
+            }
         }
         also.push(model);
         let mut all = Vec::new();
         for model in also {
             model.advance(end, &mut all);
+        }
+        if matches!(action, Action::Absent(_)) {
+            all.iter_mut().for_each(Model::host_comes);
         }
         all
     }

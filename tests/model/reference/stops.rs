@@ -43,7 +43,8 @@ impl Model {
         match self.mode {
             Mode::Jog | Mode::Stop => {
                 self.forget_motion();
-                self.restore_spindle();
+                // What the operator has stopped stays off.
+                self.spindle &= !std::mem::take(&mut self.spindle_stopped);
                 let jogs = self.mode == Mode::Jog;
                 self.mode = Mode::Free;
                 match self.work.take() {
@@ -106,7 +107,31 @@ impl Model {
             }
             _ => {}
         }
+        if self.absent && self.motion.is_some() {
+            self.hold();
+        }
         self.read(also);
+    }
+
+    /// Oxmill: a job is held whose host has gone, or goes while a door resumes it; a jog ends.
+    pub(super) fn host_goes(&mut self) {
+        self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
+        if self.motion.is_some() {
+            self.hold();
+        }
+    }
+
+    /// Another has come. It is told what it has to know.
+    pub(super) fn host_comes(&mut self) {
+        self.absent = false;
+        self.said.clear();
+        self.say("");
+        self.say("Grbl 1.1h ['$' for help]");
+        match self.mode {
+            Mode::Alarm => self.say("[MSG:'$H'|'$X' to unlock]"),
+            Mode::Critical => self.say("[MSG:Reset to continue]"),
+            _ => {}
+        }
     }
 
     /// Alarm, after which only a reset is heard.
