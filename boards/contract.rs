@@ -21,9 +21,9 @@
 //! | `SerialPort` | the UART to the host, a [`Port`] |
 //! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
 //! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
-//! | `SlowPins` | driver enable, spindle, coolant |
+//! | `SlowPins` | driver enable, spindle, coolant, outputs of programs |
 //! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
-//! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle and coolant off |
+//! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle, coolant and outputs of programs off |
 //! | `preloaded_job()` | a job that was put into RAM before the reset; no board but QEMU has one |
 //! | `job_done()` | the end of a preloaded job |
 //! | `idle()` | sleeps until the next interrupt |
@@ -53,6 +53,8 @@ pub struct SlowLevels {
     pub flood: bool,
     /// Mist coolant.
     pub mist: bool,
+    /// Outputs of programs (M62 to M65), bit 0 for P0.
+    pub program: u8,
 }
 
 /// What the step task has been called for. The bits are those of the compare channels of an STM32F4's timer.
@@ -222,6 +224,8 @@ pub mod input_bits {
     pub const LIMITS: u32 = 0;
     /// Limit switch of the second motor of an axis.
     pub const SECOND_LIMIT: u32 = 6;
+    /// First input of programs (M66 P0).
+    pub const PROGRAM: u32 = 7;
     /// Touch probe.
     pub const PROBE: u32 = 8;
     /// Safety door.
@@ -236,6 +240,8 @@ pub mod input_bits {
     pub const DRIVER_FAULT: u32 = 14;
     /// Output of a spindle's drive: up to speed.
     pub const AT_SPEED: u32 = 15;
+    /// Second input of programs (M66 P1).
+    pub const SECOND_PROGRAM: u32 = 16;
 }
 
 /// How the pins of the fourth motor are driven: as the second motor of an axis, or not at all.
@@ -283,8 +289,8 @@ mod held {
         let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
     };
 
-    const _: [fn(&board::InputPins) -> u16; 2] = [board::InputPins::read, board::InputPins::fitted];
-    const _: fn(&mut board::InputPins, u16, u16) = board::InputPins::set_pulls;
+    const _: [fn(&board::InputPins) -> u32; 2] = [board::InputPins::read, board::InputPins::fitted];
+    const _: fn(&mut board::InputPins, u32, u32) = board::InputPins::set_pulls;
     const _: fn(&mut board::SlowPins, SlowLevels) = board::SlowPins::write;
     const _: [fn(&mut board::Watchdog); 2] = [board::Watchdog::start, board::Watchdog::feed];
 }

@@ -59,12 +59,15 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let [enable] = each!([a.pa9].into_push_pull_output_in_state(PinState::High));
     let [spindle, turn, flood, mist] =
         each!([c.pc2, a.pa5, b.pb0, c.pc1].into_push_pull_output_in_state(PinState::Low));
-    let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
+    let [first, second] = each!([c.pc8, c.pc9].into_push_pull_output_in_state(PinState::Low));
+    let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist, first, second]);
     let inputs = each!([c.pc7, b.pb6, a.pa6, c.pc0, c.pc3, a.pa1, a.pa4, a.pa0].into_pull_up_input());
     // Drivers' fault outputs are open drains and may be joined.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
         .with(input_bits::AT_SPEED, c.pc11.into_pull_up_input().erase())
+        .with(input_bits::PROGRAM, c.pc6.into_pull_up_input().erase())
+        .with(input_bits::SECOND_PROGRAM, c.pc5.into_pull_up_input().erase())
         .with(input_bits::SECOND_LIMIT, b.pb15.into_pull_up_input().erase());
     let inputs = if AXES > 3 { inputs.also(input_bits::LIMITS + 3) } else { inputs };
     let _pwm = a.pa7.into_alternate::<2>();

@@ -43,11 +43,14 @@ pub const DESK: Board = Board {
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
     received_bytes: 255,
-    program_pins: [4, 1],
+    program_pins: [4, 2],
 };
 
-/// What is so on all boards with hardware: three axes, and no pins for programs yet.
+/// What is so on most boards with hardware: three axes, and no pins left for programs.
 const HARDWARE: Board = Board { axes: AXES_OF_BOARDS, program_pins: [0, 0], ..DESK };
+
+/// What programs have on the Nucleos: a corner of the outer connectors that no shield covers.
+const NUCLEO_PROGRAM_PINS: [u8; 2] = [2, 2];
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
@@ -75,15 +78,23 @@ pub const NUCLEO_F446RE: Board = Board {
     run_cycles: 5_200,
     axes: AXES,
     safe_step_hz: 490_000,
+    program_pins: NUCLEO_PROGRAM_PINS,
     ..HARDWARE
 };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
-pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..HARDWARE };
+pub const NUCLEO_F411RE: Board =
+    Board { name: "nucleo_f411re", safe_step_hz: 490_000, program_pins: NUCLEO_PROGRAM_PINS, ..HARDWARE };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
-pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..HARDWARE };
+pub const NUCLEO_F401RE: Board = Board {
+    name: "nucleo_f401re",
+    step_clock_hz: 84_000_000,
+    core_hz: 84_000_000,
+    safe_step_hz: 490_000,
+    program_pins: NUCLEO_PROGRAM_PINS,
+    ..HARDWARE
+};
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board =

@@ -393,17 +393,17 @@ pub struct InputPins;
 
 impl InputPins {
     /// Which pins are low: none.
-    pub fn read(&self) -> u16 {
+    pub fn read(&self) -> u32 {
         0
     }
 
     /// Which pins there are: none.
-    pub fn fitted(&self) -> u16 {
+    pub fn fitted(&self) -> u32 {
         0
     }
 
     /// There are no resistors.
-    pub fn set_pulls(&mut self, _none: u16, _down: u16) {}
+    pub fn set_pulls(&mut self, _none: u32, _down: u32) {}
 }
 
 /// No pins.

@@ -201,7 +201,7 @@ impl<U: Instance> Port for Usart<U> {
 }
 
 /// Inputs at most.
-const MOST_INPUTS: usize = if crate::AXES > 3 { 12 } else { 11 };
+const MOST_INPUTS: usize = crate::PROFILE.program_pins[1] as usize + if crate::AXES > 3 { 12 } else { 11 };
 
 /// Inputs, with pull-ups until a setting wants something else.
 pub struct InputPins {
@@ -252,23 +252,23 @@ impl InputPins {
 
     /// Which pins are low, as `input_bits`.
     #[inline]
-    pub fn read(&self) -> u16 {
+    pub fn read(&self) -> u32 {
         let ports = [0, 1, 2].map(read_idr::<Chip>);
         let mut word = 0;
         for (place, bit) in self.places.iter().take(self.count) {
             let level = ports.get(place.port).copied().unwrap_or(u32::MAX) >> place.pin & 1;
             word |= (level ^ 1) << bit;
         }
-        word as u16
+        word
     }
 
     /// Which pins there are.
-    pub fn fitted(&self) -> u16 {
+    pub fn fitted(&self) -> u32 {
         self.places.iter().take(self.count).fold(0, |word, (_, bit)| word | 1 << bit)
     }
 
     /// Pull-ups, but nothing for the inputs of one word, and pull-downs for those of the other.
-    pub fn set_pulls(&mut self, none: u16, down: u16) {
+    pub fn set_pulls(&mut self, none: u32, down: u32) {
         let places = self.places.get(..self.count).unwrap_or_default();
         for (place, _) in places {
             // A pin may have two bits.
@@ -297,15 +297,18 @@ fn set_pull(place: Place, pull: u32) {
     }
 }
 
+/// Outputs that change slowly, those of programs among them.
+const SLOW_OUTPUTS: usize = 5 + crate::PROFILE.program_pins[0] as usize;
+
 /// Outputs that change slowly.
 pub struct SlowPins {
-    places: [Place; 5],
-    _pins: [ErasedPin<Output>; 5],
+    places: [Place; SLOW_OUTPUTS],
+    _pins: [ErasedPin<Output>; SLOW_OUTPUTS],
 }
 
 impl SlowPins {
-    /// The pins in this order: driver enable, spindle on, spindle reversed, flood, mist.
-    pub fn new(pins: [ErasedPin<Output>; 5]) -> Self {
+    /// The pins in this order: driver enable, spindle on, spindle reversed, flood, mist, and those of programs.
+    pub fn new(pins: [ErasedPin<Output>; SLOW_OUTPUTS]) -> Self {
         let places = pins.each_ref().map(Place::from);
         for place in places.iter().skip(1) {
             note_safe_level(*place, false);
@@ -315,8 +318,9 @@ impl SlowPins {
 
     /// Writes all levels.
     pub fn write(&mut self, levels: SlowLevels) {
+        let program = (0..u8::BITS).map(|bit| levels.program >> bit & 1 != 0);
         let levels = [levels.drivers, levels.spindle, levels.spindle_reversed, levels.flood, levels.mist];
-        for (place, high) in self.places.iter().zip(levels) {
+        for (place, high) in self.places.iter().zip(levels.into_iter().chain(program)) {
             write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
         }
     }

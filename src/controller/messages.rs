@@ -260,7 +260,7 @@ pub const SECOND_SWITCH: u8 = 1 << 6;
 
 /// Bits of a word of inputs; limit switches have those of [`Signals::limits`], from 0 on.
 pub mod input {
-    /// Input of the program (M66 P0).
+    /// First input of the program (M66 P0).
     pub const PROGRAM: u32 = 7;
     /// Touch probe.
     pub const PROBE: u32 = 8;
@@ -278,8 +278,10 @@ pub mod input {
     pub const DRIVER_FAULT: u32 = 14;
     /// The spindle is up to speed.
     pub const AT_SPEED: u32 = 15;
+    /// Second input of the program (M66 P1).
+    pub const SECOND_PROGRAM: u32 = 16;
     /// How many bits are in use.
-    pub const COUNT: usize = 16;
+    pub const COUNT: usize = 17;
 }
 
 /// Filtered levels of the input pins; a bit is set while the input is *active* (polarity already applied).
@@ -303,8 +305,8 @@ pub struct Signals {
     pub driver_fault: bool,
     /// The input for a spindle that tells its speed (`$915`).
     pub at_speed: bool,
-    /// The input of the program (M66).
-    pub program: bool,
+    /// Inputs of the program (M66), bit 0 for P0.
+    pub program: u8,
 }
 
 impl Signals {
@@ -319,11 +321,11 @@ impl Signals {
         emergency_stop: false,
         driver_fault: false,
         at_speed: false,
-        program: false,
+        program: 0,
     };
 
     /// The inputs of a word, see [`input`].
-    pub fn of_word(word: u16) -> Signals {
+    pub fn of_word(word: u32) -> Signals {
         let bit = |n: u32| word >> n & 1 != 0;
         Signals {
             limits: word as u8 & 0x7F,
@@ -335,14 +337,14 @@ impl Signals {
             emergency_stop: bit(input::EMERGENCY_STOP),
             driver_fault: bit(input::DRIVER_FAULT),
             at_speed: bit(input::AT_SPEED),
-            program: bit(input::PROGRAM),
+            program: u8::from(bit(input::PROGRAM)) | u8::from(bit(input::SECOND_PROGRAM)) << 1,
         }
     }
 
     /// The word of these inputs, see [`input`].
-    pub fn word(&self) -> u16 {
-        let bit = |on: bool, n: u32| u16::from(on) << n;
-        u16::from(self.limits)
+    pub fn word(&self) -> u32 {
+        let bit = |on: bool, n: u32| u32::from(on) << n;
+        u32::from(self.limits)
             | bit(self.probe, input::PROBE)
             | bit(self.door, input::DOOR)
             | bit(self.hold, input::HOLD)
@@ -351,7 +353,8 @@ impl Signals {
             | bit(self.emergency_stop, input::EMERGENCY_STOP)
             | bit(self.driver_fault, input::DRIVER_FAULT)
             | bit(self.at_speed, input::AT_SPEED)
-            | bit(self.program, input::PROGRAM)
+            | bit(self.program & 1 != 0, input::PROGRAM)
+            | bit(self.program & 2 != 0, input::SECOND_PROGRAM)
     }
 }
 
@@ -363,16 +366,16 @@ pub struct Sensed {
     /// How often armed inputs ([`Wiring::armed`]) have stopped the step task since power-up (wrapping).
     pub trips: u8,
     /// Which inputs did so since the message before: they may be inactive again.
-    pub tripped: u16,
+    pub tripped: u32,
 }
 
 /// The inputs as they are at this moment, for `$PINS`; bits as in [`input`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PinView {
     /// Inputs that have a pin.
-    pub fitted: u16,
+    pub fitted: u32,
     /// Pins that are low, before polarity and filter.
-    pub low: u16,
+    pub low: u32,
     /// Changes of each pin that the filter has rejected since power-up or the last clearing (saturating).
     pub noise: [u16; input::COUNT],
 }
@@ -499,7 +502,7 @@ pub struct Wiring {
     /// Polarity and pull resistors of the inputs.
     pub inputs: InputWiring,
     /// Inputs ([`input`]) that stop the step task as soon as they become active, before `control` hears of it.
-    pub armed: u16,
+    pub armed: u32,
     /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
     pub ganged: u8,
     /// `$906`, the second motor turns the other way.
@@ -512,11 +515,11 @@ pub struct Wiring {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputWiring {
     /// Active while the pin is high (else while it is low, as with a switch to ground and a pull-up).
-    pub inverted: u16,
+    pub inverted: u32,
     /// No pull-up.
-    pub no_pull_up: u16,
+    pub no_pull_up: u32,
     /// A pull-down instead.
-    pub pull_down: u16,
+    pub pull_down: u32,
 }
 
 impl InputWiring {

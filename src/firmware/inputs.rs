@@ -24,6 +24,8 @@ const _: () = assert!(
         && input_bits::RESET == input::RESET
         && input_bits::DRIVER_FAULT == input::DRIVER_FAULT
         && input_bits::AT_SPEED == input::AT_SPEED
+        && input_bits::PROGRAM == input::PROGRAM
+        && input_bits::SECOND_PROGRAM == input::SECOND_PROGRAM
 );
 
 /// Everything the task owns.

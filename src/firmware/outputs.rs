@@ -1,4 +1,4 @@
-//! Writes the outputs that change slowly: driver enable, spindle, coolant.
+//! Writes the outputs that change slowly: driver enable, spindle, coolant, outputs of programs.
 
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
@@ -37,6 +37,7 @@ impl Outputs {
             spindle_reversed: wanted.spindle == SpindleDirection::CounterClockwise,
             flood: wanted.coolant.flood,
             mist: wanted.coolant.mist,
+            program: wanted.digital,
         });
     }
 }

@@ -141,7 +141,9 @@ pub fn for_error(error: Error) -> &'static str {
         | Error::InvalidResult => {
             "Correct the expression; docs/expressions.md has operators, functions and parameters."
         }
-        Error::FlowSyntax => "Look for the beginning or the end of this block: each O number needs both.",
+        Error::FlowSyntax => {
+            "Look for the beginning or the end of this block: each O number needs both, and only that of a call may be computed."
+        }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
         Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
@@ -171,7 +173,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::ToolChangeNotAlone => "Write T and M6 on one line, and G43, G49 or the move on the next.",
         Error::NoSuchPin => {
-            "Leave the line out: a board with pins for programs is not there yet, but for the simulator."
+            "Leave the line out, or take a number that the board has: P0 and P1 on a Nucleo. A Black Pill has none, and no board has analog ones."
         }
         Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
         Error::NoParallelAxes => "Choose a post-processor for machines with the axes X, Y and Z.",

@@ -48,7 +48,7 @@ impl InputTask {
     }
 
     /// Pins that are low: those that a hand has put to 1, and closed contacts.
-    pub fn low(&self) -> u16 {
+    pub fn low(&self) -> u32 {
         self.hand.word() | self.contacts.word()
     }
 
@@ -75,11 +75,11 @@ impl InputTask {
     }
 
     /// A sample; whether an armed input stops the step task here and now.
-    pub fn sample(&mut self, low: u16) -> bool {
+    pub fn sample(&mut self, low: u32) -> bool {
         let stops = self.inputs.sample(low);
         let rejected = self.inputs.rejected();
         for (bit, count) in self.noise.iter_mut().enumerate() {
-            *count = count.saturating_add(rejected >> bit & 1);
+            *count = count.saturating_add((rejected >> bit & 1) as u16);
         }
         stops
     }

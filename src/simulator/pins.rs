@@ -1,5 +1,5 @@
 //! The line protocol that moves input pins: `limit x 1`, `second_limit 1` (at the second motor of an axis), `probe 1`, `door 1`,
-//! `hold 1`, `start 1`, `reset 1`, `estop 1`, `fault 1` (of a motor driver), `input 0 1` (the input of programs, M66 P0); `noise limit x` disturbs a pin for less than the filter
+//! `hold 1`, `start 1`, `reset 1`, `estop 1`, `fault 1` (of a motor driver), `input 0 1` and `input 1 1` (the inputs of programs, M66 P0 and P1); `noise limit x` disturbs a pin for less than the filter
 //! needs, and `steps` asks what the step outputs have done.
 //!
 //! A level stays until it is changed; 1 is a closed contact (a low pin): active, unless a setting inverts the input.
@@ -32,10 +32,13 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
         ["estop", value] => after.emergency_stop = level(value)?,
         ["fault", value] => after.driver_fault = level(value)?,
         ["at_speed", value] => after.at_speed = level(value)?,
-        ["input", "0", value] => after.program = level(value)?,
+        ["input", number @ ("0" | "1"), value] => {
+            let bit = if *number == "0" { 1 } else { 2 };
+            if level(value)? { after.program |= bit } else { after.program &= !bit }
+        }
         _ => {
             return Err(format!(
-                "`{}` is not understood; pins are set by `limit AXIS 0|1`, `input 0 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start`, \
+                "`{}` is not understood; pins are set by `limit AXIS 0|1`, `input 0|1 0|1` and by `second_limit`, `probe`, `door`, `hold`, `start`, \
                  `reset`, `estop`, `fault` or `at_speed` with 0 or 1, and disturbed by `noise PIN`",
                 line.trim()
             ));
@@ -61,6 +64,7 @@ pub fn disturbed(axes: usize, line: &str) -> Option<Result<u32, String>> {
         ["fault"] => Ok(input::DRIVER_FAULT),
         ["at_speed"] => Ok(input::AT_SPEED),
         ["input", "0"] => Ok(input::PROGRAM),
+        ["input", "1"] => Ok(input::SECOND_PROGRAM),
         _ => Err(format!("`{}` names no pin", line.trim())),
     })
 }
@@ -101,6 +105,12 @@ mod tests {
         assert_eq!(disturbed(3, "noise limit y"), Some(Ok(1)));
         assert!(disturbed(3, "limit y 1").is_none() && disturbed(3, "noise lamp").unwrap().is_err());
         assert_eq!(apply(signals, 3, "limit x 0").unwrap().limits, 0b100);
+        let both = ["input 0 1", "input 1 1", "input 0 0"].map(|line| {
+            signals = apply(signals, 3, line).unwrap();
+            signals.program
+        });
+        assert_eq!(both, [1, 3, 2]);
+        assert_eq!(disturbed(3, "noise input 1"), Some(Ok(input::SECOND_PROGRAM)));
     }
 
     #[test]

@@ -100,12 +100,14 @@ impl Pump<AXES, BLOCKS> for Simulator {
 }
 
 impl Simulator {
-    /// The inputs that this machine has: those of its axes, a second switch, and all others.
+    /// The inputs that this machine has: those of its axes and of programs, a second switch, and all others.
     fn view_of_pins(&self) -> PinView {
-        const { assert!(input::COUNT == 16) };
+        const { assert!(input::COUNT == 17) };
         let axes = (1 << self.board.axes) - 1;
-        let others = !u16::from(u8::MAX);
-        let fitted = axes | u16::from(SECOND_SWITCH) | others;
+        let others = 0xFF << input::PROBE;
+        let [_, inputs] = self.board.program_pins;
+        let program = [input::PROGRAM, input::SECOND_PROGRAM].into_iter().take(usize::from(inputs));
+        let fitted = program.fold(axes | u32::from(SECOND_SWITCH) | others, |word, bit| word | 1 << bit);
         PinView { fitted, low: self.inputs.low(), noise: self.inputs.noise() }
     }
 }

@@ -62,17 +62,17 @@ pub static SERIAL: SerialStatus = SerialStatus {
 /// Written by `inputs`.
 pub struct InputStatus {
     /// Pins that are low.
-    pub low: AtomicU16,
+    pub low: AtomicU32,
     /// Pins that the board has.
-    pub fitted: AtomicU16,
+    pub fitted: AtomicU32,
     /// Changes of each input that the filter has rejected; `control`, which `inputs` preempts, sets them to 0.
     pub noise: [AtomicU16; input::COUNT],
 }
 
 /// See [`InputStatus`].
 pub static INPUTS: InputStatus = InputStatus {
-    low: AtomicU16::new(0),
-    fitted: AtomicU16::new(0),
+    low: AtomicU32::new(0),
+    fitted: AtomicU32::new(0),
     noise: [const { AtomicU16::new(0) }; input::COUNT],
 };
 

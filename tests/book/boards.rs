@@ -10,11 +10,12 @@ use std::fmt::Write;
 /// Lengths of the step pulse (`$0`) whose greatest rates the table has, microseconds.
 const PULSES: [f32; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
 /// What an image may lack, as the firmware calls it and as a reader does.
-const PARTS: [(&str, &str); 5] = [
+const PARTS: [(&str, &str); 6] = [
     ("expressions", "expressions, parameters, O words"),
     ("extended-gcode", "cycles, tool table"),
     ("rotation", "rotated and scaled coordinates"),
     ("splines", "splines"),
+    ("program-pins", "outputs and inputs of programs"),
     ("descriptions", "texts of settings and errors (`$ES`)"),
 ];
 
@@ -137,6 +138,8 @@ fn functions(wiring: &str) -> Vec<(&'static str, Vec<String>)> {
         ("spindle PWM or laser", pwm),
         ("spindle on, direction", slow[..2].to_vec()),
         ("flood, mist", slow[2..].to_vec()),
+        ("outputs of programs P0, P1", pins_between(&code, "let [first, second] = each!([", "]")),
+        ("inputs of programs P0, P1", [more("PROGRAM"), more("SECOND_PROGRAM")].concat()),
         ("UART to the host: TX, RX", uart),
         ("USB to the host: D-, D+", pins_between(&code, "device.OTG_FS_PWRCLK),", "),")),
     ]

@@ -67,7 +67,7 @@ pub struct Board {
     hosts_gone: u16,
     signals: Signals,
     sensed: Sensed,
-    armed: u16,
+    armed: u32,
     /// Changes are refused.
     pub store_fails: bool,
     pub records: BTreeMap<u16, Vec<u8>>,
@@ -254,7 +254,7 @@ impl Board {
     }
 
     /// Levels of the inputs; armed ones stop the step task.
-    pub fn inputs(&mut self, word: u16) {
+    pub fn inputs(&mut self, word: u32) {
         let risen = word & !self.signals.word();
         self.signals = Signals::of_word(word);
         let tripped = risen & self.armed;
@@ -487,7 +487,7 @@ impl Pump<AXES, BLOCKS> for Board {
                 Some(event)
             }
             Source::Pins => std::mem::take(&mut self.pins_asked).then_some(Event::Pins(PinView {
-                fitted: u16::MAX,
+                fitted: u16::MAX.into(),
                 low: 0,
                 noise: [0; input::COUNT],
             })),

@@ -11,7 +11,7 @@ use super::board::{AXES, Board, late, shows};
 use super::session::SETTINGS;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::axes::PerAxis;
-use oxmill_controller::messages::{Event, PinView, Realtime, Sensed, Signals, StepEvent};
+use oxmill_controller::messages::{Event, PinView, Realtime, Sensed, Signals, StepEvent, input};
 use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
@@ -170,7 +170,7 @@ fn act(board: &mut Board, action: Action) {
                 board.command(command);
             }
         }
-        Action::Inputs(word) => board.inputs(word),
+        Action::Inputs(word) => board.inputs(word.into()),
         Action::Pass(time) => board.pass(u64::from(time) * 500, false),
         Action::Stall(time) => board.pass(u64::from(time) * 200, true),
         Action::Leap(time) => board.leap(u64::from(time) << (time & 15)),
@@ -198,9 +198,13 @@ fn tell(board: &mut Board, lie: &Lie) {
         }
         Lie::Probed { position } => board.reports.push_back(StepEvent::Probed { position: place(position) }),
         Lie::Stored(done) => board.answers.push_back(if done { Event::Stored } else { Event::StoreFailed }),
-        Lie::Pins(fitted, low) => board.hosts.push_back(Event::Pins(PinView { fitted, low, noise: [low; 16] })),
+        Lie::Pins(fitted, low) => board.hosts.push_back(Event::Pins(PinView {
+            fitted: fitted.into(),
+            low: low.into(),
+            noise: [low; input::COUNT],
+        })),
         Lie::Trips { levels, trips, tripped } => {
-            board.pretend_inputs(Sensed { signals: Signals::of_word(levels), trips, tripped });
+            board.pretend_inputs(Sensed { signals: Signals::of_word(levels.into()), trips, tripped: tripped.into() });
         }
     }
 }

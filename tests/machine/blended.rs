@@ -4,10 +4,13 @@
 
 use super::axis_speeds::{Course, greatest_change};
 use super::estimator::Limits;
+use super::examples;
+use super::host::{CARVER, CARVER_STEPS};
 use super::oracle::{AXES, Pulse};
 use super::rig::{HZ, Rig};
 use super::turns::{Style, program, run, seconds, settings};
 use oxmill_controller::messages::Realtime;
+use std::collections::HashMap;
 
 type Point = [f64; AXES];
 
@@ -349,6 +352,97 @@ fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     assert_eq!(rig.place, place);
     rig.run_clean("G91 G1 X1 F600\n");
     assert_eq!(rig.place[0] - place[0], 250);
+}
+
+/// Pieces of a long path by the cubes of space that they pass, so that its length costs nothing.
+struct Space {
+    pieces: Vec<[Point; 2]>,
+    cubes: HashMap<[i32; AXES], Vec<u32>>,
+}
+
+impl Space {
+    /// Side of a cube, mm: how far a distance can be told.
+    const CUBE: f64 = 0.15;
+
+    fn of(path: &[Point]) -> Space {
+        let mut space = Space { pieces: Vec::new(), cubes: HashMap::new() };
+        for pair in path.windows(2) {
+            let index = space.pieces.len() as u32;
+            space.pieces.push([pair[0], pair[1]]);
+            for point in along(pair) {
+                let cube = space.cubes.entry(Self::cube(&point)).or_default();
+                if cube.last() != Some(&index) {
+                    cube.push(index);
+                }
+            }
+        }
+        space
+    }
+
+    fn cube(point: &Point) -> [i32; AXES] {
+        point.map(|mm| (mm / Self::CUBE).floor() as i32)
+    }
+
+    /// The greatest distance of any of the points from the path; a cube at most is told.
+    fn farthest(&self, points: &[Point]) -> f64 {
+        let mut most = 0.0_f64;
+        for point in points {
+            let [x, y, z] = Self::cube(point);
+            // Those of the point's own cube are near enough for most.
+            let nearest = |cube: [i32; AXES]| {
+                let pieces = self.cubes.get(&cube).map_or(&[][..], Vec::as_slice);
+                pieces.iter().map(|piece| from_line(*point, self.pieces[*piece as usize])).fold(Self::CUBE, f64::min)
+            };
+            if nearest([x, y, z]) <= most {
+                continue;
+            }
+            let beside = (0..27).map(|k| [x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1]);
+            most = most.max(beside.map(nearest).fold(Self::CUBE, f64::min));
+        }
+        most
+    }
+}
+
+/// The points that the lines of a program of G0 and G1 in absolute millimetres name, from the origin.
+fn points_of(text: &str) -> Vec<Point> {
+    let mut points = vec![[0.0; AXES]];
+    for line in text.lines().filter(|line| !line.starts_with('(')) {
+        let mut point = points[points.len() - 1];
+        for (axis, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
+            if let Some((_, rest)) = line.split_once(letter) {
+                let number = rest.split(|c: char| c.is_ascii_alphabetic()).next().unwrap_or_default();
+                point[axis] = number.parse().unwrap_or_else(|error| panic!("{line}: {error}"));
+            }
+        }
+        points.push(point);
+    }
+    points
+}
+
+/// A long finishing job, all of its lines: less time, and no step farther from the path than P, nor the path from the steps.
+#[test]
+fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
+    const P: f64 = 0.05;
+    let text = examples::program("relief");
+    let path = points_of(&text);
+    let run = |words: &str| run(CARVER, &format!("{words}\n{text}"));
+    let measure = |rig: &Rig| {
+        let places = places(&rig.trace, CARVER_STEPS);
+        let (of_path, of_places) = (Space::of(&path), Space::of(&places));
+        (of_path.farthest(&places), of_places.farthest(&along(&path)))
+    };
+    let (exact, blended) = (run("G61"), run(&format!("G64 P{P}")));
+    assert_eq!(blended.place, exact.place);
+    let ((steps_exact, path_exact), (steps, path_off)) = (measure(&exact), measure(&blended));
+    println!(
+        "G61: {:.3} s, steps {steps_exact:.4} mm from the path, path {path_exact:.4} mm from the steps; G64 P{P}: {:.3} s, {steps:.4} and {path_off:.4} mm",
+        seconds(&exact),
+        seconds(&blended)
+    );
+    assert!(steps_exact.max(path_exact) <= 1.5 / CARVER_STEPS * 2.0_f64.sqrt(), "exact: {steps_exact} {path_exact}");
+    // What the steps add would be allowed, but moves this short never use all of P.
+    assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
+    assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
 
 /// Runs a program line by line over a link that needs so many seconds for a line.

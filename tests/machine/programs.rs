@@ -6,6 +6,8 @@ use std::path::Path;
 
 /// Virtual seconds within which an answer or the end of motion comes.
 const PATIENCE: f64 = 600.0;
+/// Lines with axis words from one check of the position to the next, outside of O words.
+const MOST_UNCHECKED: usize = 3;
 /// So far may a position be off, mm: a step, and the last digit of the report.
 const TOLERANCE: f64 = 0.0011;
 /// A machine of usual speed with fine steps, and work positions in the reports.
@@ -79,6 +81,45 @@ fn near(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < TOLERANCE)
 }
 
+/// A line without its comments.
+fn bare(line: &str) -> String {
+    let mut depth = 0;
+    let shown = |c: &char| {
+        depth += i32::from(*c == '(') - i32::from(*c == ')');
+        depth == 0 && *c != ')'
+    };
+    line.split(';').next().unwrap_or_default().chars().filter(shown).collect::<String>().to_ascii_uppercase()
+}
+
+/// Whether a line has words of X, Y or Z that lead somewhere: those of G10, G51, G52, G68 and G92 do not.
+fn moves(line: &str) -> bool {
+    !line.starts_with('#')
+        && line.contains(['X', 'Y', 'Z'])
+        && !["G10", "G51", "G52", "G68", "G92"].iter().any(|word| line.contains(word))
+}
+
+/// The first line that is too far behind the last check of a position.
+fn unchecked<'a>(lines: &[(usize, &'a str)]) -> Option<(usize, &'a str)> {
+    let (mut since, mut depth) = (0, 0);
+    for (i, (number, line)) in lines.iter().enumerate() {
+        let refused = lines.get(i + 1).is_some_and(|(_, next)| next.starts_with("! "));
+        let text = bare(line);
+        if line.starts_with("? ") {
+            since = 0;
+        } else if text.trim_start().starts_with('O') && text.contains(' ') {
+            let ends = text.contains("END");
+            let begins = ["SUB", "WHILE", "REPEAT", "IF"].iter().any(|word| text.contains(word));
+            depth += i32::from(begins && !ends) - i32::from(ends);
+        } else if depth == 0 && !refused && !line.starts_with('!') && moves(&text) {
+            since += 1;
+            if since > MOST_UNCHECKED {
+                return Some((*number, line));
+            }
+        }
+    }
+    None
+}
+
 /// Plays one program; what goes wrong, with its line.
 fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
     let mut player = Player::new(reason.starts_with("seed: "));
@@ -147,6 +188,10 @@ fn programs_of_many_authors_go_where_they_should() {
             let head = program.first().map_or(lines.len(), |(number, _)| number - 1);
             let reason = lines[head - 1].1.trim_start_matches("== ");
             programs += 1;
+            if let Some((number, line)) = unchecked(program) {
+                faults +=
+                    &format!("{reason}: {number}: {line}: more than {MOST_UNCHECKED} moves since the last check\n");
+            }
             if let Err(fault) = play(reason, program) {
                 faults += &format!("{}: {reason}: {fault}\n", path.file_name().expect("a name").to_string_lossy());
             }

@@ -153,7 +153,8 @@ def boot(bench):
         raise Failure(f"the first line is {line!r}")
     if board.clocks[-1][2] != wiring.core_hz:
         raise Failure(f"the core runs at {board.clocks[-1][2]} Hz and not at {wiring.core_hz}")
-    safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, wiring.flood, wiring.mist)}
+    coolant = (wiring.flood, wiring.mist)
+    safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, *coolant, *wiring.program_outputs)}
     safe[wiring.enable] = 1
     for at, port, pin, level in board.edges:
         wanted = safe.get(f"{port}{pin}")
@@ -830,8 +831,7 @@ def emergency_stop(bench):
     board, wiring, host = bench.board, bench.wiring, bench.host
     bench.settings(s912=1)
     fast(bench, 1000)
-    bench.ask("M3 S1000")
-    bench.ask("M8")
+    all_on(bench)
     scope = Scope(board)
     bench.ask("N42 G91 G1 X100 F3000")
     board.run(seconds=0.1)
@@ -883,6 +883,7 @@ def noise(bench):
     if counts.pop("limit X") != len(lengths) or any(counts.values()):
         raise Failure(f"$PINS says {shown}")
     names = {"limit X", "limit Y", "limit Z", "second limit", "probe", "door", "hold", "start", "reset", "driver fault"}
+    names |= {f"input {number}" for number, _ in enumerate(wiring.program_inputs)}
     if set(shown) != names | ({"at speed"} if wiring.at_speed else set()):
         raise Failure(f"$PINS shows {sorted(shown)}")
     bench.ask("$PINS=0")
@@ -1384,22 +1385,152 @@ def spindle_pwm(bench):
         yield f"$33={hz}: {found:.2f} Hz, shares {', '.join(f'{share:.4f}' for _, share in shares)}"
 
 
-def busy(bench):
-    """Full motion, spindle and coolant on."""
+OUTPUT_S = 2.5e-3
+"""From the first step of a motion to the output that changes with it (M62, M63): a look each millisecond, and the work in hand."""
+
+
+def program_outputs(bench):
+    """M64 and M65 at once, M62 and M63 where their motion begins; off after a reset and an alarm. A board without refuses them."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    outputs = wiring.program_outputs
+    for line in (f"M64 P{len(outputs)}", f"M62 P{len(outputs)}", "M68 E0 Q1"):
+        if (error := error_of(bench, line)) != "error:133":
+            raise Failure(f"{line} was answered by {error}")
+    if not outputs:
+        yield "the board has none, and says so (error:133)"
+        return
+
+    def shown():
+        board.run(seconds=0.001)
+        return [board.level(pin) for pin in outputs]
+
+    for line, levels in (("M64 P0", [1, 0]), ("M64 P1", [1, 1]), ("M65 P0", [0, 1]), ("M65 P1", [0, 0]), ("M62 P0", [0, 0])):
+        bench.ask(line)
+        if (found := shown()) != levels:
+            raise Failure(f"after {line} the outputs are {found} and not {levels}")
+    bench.ask("M63 P0")
     fast(bench, 1000)
+    scope, begin = Scope(board), len(board.edges)
+    lines = len(host.answers)
+    host.stream("G91 F3000\nG1 X5\nM62 P1\nG1 Y5\nM63 P1 G1 X5\nG1 X5\n")
+    bench.wait(lambda: host.all_answered, 2, "the last answer")
+    bench.wait_state("Idle", 2)
+    if set(host.answers[lines:]) != {"ok"}:
+        raise Failure(f"answers: {host.answers[lines:]}")
+    steps = [step.at for step in scope.steps()]
+    changes = [(at, level) for at, port, pin, level in board.edges[begin:] if f"{port}{pin}" == outputs[1]]
+    if [level for _, level in changes] != [1, 0] or len(steps) != 20_000:
+        raise Failure(f"{outputs[1]} changes to {changes} in {len(steps)} steps")
+    late = [(at - steps[first]) / wiring.core_hz for (at, _), first in zip(changes, (5_000, 10_000), strict=True)]
+    # A block begins with the pause before its first step, in the middle of a path that does not stop a period of it.
+    if not all(-1e-3 <= seconds <= OUTPUT_S for seconds in late):
+        raise Failure(f"changes {us(late[0])} and {us(late[1])} after the first steps of their motions")
+    yield f"M62 and M63 {us(late[0])} and {us(late[1])} after the first step of their motions, allowed {us(OUTPUT_S)}"
+    for what in ("reset", "limit switch"):
+        bench.settings(s21=1)
+        for number, _ in enumerate(outputs):
+            bench.ask(f"M64 P{number}")
+        moving(bench)
+        if shown() != [1, 1]:
+            raise Failure("the outputs are not on")
+        after = len(host.text)
+        if what == "reset":
+            host.send(b"\x18")
+        else:
+            board.drive(wiring.limits[0], 0)
+        board.run(seconds=0.02)
+        if shown() != [0, 0]:
+            raise Failure(f"{what}: the outputs are {shown()}")
+        board.drive(wiring.limits[0], None)
+        if what == "limit switch":
+            host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 1, after)
+        board.run(seconds=0.05)
+        bench.ask("$X")
+    yield "at once with M64 and M65; off after a reset and a limit switch"
+
+
+def program_inputs(bench):
+    """M66 reads an input, or waits for it in each of its modes, a limited time."""
+    bench.boot()
+    board, wiring, host = bench.board, bench.wiring, bench.host
+    inputs = wiring.program_inputs
+    if (error := error_of(bench, f"M66 P{len(inputs)}")) != "error:133":
+        raise Failure(f"M66 P{len(inputs)} was answered by {error}")
+    if not inputs:
+        yield "the board has none, and says so (error:133)"
+        return
+
+    def put_to(number, active):
+        board.drive(inputs[number], 0 if active else None)
+
+    def read():
+        return float(next(line for line in bench.ask("(PRINT,#5399)") if line.startswith("[MSG:"))[5:-1])
+
+    for levels in ((0, 0), (1, 0), (1, 1), (0, 1)):
+        for number, active in enumerate(levels):
+            put_to(number, active)
+        board.run(seconds=0.002)
+        for number, active in enumerate(levels):
+            bench.ask(f"M66 P{number}")
+            if read() != active:
+                raise Failure(f"inputs {levels}: M66 P{number} reads {read()}")
+    worst = 0
+    # What the input does before, and the change that the mode waits for.
+    for number, mode, before, after in ((0, 1, 0, 1), (1, 2, 1, 0), (1, 3, 0, 1), (0, 4, 1, 0)):
+        put_to(number, before)
+        put_to(1 - number, 1 - before)
+        board.run(seconds=0.002)
+        answers = len(host.answers)
+        host.send(f"M66 P{number} L{mode} Q5\n")
+        board.run(seconds=0.1)
+        put_to(1 - number, before)
+        board.run(seconds=0.1)
+        if len(host.answers) != answers:
+            raise Failure(f"L{mode} does not wait")
+        contact = board.now
+        put_to(number, after)
+        bench.wait(lambda answers=answers: len(host.answers) > answers, 0.1, f"the answer to L{mode}")
+        worst = max(worst, (host.lines[-1][0] - contact) / wiring.core_hz)
+        if host.answers[-1] != "ok" or read() != after:
+            raise Failure(f"L{mode}: {host.answers[-1]}, #5399 is {read()}")
+    put_to(0, 0)
+    board.run(seconds=0.002)
+    begin = board.now
+    bench.ask("M66 P0 L3 Q0.25")
+    waited = (board.now - begin) / wiring.core_hz
+    if read() != -1 or not 0.25 <= waited <= 0.26:
+        raise Failure(f"Q0.25 waits for {waited:.3f} s, #5399 is {read()}")
+    yield f"M66 answered at most {us(worst)} after the contact; Q0.25 waits for {waited:.3f} s"
+
+
+def busy(bench):
+    """Full motion, spindle, coolant and the outputs of programs on."""
+    fast(bench, 1000)
+    all_on(bench)
+    moving(bench)
+    if not duty(bench.board) or any(bench.board.level(pin) != 1 for pin in switched(bench.wiring)):
+        raise Failure("spindle, coolant and outputs are not on")
+
+
+def switched(wiring):
+    """Outputs that `all_on` switches on."""
+    return (wiring.spindle, wiring.flood, *wiring.program_outputs)
+
+
+def all_on(bench):
     bench.ask("M3 S1000")
     bench.ask("M8")
-    moving(bench)
-    board = bench.board
-    if board.level(bench.wiring.spindle) != 1 or not duty(board) or board.level(bench.wiring.flood) != 1:
-        raise Failure("spindle and coolant are not on")
+    for number, _ in enumerate(bench.wiring.program_outputs):
+        bench.ask(f"M64 P{number}")
 
 
 def us_off(bench, begin):
-    """When spindle, coolant and PWM were off after a moment."""
+    """When all that `all_on` switches on, and the PWM, were off after a moment."""
     board, wiring = bench.board, bench.wiring
     moments = []
-    for name in (wiring.spindle, wiring.flood):
+    for name in switched(wiring):
         moment = next((at for at, port, pin, level in board.edges if f"{port}{pin}" == name and at >= begin and level != 1), None)
         if moment is None:
             raise Failure(f"P{name} stays on")
@@ -1414,8 +1545,8 @@ def tell(bench, *words):
     board = bench.board
     bench.wait_text("Grbl 1.1h", 2, bench.host.text.rfind(b"Grbl 1.1h") + 1)
     board.run(seconds=0.05)
-    if board.level(bench.wiring.spindle) != 0 or board.level(bench.wiring.flood) != 0 or duty(board):
-        raise Failure("spindle or coolant is on after the reset")
+    if any(board.level(pin) != 0 for pin in switched(bench.wiring)) or duty(board):
+        raise Failure("spindle, coolant or an output is on after the reset")
     if not any(word in cause(bench) for word in words):
         raise Failure(f"the cause is not told: {bench.host.lines[-6:]}")
 
@@ -1711,6 +1842,8 @@ def all_cases(root):
         ("second motor", second_motor),
         ("fourth axis", fourth_axis),
         ("spindle PWM", spindle_pwm),
+        ("outputs of programs", program_outputs),
+        ("inputs of programs", program_inputs),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),

@@ -83,6 +83,8 @@ class Wiring:
     second_limit: str
     at_speed: str | None
     usart: str
+    program_outputs: tuple = ()
+    program_inputs: tuple = ()
     step_irq: int = 28
     usb: bool = False
     """OTG_FS is the first link to the host."""
@@ -123,6 +125,7 @@ NUCLEO_F446RE = Wiring(
     enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
     probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", second_step="B13", second_direction="B14",
     second_limit="B15", at_speed="C11", usart="USART2",
+    program_outputs=("C8", "C9"), program_inputs=("C6", "C5"),
 )  # fmt: skip
 NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ)
 NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ)

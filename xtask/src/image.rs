@@ -140,7 +140,9 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     }
     let in_flash =
         |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
-    let flash = sections.iter().filter(in_flash).map(|s| s.size).sum();
+    let flash: u32 = sections.iter().filter(in_flash).map(|s| s.size).sum();
+    // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.
+    let top = sections.iter().filter(in_flash).map(|s| s.stored + s.size).max().unwrap_or(chip.code);
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
     // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
     if sections.iter().filter(in_ram).any(|s| s.size > 0 && s.address < stack_pointer) {
@@ -149,8 +151,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
     let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
     let stack = stack_pointer - chip.ram;
-    let for_program = chip.flash_size - (chip.code - chip.settings);
-    let (flash, ram) = ((flash, for_program), (ram, chip.ram_size - stack));
+    let left = chip.flash + chip.flash_size - top;
+    let (flash, ram) = ((flash, flash + left), (ram, chip.ram_size - stack));
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 

@@ -53,19 +53,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Before the dwell of a line: M66, if it has one.
     pub(super) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
         match self.line.checked.pins() {
-            Some(ProgramPins::Wait { longest, .. }) => {
-                job.input_before = self.inputs.signals().program;
+            Some(ProgramPins::Wait { number, longest, .. }) => {
+                job.input_before = self.reads_input(number);
                 Some(job.wait(Stage::Input, self.now + longest))
             }
             _ => None,
         }
     }
 
+    /// Whether an input of the program is active; none that the board does not have.
+    fn reads_input(&self, number: u32) -> bool {
+        u32::from(self.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
+    }
+
     /// Whether M66 has ended.
     #[inline(never)]
     pub(super) fn has_read_input(&mut self, job: &mut Job) -> bool {
-        let Some(ProgramPins::Wait { until: wait, .. }) = self.line.checked.pins() else { return true };
-        let now = self.inputs.signals().program;
+        let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.checked.pins() else { return true };
+        let now = self.reads_input(number);
         let is_over = wait.is_over(job.input_before, now);
         if !is_over && self.now < job.until {
             job.input_before = now;

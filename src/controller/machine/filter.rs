@@ -4,13 +4,13 @@
 /// Samples in a second that the inputs task takes: a change passes after 0.4 ms.
 pub const SAMPLE_HZ: u32 = 20_000;
 
-/// Up to 16 inputs, each with a counter of the samples that contradict its level. The counters stand upright: bit n of
+/// Up to 32 inputs, each with a counter of the samples that contradict its level. The counters stand upright: bit n of
 /// `count[k]` is bit k of the counter of input n, so all are counted at once in a dozen instructions.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Filter {
-    level: u16,
-    count: [u16; 3],
-    rejected: u16,
+    level: u32,
+    count: [u32; 3],
+    rejected: u32,
 }
 
 impl Filter {
@@ -20,7 +20,7 @@ impl Filter {
     }
 
     /// Takes a sample and gives the filtered levels.
-    pub fn sample(&mut self, raw: u16) -> u16 {
+    pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
         // Seven samples have differed before, and this one does too.
@@ -33,7 +33,7 @@ impl Filter {
     }
 
     /// Inputs whose change has just ended before it had lasted long enough: noise, or the bounce of a contact.
-    pub fn rejected(&self) -> u16 {
+    pub fn rejected(&self) -> u32 {
         self.rejected
     }
 }
@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn a_change_too_short_is_rejected_once() {
         let mut filter = Filter::new();
-        let rejected: Vec<u16> = [0, 1, 1, 0, 0, 1, 0]
+        let rejected: Vec<u32> = [0, 1, 1, 0, 0, 1, 0]
             .map(|raw| {
                 filter.sample(raw);
                 filter.rejected()
@@ -75,13 +75,13 @@ mod tests {
     #[test]
     fn agrees_with_plain_counters() {
         let mut filter = Filter::new();
-        let (mut level, mut count) = (0_u16, [0; 16]);
+        let (mut level, mut count) = (0_u32, [0; 32]);
         let mut noise = 0x1234_5678_u32;
         for _ in 0..100_000 {
             noise ^= noise << 13;
             noise ^= noise >> 17;
             noise ^= noise << 5;
-            let raw = (noise & noise >> 16) as u16 | 0x00F0;
+            let raw = noise & noise.rotate_left(11) | 0x00F0;
             for (n, count) in count.iter_mut().enumerate() {
                 *count = if (raw ^ level) >> n & 1 == 0 { 0 } else { *count + 1 };
                 if *count == 8 {

@@ -157,17 +157,17 @@ pub fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
 }
 
 /// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
-pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u16 {
+pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let limits = settings.is_on(Key::HardLimits) && !homing && at_once(Alarm::HardLimit);
-    let switches = if limits { u16::from(limits_of(settings) | second_switch(settings)) } else { 0 };
+    let switches = if limits { u32::from(limits_of(settings) | second_switch(settings)) } else { 0 };
     let emergency = at_once(Alarm::EmergencyStop);
     let reset = emergency || !settings.is_on(Key::ResetIsEmergencyStop);
     let fault = at_once(Alarm::DriverFault);
     switches
-        | u16::from(reset) << input::RESET
-        | u16::from(emergency) << input::EMERGENCY_STOP
-        | u16::from(fault) << input::DRIVER_FAULT
+        | u32::from(reset) << input::RESET
+        | u32::from(emergency) << input::EMERGENCY_STOP
+        | u32::from(fault) << input::DRIVER_FAULT
 }
 
 /// Axes of these limit switches: a switch at a second motor is one of its axis.
@@ -197,9 +197,9 @@ fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
 
 /// Polarity and resistors of the inputs.
 fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
-    let probe = |key| u16::from(s.is_on(key)) << input::PROBE;
-    let all = u16::from(limits_of(s) | SECOND_SWITCH);
-    let limits = |key| s.whole(key) as u16 & all;
+    let probe = |key| u32::from(s.is_on(key)) << input::PROBE;
+    let all = u32::from(limits_of(s) | SECOND_SWITCH);
+    let limits = |key| s.whole(key) & all;
     let control = |key| control_word(s.whole(key));
     let all_limits = if s.is_on(Key::LimitInvert) { all } else { 0 };
     InputWiring {
@@ -210,15 +210,14 @@ fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
 }
 
 /// The control inputs of a mask in grblHAL's order as a word of [`input`].
-fn control_word(mask: u32) -> u16 {
+fn control_word(mask: u32) -> u32 {
     let bit = |from: u32, to: u32| (mask >> from & 1) << to;
-    let word = bit(0, input::RESET)
+    bit(0, input::RESET)
         | bit(1, input::HOLD)
         | bit(2, input::START)
         | bit(3, input::DOOR)
         | bit(6, input::EMERGENCY_STOP)
-        | bit(8, input::DRIVER_FAULT);
-    word as u16
+        | bit(8, input::DRIVER_FAULT)
 }
 
 #[cfg(test)]
@@ -231,7 +230,7 @@ mod tests {
         settings
     }
 
-    fn sensed(word: u16, trips: u8, tripped: u16) -> Sensed {
+    fn sensed(word: u32, trips: u8, tripped: u32) -> Sensed {
         Sensed { signals: Signals::of_word(word), trips, tripped }
     }
 
@@ -251,7 +250,7 @@ mod tests {
     #[test]
     fn what_is_not_fitted_does_not_count() {
         let mut inputs = InputLevels::UNKNOWN;
-        let word = 1 << input::DOOR | 1 << input::RESET | u16::from(SECOND_SWITCH);
+        let word = 1 << input::DOOR | 1 << input::RESET | u32::from(SECOND_SWITCH);
         let change = inputs.take(&sensed(word, 0, 0), &settings(&[(Key::DoorFitted, 0.0)]));
         assert_eq!(change.came, Signals { reset: true, ..Signals::NONE });
         assert_eq!(inputs.pins().word(), word);

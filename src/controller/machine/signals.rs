@@ -20,9 +20,9 @@ pub struct Inputs {
     wiring: Option<InputWiring>,
     /// Samples until the filter has seen the levels.
     settling: u8,
-    armed: u16,
+    armed: u32,
     sensed: Sensed,
-    active: u16,
+    active: u32,
 }
 
 impl Default for Inputs {
@@ -51,14 +51,14 @@ impl Inputs {
     }
 
     /// Takes a sample of the pins (bit set = low). Whether the step task has to be stopped.
-    pub fn sample(&mut self, low: u16) -> bool {
+    pub fn sample(&mut self, low: u32) -> bool {
         let Some(wiring) = self.wiring else { return false };
         self.settling = self.settling.saturating_sub(1);
         let active = self.filter.sample(low ^ wiring.inverted);
         self.take(active)
     }
 
-    fn take(&mut self, active: u16) -> bool {
+    fn take(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {
             return false;
@@ -74,7 +74,7 @@ impl Inputs {
     }
 
     /// Inputs whose change the filter has just rejected.
-    pub fn rejected(&self) -> u16 {
+    pub fn rejected(&self) -> u32 {
         self.filter.rejected()
     }
 
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
     use crate::messages::input;
 
-    fn armed(armed: u16, inverted: u16) -> Inputs {
+    fn armed(armed: u32, inverted: u32) -> Inputs {
         let mut inputs = Inputs::new();
         inputs.armed = armed;
         inputs.wiring = Some(InputWiring { inverted, ..InputWiring::PULL_UPS });

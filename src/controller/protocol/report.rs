@@ -202,6 +202,7 @@ const fn input_name(bit: usize) -> &'static str {
         input::EMERGENCY_STOP => "emergency stop",
         input::DRIVER_FAULT => "driver fault",
         input::AT_SPEED => "at speed",
+        input::SECOND_PROGRAM => "input 1",
         _ => "unused",
     }
 }
@@ -209,7 +210,7 @@ const fn input_name(bit: usize) -> &'static str {
 /// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: level of the pin now, whether the filtered input is
 /// active, the level that makes it active, its resistor, and the changes that the filter has rejected.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring) {
-    let has = |word: u16| word >> bit & 1 != 0;
+    let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");
     put(out, input_name(bit).as_bytes());
     put(out, if has(view.low) { b",low" } else { b",high" });

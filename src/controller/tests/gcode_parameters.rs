@@ -224,6 +224,24 @@ fn the_machine_shows_its_state() {
     }
 }
 
+/// Three axes: the names of others are a program's, the numbers the machine's.
+#[test]
+fn names_of_axes_that_the_machine_lacks() {
+    for letter in ["A", "B", "C"] {
+        let mut program = ready();
+        for name in [format!("#<_{letter}>"), format!("#<_ABS_{letter}>")] {
+            assert_eq!(program.error(&format!("X{name}")), 74);
+            program.run(&format!("{name}=3"));
+            assert_eq!(x(&program, &name), 3.0, "{name}");
+        }
+    }
+    let program = ready();
+    for number in ["#5423", "#5425", "#5164", "#5224", "#5404"] {
+        assert_eq!((x(&program, number), program.error(&format!("{number}=1"))), (0.0, 200), "{number}");
+    }
+    assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
+}
+
 /// Whether G92 acts and what it holds are two things.
 #[test]
 fn the_offset_of_g92() {

@@ -122,7 +122,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
             Output::Stop => "stop",
             Output::ReadPins { clear_noise } => {
                 if !clear_noise {
-                    let view = PinView { fitted: u16::MAX, low: 0, noise: [0; input::COUNT] };
+                    let view = PinView { fitted: u32::MAX, low: 0, noise: [0; input::COUNT] };
                     self.events.push((Source::Pins, Event::Pins(view)));
                 }
                 "look"

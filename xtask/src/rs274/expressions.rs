@@ -108,19 +108,20 @@ pub fn chain(random: &mut Random, depth: u32) -> String {
     text
 }
 
-/// A value within 20 of 0, of whatever is within.
+/// A value within 20 of 0, of whatever is within: never the cosine of a condition, which is whole.
 fn bounded(random: &mut Random) -> String {
-    format!("[20 * {}[{} + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
+    format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }
 
-/// What a word of an axis may have behind it: a length within 50 of 0.
+/// What a word of an axis may have behind it: a length within 50 of 0, and not whole, for `rs274` loses a bit of it when the unit
+/// changes.
 pub fn length(random: &mut Random) -> String {
     match random.below(20) {
         0..=7 => plain(random),
         8..=9 => format!("-{}", plain(random)),
         10..=12 => format!("[{} - {}]", plain(random), plain(random)),
         13 => format!("-[{} / {}]", plain(random), 1 + random.below(9)),
-        14..=16 => format!("[{} MOD 31.71317 - 9]", parameter(random)),
+        14..=16 => format!("[{} MOD 31.71317 - 9.00713]", parameter(random)),
         _ => bounded(random),
     }
 }

@@ -139,8 +139,11 @@ impl Mill {
                 self.is_place_untold = true;
             }
             Motion::Cycle(mut cycle) => {
+                let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
+                        // `rs274` has no rise where none is needed: it is the next move that tells where a spline has ended.
+                        CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
                         CycleStep::Dwell(time) => events.push(Event::Dwell(time.to_micros() as f64 / 1e6)),
@@ -192,5 +195,36 @@ impl Mill {
         }
         self.place = machine;
         self.is_place_untold = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A spline does not tell where it ends, and a cycle behind it begins where it has ended: without a rise to R that is none.
+    #[test]
+    fn a_cycle_behind_a_spline_has_no_rise_of_no_length() {
+        for (spline, moves) in [("G5.1 X4 Y2 I1 J3", 1), ("G5 X4 Y2 I1 J1 P-1 Q1", 1), ("G1 X4 Y2", 1)] {
+            let mut mill = Mill::new();
+            let mut run = |line: &str| mill.run(line).unwrap_or_else(|error| panic!("{line}: {error:?}"));
+            for line in ["G21 G90 G17 F300 S100 M3", "G0 Z5", "G91"] {
+                run(line);
+            }
+            assert_eq!(run(spline).len(), moves);
+            let way = |x: f64, z: f64| [x, 3.0, z, 0.0];
+            let expected = [
+                Event::Rapid(way(6.0, 5.0)),
+                Event::Rapid(way(6.0, 4.0)),
+                Event::Feed(way(6.0, 2.0)),
+                Event::Dwell(0.5),
+                Event::Rapid(way(6.0, 4.0)),
+            ];
+            let found = run("G99 G86 X2 Y1 Z-2 R-1 P0.5");
+            assert!(found.len() == expected.len() && found.iter().zip(&expected).all(|(a, b)| a.is_as(b)), "{found:?}");
+            // And one that is needed is there; R counts from where the series began.
+            let rises = run("G81 X1 Z-2 R3");
+            assert!(rises[0].is_as(&Event::Rapid(way(6.0, 8.0))), "{rises:?}");
+        }
     }
 }

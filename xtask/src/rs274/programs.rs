@@ -69,7 +69,11 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
     };
     for _ in 0..programs {
         for line in BEGIN {
-            writer.put((*line).into());
+            // From so near that rounding decides whether it is a move, it is made from farther away.
+            if !writer.put((*line).into()) && line.starts_with("G53") {
+                writer.put("G53 G0 X9 Y9 Z9 A9".into());
+                writer.put((*line).into());
+            }
         }
         writer.is_tool_named = false;
         (writer.inches, writer.incremental, writer.plane, writer.kept) = (false, false, 0, (false, false, 0));
@@ -424,7 +428,10 @@ impl Writer {
         }
         let end = self.one_of(&["G80", "G0", "G1"]);
         let axes = self.axes();
-        self.put(if end == "G80" { "G80".into() } else { format!("{end}{axes}") });
+        // Where that is refused the series has to end all the same: a change of plane may follow.
+        if end == "G80" || !self.put(format!("{end}{axes}")) {
+            self.put("G80".into());
+        }
     }
 
     fn offsets(&mut self) {
