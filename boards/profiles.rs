@@ -31,6 +31,8 @@ pub struct Board {
     pub received_bytes: usize,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
+    /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
+    pub recording_pages: usize,
 }
 
 /// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
@@ -44,6 +46,7 @@ pub const DESK: Board = Board {
     safe_step_hz: 1_000_000,
     received_bytes: 255,
     program_pins: [4, 1],
+    recording_pages: 64,
 };
 
 /// What is so on all boards with hardware: three axes, and no pins for programs yet.
@@ -63,6 +66,7 @@ pub const BLACKPILL_F401: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 400_000,
     blocks: 256,
+    recording_pages: 0,
     ..HARDWARE
 };
 
@@ -82,8 +86,14 @@ pub const NUCLEO_F446RE: Board = Board {
 pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..HARDWARE };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
-pub const NUCLEO_F401RE: Board =
-    Board { name: "nucleo_f401re", step_clock_hz: 84_000_000, core_hz: 84_000_000, safe_step_hz: 490_000, ..HARDWARE };
+pub const NUCLEO_F401RE: Board = Board {
+    name: "nucleo_f401re",
+    step_clock_hz: 84_000_000,
+    core_hz: 84_000_000,
+    safe_step_hz: 490_000,
+    recording_pages: 6,
+    ..HARDWARE
+};
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board =

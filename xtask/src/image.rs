@@ -141,6 +141,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let in_flash =
         |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
     let flash = sections.iter().filter(in_flash).map(|s| s.size).sum();
+    // Sector 0 has the vectors, and what the board puts behind them: what is left of it is not counted.
+    let before: u32 = sections.iter().filter(in_flash).filter(|s| s.stored < chip.settings).map(|s| s.size).sum();
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
     // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
     if sections.iter().filter(in_ram).any(|s| s.size > 0 && s.address < stack_pointer) {
@@ -149,7 +151,7 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
     let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
     let stack = stack_pointer - chip.ram;
-    let for_program = chip.flash_size - (chip.code - chip.settings);
+    let for_program = chip.flash + chip.flash_size - chip.code + before;
     let (flash, ram) = ((flash, for_program), (ram, chip.ram_size - stack));
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
