@@ -10,6 +10,9 @@
 //! own. Each page can be read by itself, so a ring that has gone round begins with a whole entry. An entry is counted when it has
 //! been written: whenever a reset comes, what is there is right.
 //!
+//! The bytes of a line are put together first and go to the ring with its end, in front of the controller: a reset leaves out at
+//! most the last bytes of a line that has not ended, which has done nothing yet.
+//!
 //! RAM without power holds anything: marks, numbers in a row and the sums of the pages tell.
 //!
 //! After a reset the recording of before it is kept and nothing is recorded, until a machine that is not locked gets a line of a
@@ -32,9 +35,16 @@ const OPEN: u32 = u32::from_le_bytes(*b"came");
 /// The recording ends in this page.
 const CLOSED: u32 = u32::from_le_bytes(*b"ends");
 
+/// Bytes of a line that are put together before they go to the ring.
+const PLAIN: usize = 64;
+/// The time of the end of a line, and the end.
+const LINE_END: usize = 1 + 10 + 1;
+
 /// Basis and prime of 32-bit FNV-1a, here applied to whole words.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
+/// Of the sum of a page: odd, so that a byte that is another one always changes the sum.
+const FACTOR: u32 = 0x9E37_79B1;
 
 /// Tags of entries that are no byte of a line.
 mod tag {
@@ -65,7 +75,7 @@ pub struct Page {
     number: u32,
     /// Microseconds since power-up.
     time: u64,
-    /// Bytes used, and above them their sum: one word, so that no reset comes between the two.
+    /// Bytes used, and in the 24 bits above that number their sum: one word, so that no reset comes between the two.
     state: u32,
     bytes: [u8; ROOM],
 }
@@ -94,26 +104,27 @@ impl Page {
     pub fn seal(&mut self, number: u32) {
         (self.mark, self.number) = (OPEN, number);
         let used = self.used().min(ROOM);
-        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add(sum, u16::from(*byte)));
-        self.state = u32::from(sum) << 16 | used as u32;
+        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add(sum, *byte));
+        self.state = sum << 8 | used as u32;
     }
 
+    #[inline(always)]
     fn used(&self) -> usize {
-        (self.state & 0xFFFF) as usize
+        (self.state & 0xFF) as usize
     }
 
     /// The sum of an empty page.
-    fn seed(&self) -> u16 {
-        let words = [self.number, self.number >> 16, self.time as u32, (self.time >> 16) as u32, 0x5EED];
-        words.iter().fold(0, |sum, word| add(sum, *word as u16))
+    fn seed(&self) -> u32 {
+        let words = [self.number, self.time as u32, (self.time >> 32) as u32];
+        words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add)
     }
 
     /// The entries, if they are what was written.
     #[inline(never)]
     fn entries(&self) -> Option<&[u8]> {
         let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
-        let sum = bytes.iter().fold(self.seed(), |sum, byte| add(sum, u16::from(*byte)));
-        (u32::from(sum) == self.state >> 16).then_some(bytes)
+        let sum = bytes.iter().fold(self.seed(), |sum, byte| add(sum, *byte));
+        (sum << 8 == self.state & !0xFF).then_some(bytes)
     }
 
     fn begin(&mut self, number: u32, time: u64) {
@@ -121,48 +132,39 @@ impl Page {
         self.mark = 0;
         compiler_fence(Ordering::SeqCst);
         (self.number, self.time) = (number, time);
-        self.state = u32::from(self.seed()) << 16;
+        self.state = self.seed() << 8;
         compiler_fence(Ordering::SeqCst);
         self.mark = OPEN;
     }
 
-    #[inline(always)]
-    fn put(&mut self, byte: u8) -> bool {
+    /// All of them, or nothing.
+    #[inline]
+    fn append(&mut self, bytes: &[u8]) -> bool {
         let used = self.used();
-        let Some(place) = self.bytes.get_mut(used) else { return false };
-        *place = byte;
-        // Counted when it is there.
-        compiler_fence(Ordering::SeqCst);
-        let sum = add((self.state >> 16) as u16, u16::from(byte));
-        self.state = u32::from(sum) << 16 | (used as u32 + 1);
-        compiler_fence(Ordering::SeqCst);
-        true
-    }
-
-    /// All of an entry, or nothing.
-    fn append(&mut self, tag: u8, rest: &[u8]) -> bool {
-        let used = self.used();
-        let end = used + 1 + rest.len();
-        let Some((first, others)) = self.bytes.get_mut(used..end).and_then(|place| place.split_first_mut()) else {
-            return false;
-        };
-        *first = tag;
-        let mut sum = add((self.state >> 16) as u16, u16::from(tag));
-        for (place, byte) in others.iter_mut().zip(rest) {
+        let end = used + bytes.len();
+        let Some(places) = self.bytes.get_mut(used..end) else { return false };
+        let mut sum = self.state >> 8;
+        for (place, byte) in places.iter_mut().zip(bytes) {
             *place = *byte;
-            sum = add(sum, u16::from(*byte));
+            sum = add(sum, *byte);
         }
         // Counted when it is there.
         compiler_fence(Ordering::SeqCst);
-        self.state = u32::from(sum) << 16 | end as u32;
+        self.state = sum << 8 | end as u32;
         compiler_fence(Ordering::SeqCst);
         true
     }
 }
 
 #[inline(always)]
-fn add(sum: u16, word: u16) -> u16 {
-    sum.rotate_left(1).wrapping_add(word)
+fn add(sum: u32, byte: u8) -> u32 {
+    sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
+}
+
+/// Byte, damage and epoch of a byte, the epoch above the others: plain bytes are a range. Put together as they lie in memory.
+#[inline(always)]
+fn word_of(byte: LineByte) -> u32 {
+    (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
 }
 
 /// Where reading is.
@@ -189,6 +191,10 @@ pub struct Recorder<P> {
     time: u64,
     /// Resets, stops and jog cancels that the controller has been told of, as the epochs of line bytes count them.
     epoch: u16,
+    /// The least plain byte of a line, as [`word_of`] makes it: see [`Recorder::expect_plain`].
+    plain_from: u32,
+    /// Bytes that are not in the ring yet: plain ones of a line, or an entry.
+    next: heapless::Vec<u8, PLAIN>,
     /// Bytes of older epochs are dropped.
     reset_epoch: u16,
     /// A byte that came before its command.
@@ -220,6 +226,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             number: 0,
             time: 0,
             epoch: 0,
+            plain_from: 0,
+            next: heapless::Vec::new(),
             reset_epoch: 0,
             early: None,
             kept: false,
@@ -238,6 +246,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 recorder.entry(Instant::from_ticks(0), tag::POWER_UP, &[]);
             }
         }
+        recorder.expect_plain();
         recorder
     }
 
@@ -311,6 +320,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         (self.number, self.slot, self.time) = (0, 0, time);
         (self.kept, self.wants_standing, self.standing_in) = (false, true, 0);
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
+        self.next.clear();
+        self.expect_plain();
         if let Some(page) = self.pages.as_mut().first_mut() {
             page.begin(0, time);
         }
@@ -328,18 +339,43 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Writing
 
+    /// Plain bytes are those of this epoch; while the recording is kept, none are.
+    fn expect_plain(&mut self) {
+        // No byte is damaged in this way.
+        let kept = u32::from(self.kept) << 15;
+        self.plain_from = word_of(LineByte { byte: b' ', epoch: self.epoch, damaged: false }) | kept;
+    }
+
+    /// A byte of which nothing else need be known, which nearly all are.
     #[inline(always)]
-    fn put(&mut self, byte: u8) -> bool {
-        let slot = self.slot;
-        self.pages.as_mut().get_mut(slot).is_some_and(|page| page.put(byte))
+    fn put_plain(&mut self, byte: LineByte) -> bool {
+        let is_plain = word_of(byte).wrapping_sub(self.plain_from) <= u32::from(b'~' - b' ');
+        is_plain && self.next.push(byte.byte).is_ok()
+    }
+
+    /// What has been put together goes to the ring; all in one page.
+    #[inline(never)]
+    fn flush(&mut self) {
+        for _ in 0..2 {
+            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&self.next)) {
+                break;
+            }
+            self.turn_page();
+        }
+        self.next.clear();
     }
 
     /// An entry lies in one page.
     #[inline(never)]
     fn tagged(&mut self, tag: u8, rest: &[u8]) {
+        if !self.next.is_empty() {
+            self.flush();
+        }
+        let mut entry = Rest::new();
+        let _ = entry.push(tag);
+        put_bytes(&mut entry, rest);
         for _ in 0..2 {
-            let slot = self.slot;
-            if self.pages.as_mut().get_mut(slot).is_some_and(|page| page.append(tag, rest)) {
+            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&entry)) {
                 return;
             }
             self.turn_page();
@@ -348,18 +384,37 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     #[inline(never)]
     fn time_to(&mut self, time: u64) {
-        let mut left = time.saturating_sub(self.time);
-        if left == 0 {
-            return;
+        if self.time < time {
+            self.put_time(time);
+            self.flush();
+            self.time = time;
         }
-        let mut digits = Rest::new();
+    }
+
+    /// What ends a line has its time.
+    #[inline(always)]
+    fn put_end(&mut self, time: u64, byte: u8) {
+        if self.time < time {
+            self.put_time(time);
+        }
+        let _ = self.next.push(byte);
+        self.flush();
+        self.time = self.time.max(time);
+    }
+
+    /// The entry that time has passed, put to the others.
+    #[inline]
+    fn put_time(&mut self, time: u64) {
+        if self.next.len() > PLAIN - LINE_END {
+            self.flush();
+        }
+        let mut left = time - self.time;
+        let _ = self.next.push(tag::TIME);
         while left >= 0x80 {
-            let _ = digits.push(left as u8 | 0x80);
+            let _ = self.next.push(left as u8 | 0x80);
             left >>= 7;
         }
-        let _ = digits.push(left as u8);
-        self.tagged(tag::TIME, &digits);
-        self.time = time;
+        let _ = self.next.push(left as u8);
     }
 
     #[inline(never)]
@@ -378,9 +433,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     ) {
         match event {
             // Nearly all events.
-            Event::Line(LineByte { byte: byte @ b' '..=b'~', epoch, damaged: false })
-                if *epoch == self.epoch && !self.kept && self.put(*byte) => {}
-            Event::Line(byte) => self.line_byte(now, *byte, controller),
+            Event::Line(byte) => {
+                if !self.put_plain(*byte) {
+                    self.line_byte(now, *byte, controller);
+                }
+            }
             Event::Realtime(Realtime::Status) | Event::Pins(_) => {}
             event => self.seldom(now, event),
         }
@@ -389,7 +446,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Behind the line that has just been told more bytes wait.
     #[inline]
     pub fn more_waits(&mut self) {
-        if !self.kept {
+        if self.kept {
+            return;
+        }
+        let page = self.pages.as_mut().get_mut(self.slot).filter(|_| self.next.is_empty());
+        if !page.is_some_and(|page| page.append(&[tag::MORE])) {
             self.tagged(tag::MORE, &[]);
         }
     }
@@ -431,13 +492,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     fn text(&mut self, now: Instant, text: u8) {
-        if matches!(text, b'\n' | b'\r') {
-            // Of a line, when it ends is what counts.
-            self.time_to(now.ticks());
-            self.news = true;
-        }
         match text {
-            b' '..=b'~' | b'\n' | b'\r' => self.tagged(text, &[]),
+            // Of a line, when it ends is what counts.
+            b'\n' | b'\r' => {
+                self.put_end(now.ticks(), text);
+                self.news = true;
+            }
+            b' '..=b'~' => self.tagged(text, &[]),
             other => self.tagged(tag::BYTE, &[other]),
         }
     }
@@ -446,6 +507,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn seldom<const N: usize>(&mut self, now: Instant, event: &Event<N>) {
         let opens = matches!(event, Event::Realtime(command) if command.opens_epoch());
         self.epoch = self.epoch.wrapping_add(u16::from(opens));
+        self.expect_plain();
         if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
             self.reset_epoch = self.epoch;
         }
@@ -662,7 +724,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 }
 
 /// What follows a tag.
-type Rest = heapless::Vec<u8, { ROOM - 1 }>;
+type Rest = heapless::Vec<u8, ROOM>;
 
 // Called from many places, and seldom: small rather than fast.
 

@@ -215,7 +215,9 @@ proptest! {
             Noted::Host(bytes) => bytes.to_vec(),
             _ => Vec::new(),
         }).collect();
-        prop_assert!(text.as_bytes()[..count].ends_with(&said));
-        prop_assert!(said.len() == count || count > 1_500, "{} of {}", said.len(), count);
+        // The line that is being put together has done nothing yet.
+        let ended = count - count % 11;
+        prop_assert!(text.as_bytes()[..ended].ends_with(&said));
+        prop_assert!(said.len() == ended || count > 1_500, "{} of {}", said.len(), count);
     }
 }

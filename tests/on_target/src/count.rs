@@ -89,7 +89,7 @@ rows! {
     row_batch_3 row_batch_1 row_segment row_single row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
     row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far
-    row_recorded_byte row_recorded_block row_recorded_rest
+    row_recorded_line row_recorded_block row_recorded_rest
 }
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
@@ -617,12 +617,15 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
 
 type Ring = Recorder<&'static mut [Page]>;
 
-/// A byte that the controller is told of.
+/// The bytes of a line that the controller is told of, behind which more wait.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
-fn unit_recorded_byte(recorder: &mut Ring, now: Instant, event: &Event<3>, controller: &Whole) {
-    recorder.record(now, event, controller);
+fn unit_recorded_line(recorder: &mut Ring, now: Instant, bytes: &[LineByte], controller: &Whole) {
+    for byte in bytes {
+        recorder.record(now, &Event::Line(*byte), controller);
+    }
+    recorder.more_waits();
 }
 
 /// A message that goes to the step task.
@@ -641,18 +644,15 @@ fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
     recorder.at_rest(now, controller);
 }
 
-/// Lines, round the ring, each at a time of its own; the ends of lines and the turns of pages are among the bytes.
+/// Lines, round the ring, each at a time of its own; turns of pages are among them.
 fn recording(controller: &Whole) {
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are plain numbers.
     let pages = unsafe { (boards::RING as *mut [Page; 8]).as_mut_unchecked() };
     let mut recorder = Recorder::begin(pages.as_mut_slice(), &Restart::POWER);
-    row_recorded_byte();
+    row_recorded_line();
+    let line = b"X12.345Y-6.789\n".map(|byte| LineByte { byte, epoch: 0, damaged: false });
     for k in 0..400_u64 {
-        let now = Instant::from_ticks(k * 1_000);
-        for byte in b"X12.345Y-6.789\n" {
-            let event = Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false });
-            unit_recorded_byte(&mut recorder, now, black_box(&event), controller);
-        }
+        unit_recorded_line(&mut recorder, Instant::from_ticks(k * 1_000), black_box(&line), controller);
     }
     row_none();
     row_recorded_block();
