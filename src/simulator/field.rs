@@ -42,9 +42,16 @@ pub fn play(
             return arrival;
         }
     };
-    let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1 };
+    let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
     arrival.parted = played.err();
+    if arrival.parted.is_none() {
+        arrival.notes.push(match replay.met {
+            0 => "nothing in it tells where the motors were, so nothing has been compared".into(),
+            1 => "the motors come to the one place that is recorded, by the same blocks".into(),
+            places => format!("the motors come to all {places} places that are recorded, by the same blocks"),
+        });
+    }
     arrival
 }
 
@@ -155,6 +162,8 @@ struct Playing<'a, H, P> {
     offset: Vec<i32>,
     /// Ends of hosts that may be followed by a cut.
     cuts: u32,
+    /// Recorded places of the motors to which the simulator has come.
+    met: u32,
 }
 
 impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
@@ -410,12 +419,13 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.compare(time, counters)
     }
 
-    fn compare(&self, time: u64, counters: &[i32]) -> Result<(), String> {
+    fn compare(&mut self, time: u64, counters: &[i32]) -> Result<(), String> {
         let here = self.as_on_board();
         // Either may have counters of axes that the other does not have, and that stand.
         let common = here.len().min(counters.len());
         let others = here.iter().skip(common).chain(counters.iter().skip(common));
         if here[..common] == counters[..common] && others.into_iter().all(|axis| *axis == 0) {
+            self.met += 1;
             return Ok(());
         }
         Err(format!("{} the recording has the motors at {counters:?}; here they are at {here:?}", self.seconds(time)))

@@ -168,7 +168,7 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     let started = Instant::now();
     let path = options.recording.display();
     let text = files::read(&options.recording, RECORDING)
-        .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
+        .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
         .with_context(|| format!("cannot read the recording {path}"))?;
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
     let simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
