@@ -11,6 +11,7 @@
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
 //! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks |
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
+//! | `RECORDING_PAGES` | pages of 256 bytes for the recording of what comes in; 0 = there is none |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
 //! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
@@ -267,7 +268,7 @@ mod held {
     use oxmill_store::Flash;
 
     const _: &Profile = &board::PROFILE;
-    const _: [usize; 2] = [board::AXES, board::BLOCKS];
+    const _: [usize; 3] = [board::AXES, board::BLOCKS, board::RECORDING_PAGES];
     const _: [u32; 4] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ, board::RUN_CYCLES];
     const _: fn(board::pac::Peripherals, fn() -> !) -> board::Parts = board::setup;
     const _: fn() -> u32 = board::clock_ticks;

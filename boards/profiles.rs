@@ -31,6 +31,8 @@ pub struct Board {
     pub received_bytes: usize,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
+    /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
+    pub recording_pages: usize,
 }
 
 /// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
@@ -44,6 +46,7 @@ pub const DESK: Board = Board {
     safe_step_hz: 1_000_000,
     received_bytes: 255,
     program_pins: [4, 2],
+    recording_pages: 64,
 };
 
 /// What is so on most boards with hardware: three axes, and no pins left for programs.
@@ -66,6 +69,7 @@ pub const BLACKPILL_F401: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 400_000,
     blocks: 256,
+    recording_pages: 0,
     ..HARDWARE
 };
 
@@ -93,6 +97,7 @@ pub const NUCLEO_F401RE: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
     program_pins: NUCLEO_PROGRAM_PINS,
+    recording_pages: 6,
     ..HARDWARE
 };
 

@@ -16,6 +16,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::BLACKPILL_F401, true);
 pub const AXES: usize = profiles::BLACKPILL_F401.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
+/// Pages of 256 bytes for the recording of what comes in.
+pub const RECORDING_PAGES: usize = profiles::BLACKPILL_F401.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::BLACKPILL_F401.run_cycles;
 /// Clock of SysTick.

@@ -15,6 +15,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::BLACKPILL_F411, true);
 pub const AXES: usize = profiles::BLACKPILL_F411.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::BLACKPILL_F411.blocks;
+/// Pages of 256 bytes for the recording of what comes in.
+pub const RECORDING_PAGES: usize = profiles::BLACKPILL_F411.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::BLACKPILL_F411.run_cycles;
 /// Clock of SysTick.

@@ -17,6 +17,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F411RE, true);
 pub const AXES: usize = profiles::NUCLEO_F411RE.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::NUCLEO_F411RE.blocks;
+/// Pages of 256 bytes for the recording of what comes in.
+pub const RECORDING_PAGES: usize = profiles::NUCLEO_F411RE.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F411RE.run_cycles;
 /// Clock of SysTick.

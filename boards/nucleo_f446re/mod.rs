@@ -17,6 +17,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F446RE, true);
 pub const AXES: usize = profiles::NUCLEO_F446RE.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::NUCLEO_F446RE.blocks;
+/// Pages of 256 bytes for the recording of what comes in.
+pub const RECORDING_PAGES: usize = profiles::NUCLEO_F446RE.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F446RE.run_cycles;
 /// Clock of SysTick.

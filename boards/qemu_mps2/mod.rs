@@ -51,6 +51,8 @@ pub const PROFILE: Profile = crate::profile(&profiles::QEMU_MPS2, false);
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead.
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
+/// Pages of 256 bytes for the recording of what comes in.
+pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 /// The clock is the step clock.

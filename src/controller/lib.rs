@@ -38,6 +38,12 @@ pub mod protocol;
 
 mod controller;
 pub mod pump;
+#[cfg(feature = "recorder")]
+pub mod recorder;
+#[cfg(not(feature = "recorder"))]
+pub mod recorder_left_out;
+#[cfg(not(feature = "recorder"))]
+pub use recorder_left_out as recorder;
 mod step_rates;
 mod step_timing;
 pub use controller::{Controller, Profile};

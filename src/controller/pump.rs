@@ -56,6 +56,12 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
     fn room(&mut self) -> Room;
     /// Carries an output to where it is done. There is room for it.
     fn carry(&mut self, output: Output);
+    /// The controller is about to be told of an event: what came in can be recorded here.
+    #[inline(always)]
+    fn record(&mut self, _now: Instant, _event: &Event<N>) {}
+    /// Behind the end of a line of which the controller has been told more bytes wait.
+    #[inline(always)]
+    fn record_more(&mut self) {}
 }
 
 /// One round; whether another one may find more to do.
@@ -84,10 +90,14 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     while pump.controller().wants_line()
         && let Some(byte) = pump.next_line_byte()
     {
-        pump.controller().event(now, Event::Line(byte));
+        let event = Event::Line(byte);
+        pump.record(now, &event);
+        pump.controller().event(now, event);
         lines = true;
         if matches!(byte.byte, b'\n' | b'\r') {
-            observe(pump);
+            if observe(pump).received > 0 {
+                pump.record_more();
+            }
             if pump.controller().is_short_of_segments() {
                 break;
             }
@@ -110,7 +120,8 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
         let begins_again = match output {
             // Events first: a long arc must not keep a stop waiting.
             Output::Worked => return true,
-            Output::Step(_) | Output::Stop | Output::Store(_) | Output::ReadPins { .. } => true,
+            Output::Step(_) | Output::Stop | Output::Store(_) => true,
+            Output::ReadPins { .. } | Output::ReadRecording { .. } => true,
             Output::Reply(_) | Output::Pins(_) | Output::Wiring(_) => false,
         };
         pump.carry(output);
@@ -128,6 +139,7 @@ fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, no
     while let Some(event) = pump.next_event(source) {
         // What has been received before an event is taken, has come before it.
         observe(pump);
+        pump.record(now, &event);
         pump.controller().event(now, event);
         told = true;
     }
@@ -135,7 +147,8 @@ fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, no
 }
 
 #[inline]
-fn observe<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>) {
+fn observe<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>) -> Observed {
     let observed = pump.observed();
     pump.controller().observe(observed);
+    observed
 }

@@ -12,6 +12,7 @@ use oxmill_controller::messages::{
     Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
+use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{Controller, Owed};
 use rtic_sync::channel::{Receiver, Sender};
@@ -49,7 +50,10 @@ pub struct Control {
     ends: Ends,
     outputs: Outputs,
     settings: Settings,
+    recorder: Recorder<&'static mut [Page]>,
     clock: Clock,
+    /// When the round began.
+    round_began: Instant,
     /// Bytes taken out of the line queue since power-up (wrapping).
     line_bytes_out: u32,
     /// `hosts_came` and `hosts_went` of [`SERIAL`] as they were.
@@ -77,14 +81,22 @@ struct Job {
 
 impl Control {
     /// Ready to start.
-    pub fn new(controller: &'static mut BoardController, ends: Ends, outputs: Outputs, settings: Settings) -> Control {
+    pub fn new(
+        controller: &'static mut BoardController,
+        ends: Ends,
+        outputs: Outputs,
+        settings: Settings,
+        recorder: Recorder<&'static mut [Page]>,
+    ) -> Control {
         let job = boards::preloaded_job().map(|text| Job { text, next: 0 });
         Control {
             controller,
             ends,
             outputs,
             settings,
+            recorder,
             clock: Clock::new(),
+            round_began: Instant::from_ticks(0),
             line_bytes_out: 0,
             hosts_came: 0,
             hosts_went: 0,
@@ -118,6 +130,9 @@ impl Control {
             // Lines had to wait for it.
         }
         let observed = self.observe();
+        if observed.step_idle && self.controller.is_idle() {
+            self.recorder.at_rest(self.round_began, self.controller);
+        }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         let answered = self.controller.is_free() && self.ends.replies.is_empty();
         shared::set_free(heard, nothing_waits && answered && observed.step_idle);
@@ -142,6 +157,7 @@ impl Control {
             slot.store((place.0 / 10_000) as i32, Ordering::Relaxed);
         }
         CONTROL.line.store(self.controller.line_number(), Ordering::Relaxed);
+        CONTROL.moment.store(self.round_began.ticks() as u32, Ordering::Relaxed);
     }
 
     /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host
@@ -219,6 +235,14 @@ impl Control {
         self.owed.pop()
     }
 
+    /// The next piece of the recording.
+    #[inline(never)]
+    fn read_recording(&mut self, first: bool) {
+        let Control { controller, recorder, settings, .. } = self;
+        let board = (boards::PROFILE.name, boards::PROFILE.step_clock_hz);
+        recorder.read(first, board, |number| settings.record(number), |piece| controller.recorded(piece));
+    }
+
     fn view_of_pins(&self) -> PinView {
         PinView {
             fitted: INPUTS.fitted.load(Ordering::Relaxed),
@@ -243,7 +267,8 @@ impl Pump<AXES, BLOCKS> for Control {
         ASKED.control.store(false, Ordering::Relaxed);
         self.lines_in = SERIAL.bytes_queued.load(Ordering::Relaxed);
         self.owes = shared::owes();
-        self.clock.now()
+        self.round_began = self.clock.now();
+        self.round_began
     }
 
     #[inline]
@@ -289,6 +314,16 @@ impl Pump<AXES, BLOCKS> for Control {
     }
 
     #[inline(always)]
+    fn record(&mut self, now: Instant, event: &Event<AXES>) {
+        self.recorder.record(now, event, self.controller);
+    }
+
+    #[inline(always)]
+    fn record_more(&mut self) {
+        self.recorder.more_waits();
+    }
+
+    #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
         if took && SERIAL.holds_byte.load(Ordering::Relaxed) {
             boards::call_serial();
@@ -307,6 +342,7 @@ impl Pump<AXES, BLOCKS> for Control {
     fn carry(&mut self, output: Output) {
         match output {
             Output::Step(message) => {
+                self.recorder.handed(&message);
                 // There is room, and no other task sends.
                 let _ = self.ends.segments.try_send(message);
                 if STEP.wants.load(Ordering::Relaxed) != 0 {
@@ -337,6 +373,7 @@ impl Pump<AXES, BLOCKS> for Control {
                 }
             }
             Output::ReadPins { clear_noise: false } => self.pins_asked = true,
+            Output::ReadRecording { first } => self.read_recording(first),
             Output::Store(change) => {
                 self.stored = Some(self.settings.store(&change));
                 // Bytes may have come while the processor stood.

@@ -6,7 +6,7 @@
 
 use crate::boards::SettingsFlash;
 use crate::control::BoardController;
-use oxmill_controller::messages::Store;
+use oxmill_controller::messages::{Record, Store};
 use oxmill_store::{Log, StoreError};
 
 /// The log, as long as the flash works.
@@ -29,6 +29,17 @@ impl Settings {
             defmt::error!("the settings sectors cannot be used");
         }
         Settings { log, worn: false }
+    }
+
+    /// A stored record, by its number among those that count.
+    pub fn record(&mut self, number: u16) -> Option<Record> {
+        let (mut left, mut found) = (number, None);
+        let seek = |record: Record| match left.checked_sub(1) {
+            Some(less) => left = less,
+            None => found = found.take().or(Some(record)),
+        };
+        self.log.as_mut()?.for_each(seek).ok()?;
+        found
     }
 
     /// Carries out a change; whether it was stored.

@@ -1,4 +1,4 @@
-//! The last words before a reset, in RAM that the start-up code leaves alone.
+//! The last words before a reset, and the recording of what came in, in RAM that the start-up code leaves alone.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
@@ -8,12 +8,14 @@
 //!
 //! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
 
+use crate::boards;
 use crate::shared::CONTROL;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
 use core::sync::atomic::Ordering;
-use oxmill_controller::messages::{Crash, CrashKind};
+use oxmill_controller::messages::{Crash, CrashKind, Restart};
+use oxmill_controller::recorder::{Page, Recorder};
 
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
@@ -27,6 +29,7 @@ struct Kept {
     text: [u8; TEXT],
     place: [i32; 3],
     line: u32,
+    moment: u32,
     sum: u32,
 }
 
@@ -35,14 +38,17 @@ struct Kept {
 // not initialised, and every bit pattern is a `Kept`.
 static mut RECORD: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-const KINDS: [CrashKind; 5] =
-    [CrashKind::Panic, CrashKind::Fault, CrashKind::StackOverflow, CrashKind::Stuck, CrashKind::Voltage];
+#[unsafe(link_section = ".uninit.RECORDING")]
+// unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
+// not initialised, and every bit pattern is a `Page`.
+static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
 impl Kept {
     /// Fletcher's sum over everything before it: RAM after power-up is not random enough to pass by accident.
     fn sum(&self) -> u32 {
         let head = [self.mark, self.kind, self.length];
         let place = self.place.iter().flat_map(|place| place.to_le_bytes()).chain(self.line.to_le_bytes());
+        let place = place.chain(self.moment.to_le_bytes());
         let bytes = head.iter().flat_map(|word| word.to_le_bytes()).chain(self.text).chain(place);
         let (a, b) = bytes.fold((1_u32, 0_u32), |(a, b), byte| {
             let a = (a + u32::from(byte)) % 65_535;
@@ -79,14 +85,15 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     let mut line = Line { text: [0; TEXT], length: 0 };
     // What does not fit is cut off.
     let _ = line.write_fmt(why);
-    let kind = KINDS.iter().position(|k| *k == kind).unwrap_or(0) as u32;
+    let kind = CrashKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
     let mut place = [0; 3];
     for (slot, last) in place.iter_mut().zip(&CONTROL.position) {
         *slot = last.load(Ordering::Relaxed);
     }
     let (length, text) = (line.length as u32, line.text);
     let line = CONTROL.line.load(Ordering::Relaxed);
-    let mut kept = Kept { mark: MARK, kind, length, text, place, line, sum: 0 };
+    let moment = CONTROL.moment.load(Ordering::Relaxed);
+    let mut kept = Kept { mark: MARK, kind, length, text, place, line, moment, sum: 0 };
     kept.sum = kept.sum();
     // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
     unsafe { addr_of_mut!(RECORD).cast::<Kept>().write_volatile(kept) }
@@ -103,6 +110,21 @@ pub fn take() -> Option<Crash> {
         return None;
     }
     let text = kept.text.get(..kept.length as usize)?;
-    let kind = *KINDS.get(kept.kind as usize)?;
-    Some(Crash { kind, text: heapless::Vec::from_slice(text).ok()?, place: kept.place, line: kept.line })
+    let kind = *CrashKind::ALL.get(kept.kind as usize)?;
+    Some(Crash {
+        kind,
+        text: heapless::Vec::from_slice(text).ok()?,
+        place: kept.place,
+        line: kept.line,
+        moment: kept.moment,
+    })
+}
+
+/// The recorder, with what it had recorded before this start. Called once.
+pub fn recorder(restart: &Restart) -> Recorder<&'static mut [Page]> {
+    // What lies there is not known to the compiler, which must not take it for nothing.
+    let pages = core::hint::black_box(addr_of_mut!(RECORDING)).cast::<[Page; boards::RECORDING_PAGES]>();
+    // SAFETY: unsafe because memory is read that may never have been written, and a static is lent for ever; safe because pages
+    // are plain numbers, any of which is allowed, and are lent once.
+    Recorder::begin(unsafe { &mut *pages }, restart)
 }

@@ -81,13 +81,16 @@ pub fn start(
     let wake: Wake = channels.wake.writer();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
-    controller.restarted(Restart { cause: boards::reset_cause(), crash: record::take() });
+    let mut restart = Restart { cause: boards::reset_cause(), crash: record::take(), is_recorded: false };
+    let recorder = record::recorder(&restart);
+    restart.is_recorded = recorder.is_kept();
+    controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);
     let tasks = Tasks {
         step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),
         inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
-        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings),
+        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings, recorder),
     };
     sampling.set_clock_source(SystClkSource::Core);
     sampling.set_reload(boards::CORE_HZ / boards::SAMPLE_HZ - 1);

@@ -152,6 +152,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
+        Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",
         Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
         Error::ControlPointsNotBegun => "Begin the control points with G5.2, and move nothing else before G5.3.",
         Error::ControlPointsNotEnded => {

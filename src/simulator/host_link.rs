@@ -71,6 +71,10 @@ pub struct HostLink {
     heard: u16,
     connected: bool,
     disconnected: bool,
+    /// More bytes wait behind those that were sent, in a replay.
+    more: bool,
+    /// The host is never silent, in a replay.
+    never_silent: bool,
 }
 
 impl Default for HostLink {
@@ -84,6 +88,8 @@ impl Default for HostLink {
             heard: 0,
             connected: false,
             disconnected: false,
+            more: false,
+            never_silent: false,
         }
     }
 }
@@ -92,6 +98,21 @@ impl HostLink {
     /// Bytes from the host reach its port.
     pub fn send(&mut self, bytes: &[u8]) {
         self.port.extend(bytes);
+    }
+
+    /// More bytes wait behind those that come next, or not.
+    pub fn follow(&mut self, more: bool) {
+        self.more = more;
+    }
+
+    /// From here on the host is never silent.
+    pub fn hear_always(&mut self) {
+        self.never_silent = true;
+    }
+
+    /// Bytes are lost here.
+    pub fn lose(&mut self) {
+        self.link.lose();
     }
 
     /// A realtime command that does not come over the wire.
@@ -164,17 +185,17 @@ impl HostLink {
     /// Line bytes in the queue, those that wait in the link for room in it, and the cut that goes before these.
     pub fn received(&self) -> usize {
         let held = self.link.held();
-        self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut())
+        self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
     }
 
     /// Bytes that the link has fetched (wrapping); one more each time it is asked in place of a host that cannot be silent.
     pub fn heard(&mut self, never_silent: bool) -> u16 {
-        self.heard = self.heard.wrapping_add(u16::from(never_silent));
+        self.heard = self.heard.wrapping_add(u16::from(never_silent || self.never_silent));
         self.heard
     }
 
     /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the port.
     pub fn unread(&self) -> usize {
-        self.port.len() + self.received()
+        self.port.len() + self.received() - usize::from(self.more)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::check::Check;
 use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZero};
+use crate::field;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
 use crate::machine::linear;
@@ -167,16 +168,22 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     let started = Instant::now();
     let path = options.recording.display();
     let text = files::read(&options.recording, RECORDING)
-        .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
+        .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
         .with_context(|| format!("cannot read the recording {path}"))?;
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
     let simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
+    let mut notes = Vec::new();
     let length = recording.job().map_or_else(|| recording.length(), |job| job.len() as u64);
     let progress = progress_bar(Some(length), "the recording");
-    let (check, same) = play(&recording, simulator, &progress);
+    let (check, same) = play(&recording, simulator, &progress, &mut notes);
     progress.finish_and_clear();
     let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
     print(&summary, if options.json { Form::Json } else { Form::Whole })?;
+    if !options.json {
+        for note in notes {
+            println!("  replay        {note}");
+        }
+    }
     if let Err(why) = &same {
         eprintln!("oxmill: {path}: {why}");
     }
@@ -184,7 +191,12 @@ pub fn replay(options: &Replay) -> Result<Ending> {
 }
 
 /// Plays a recording to its end and shows the progress: bytes of its job, or ticks of the step clock.
-fn play(recording: &Recording, mut simulator: Simulator, progress: &ProgressBar) -> (Check, Result<(), String>) {
+fn play(
+    recording: &Recording,
+    mut simulator: Simulator,
+    progress: &ProgressBar,
+    notes: &mut Vec<String>,
+) -> (Check, Result<(), String>) {
     if let Some(job) = recording.job() {
         let begun = recording.play(&mut simulator, |_| {}, |_| {});
         let mut check = Check::new(simulator, JobText::new(io::Cursor::new(job.to_vec())));
@@ -197,7 +209,17 @@ fn play(recording: &Recording, mut simulator: Simulator, progress: &ProgressBar)
         progress.set_position(ticks);
         progress.set_message(crate::summary::clock_time(clock.seconds(ticks)));
     };
-    let same = recording.play(&mut simulator, |text| said.push_str(text), pass);
+    let same = if recording.is_of_board() {
+        let arrival = field::play(recording, &mut simulator, |text| said.push_str(text), pass);
+        notes.extend(arrival.notes);
+        arrival.parted.map_or(Ok(()), Err)
+    } else {
+        recording.play(&mut simulator, |text| said.push_str(text), pass)
+    };
+    if recording.is_of_board() {
+        // What the board did not live to do is no part of it.
+        return (Check::of(simulator, clock.now(), &said), same);
+    }
     // What the last of it has begun.
     simulator.run_until_idle();
     said.push_str(&simulator.take_output());
@@ -381,7 +403,7 @@ mod tests {
             let length = recording.job().map_or(recording.length(), |job| job.len() as u64);
             assert_eq!(length, if job { 2000 * 18 } else { 3_000_000 });
             let progress = ProgressBar::hidden();
-            let (_, same) = play(&recording, recording.power_up().unwrap(), &progress);
+            let (_, same) = play(&recording, recording.power_up().unwrap(), &progress, &mut Vec::new());
             // Neither recording says where the motors end, and only after a job is that asked for.
             assert_eq!(same.is_err(), job, "{same:?}");
             let position = progress.position();

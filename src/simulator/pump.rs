@@ -57,6 +57,14 @@ impl Pump<AXES, BLOCKS> for Simulator {
         }
     }
 
+    fn record(&mut self, now: Instant, event: &Event<AXES>) {
+        self.recorder.record(now, event, &self.controller);
+    }
+
+    fn record_more(&mut self) {
+        self.recorder.more_waits();
+    }
+
     fn make_room(&mut self, _took: bool) -> bool {
         self.host.waits() && self.receive()
     }
@@ -70,6 +78,7 @@ impl Pump<AXES, BLOCKS> for Simulator {
     fn carry(&mut self, output: Output) {
         match output {
             Output::Step(message) => {
+                self.recorder.handed(&message);
                 let number = self.controller.handed_line_number();
                 let mark = self.marks.as_mut().map_or_else(Mark::default, |marks| marks.of(number));
                 self.step.queue(message, mark, &self.clock, &mut self.world);
@@ -92,6 +101,7 @@ impl Pump<AXES, BLOCKS> for Simulator {
             }
             Output::ReadPins { clear_noise: true } => self.inputs.clear_noise(),
             Output::ReadPins { clear_noise: false } => self.pins_asked = true,
+            Output::ReadRecording { first } => self.read_recording(first),
             // A store that cannot be written is the host's fault; the controller tells the host.
             Output::Store(change) => self.stored = Some(self.store.apply(&change).is_ok()),
             Output::Worked => {}
@@ -100,6 +110,13 @@ impl Pump<AXES, BLOCKS> for Simulator {
 }
 
 impl Simulator {
+    /// The next piece of what a board would have recorded.
+    fn read_recording(&mut self, first: bool) {
+        let Simulator { controller, recorder, store, board, .. } = self;
+        let record = |number| store.records().into_iter().nth(usize::from(number));
+        recorder.read(first, (board.name, board.step_clock_hz), record, |piece| controller.recorded(piece));
+    }
+
     /// The inputs that this machine has: those of its axes and of programs, a second switch, and all others.
     fn view_of_pins(&self) -> PinView {
         const { assert!(input::COUNT == 17) };

@@ -15,6 +15,9 @@
 //! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
 //! job G0 X1\n                             each line of it
 //! ```
+//! A board lists what it has recorded by `$REC`, each line as `[REC:...]`; in a log of a terminal all other lines are left out, and of several
+//! listings the last one counts. It has other lines besides, which `protocol::recorded` of the controller writes and [`crate::field`] plays.
+//!
 //! Lines begin with their time but for those in front of `begin` and those of a job.
 
 use crate::boards::{AXES, Board};
@@ -23,7 +26,8 @@ use crate::power_up::board_named;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
 use oxmill_controller::axes::LINEAR;
-use oxmill_controller::messages::{Record, SpindleDirection, Store as Change};
+use oxmill_controller::messages::{Noted, Record, SpindleDirection, Standing, Stopping, Store as Change};
+use oxmill_controller::units::Coordinate;
 use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::io::{self, BufRead, Read, Write};
@@ -47,6 +51,27 @@ pub enum Input {
     At(String),
     /// A job begins.
     Job,
+    /// What only a board tells.
+    Told(Told),
+}
+
+/// What only a board tells.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(clippy::large_enum_variant, reason = "few of them, and read once")]
+pub enum Told {
+    /// An entry of its ring.
+    Noted(Noted),
+    /// How it ended.
+    Ended {
+        /// As it is written.
+        text: String,
+        /// In a failure.
+        crash: bool,
+        /// Machine position in micrometres.
+        place: Vec<i64>,
+        /// N word.
+        line: u32,
+    },
 }
 
 /// A recording that has been read.
@@ -59,6 +84,8 @@ pub struct Recording {
     inputs: Vec<(u64, Input)>,
     /// The text of its job.
     job: Option<Vec<u8>>,
+    /// It was not listed to its end.
+    broken_off: bool,
 }
 
 /// Where a machine is: what two runs are compared by.
@@ -162,6 +189,8 @@ impl Recorder {
             Input::Pin(line) => self.write(simulator, &format!("pin {}", line.trim())),
             Input::At(place) => self.write(simulator, &format!("at {place}")),
             Input::Job => self.write(simulator, "job"),
+            // Only boards tell that.
+            Input::Told(_) => Ok(()),
         }
     }
 
@@ -276,6 +305,21 @@ impl Recording {
         self.job.as_deref()
     }
 
+    /// Whether it is of a board.
+    pub fn is_of_board(&self) -> bool {
+        self.inputs.iter().any(|(_, input)| matches!(input, Input::Told(_)))
+    }
+
+    /// What came in, and when.
+    pub fn inputs(&self) -> &[(u64, Input)] {
+        &self.inputs
+    }
+
+    /// Whether it has its end.
+    pub fn is_whole(&self) -> bool {
+        !self.broken_off
+    }
+
     /// How long it is as far as its last input, or its job: ticks of the step clock.
     pub fn length(&self) -> u64 {
         self.inputs.last().map_or(0, |(time, _)| time.saturating_sub(self.begin.unwrap_or_default()))
@@ -301,6 +345,13 @@ impl Recording {
     /// # Errors
     /// The number of the first line that cannot be read, and why.
     pub fn parse(text: &str) -> Result<Self, String> {
+        if let Some(listed) = listed(text) {
+            return Self::read(&listed, true);
+        }
+        Self::read(text, false)
+    }
+
+    fn read(text: &str, listed: bool) -> Result<Self, String> {
         // A program that was killed may have written half of its last line.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut lines = whole.lines().enumerate().map(|(index, line)| (index + 1, line));
@@ -314,6 +365,7 @@ impl Recording {
             begin: None,
             inputs: Vec::new(),
             job: None,
+            broken_off: listed,
         };
         for (number, line) in lines.filter(|(_, line)| !line.is_empty()) {
             recording.line(line).map_err(|why| format!("line {number}: {why}"))?;
@@ -342,6 +394,7 @@ impl Recording {
                 self.machine.push_str(rest);
                 self.machine.push('\n');
             }
+            "end" => self.broken_off = false,
             "begin" => self.begin = Some(number(rest).and_then(in_range)?),
             "job" => self.job.get_or_insert_default().extend(unescape(rest)?),
             time => {
@@ -353,6 +406,7 @@ impl Recording {
                     "pin" => Input::Pin(rest.into()),
                     "at" => Input::At(rest.into()),
                     "job" => Input::Job,
+                    word if let Some(told) = told(word, rest)? => Input::Told(told),
                     _ => return Err(format!("`{line}` is not understood")),
                 };
                 let time = number(time).and_then(in_range)?;
@@ -403,6 +457,7 @@ impl Recording {
             advance(simulator, *time, &mut hear, |now| pass(now.saturating_sub(begin)));
             match input {
                 Input::Job => return Ok(()),
+                Input::Told(_) => return Err("lines of a board and of a simulator are mixed".into()),
                 Input::Connect => simulator.connect(),
                 Input::Disconnect => simulator.disconnect(),
                 Input::Host(bytes) => simulator.send(bytes),
@@ -426,6 +481,92 @@ impl Recording {
         }
         Ok(())
     }
+}
+
+/// The lines of the last listing in a log, and nothing else of it.
+fn listed(log: &str) -> Option<String> {
+    let lines = log.lines().filter_map(|line| Some(line.split_once("[REC:")?.1.split_once(']')?.0));
+    let mut text = None;
+    for line in lines {
+        if line == TITLE {
+            text = Some(String::new());
+        }
+        if let Some(text) = &mut text {
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    text
+}
+
+/// A line that only a board tells.
+fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
+    let words: Vec<&str> = rest.split_whitespace().collect();
+    let entry = match word {
+        "power" => Noted::PowerUp,
+        "more" => Noted::More,
+        "stored" => Noted::Stored(true),
+        "unstored" => Noted::Stored(false),
+        "damaged" => Noted::Damaged,
+        "cut" => Noted::Cut,
+        "inputs" => {
+            let word = |at: usize| words.get(at).and_then(|word| u32::from_str_radix(word, 16).ok());
+            let (active, tripped) = word(0).zip(word(1)).ok_or_else(|| format!("`{rest}` are no inputs"))?;
+            Noted::Inputs { active, tripped }
+        }
+        "stopped" => Noted::Step(Stopping::AtRest, axes(&words)?),
+        "cut-off" => Noted::Step(Stopping::Moving, axes(&words)?),
+        "probed" => Noted::Step(Stopping::Probed, axes(&words)?),
+        "underrun" => Noted::Step(Stopping::Underrun, axes(&words)?),
+        "miscounted" => Noted::Step(Stopping::Miscounted, axes(&words)?),
+        "rest" => {
+            let (blocks, counters) = words.split_first().ok_or("where is it at rest?")?;
+            Noted::Rest { blocks: number(blocks)?, counters: axes(counters)? }
+        }
+        "state" => standing(&words)?,
+        "ended" => return ended(rest, &words).map(Some),
+        _ => return Ok(None),
+    };
+    Ok(Some(Told::Noted(entry)))
+}
+
+fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String> {
+    let axes: Vec<i32> = words.iter().map(|word| number(word)).collect::<Result<_, _>>()?;
+    heapless::Vec::from_slice(&axes).map_err(|_| "these are too many axes".into())
+}
+
+fn standing(words: &[&str]) -> Result<Noted, String> {
+    let [flags, blocks, tool, active, axes @ .., words] = words else { return Err("a state has more words".into()) };
+    let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
+    for pair in axes.chunks(2) {
+        let [counter, coordinate] = pair else { return Err("an axis has a counter and a place".into()) };
+        counters.push(number(counter)?).map_err(|_| "these are too many axes")?;
+        place.push(Coordinate(number(coordinate)?)).map_err(|_| "these are too many axes")?;
+    }
+    let has = |letter: char| flags.contains(letter);
+    let standing = Standing {
+        counters,
+        place,
+        trusted: has('t'),
+        locked: has('l'),
+        inches: has('i'),
+        tool: number(tool)?,
+        active: u32::from_str_radix(active, 16).map_err(|_| format!("`{active}` are no inputs"))?,
+        words: heapless::Vec::from_slice(words.as_bytes()).map_err(|_| "the words of the state are too long")?,
+    };
+    Ok(Noted::Standing { standing, blocks: number(blocks)? })
+}
+
+/// `panic N12 1.000 2.000 0.000`, or `reset`.
+fn ended(text: &str, words: &[&str]) -> Result<Told, String> {
+    let text = text.to_owned();
+    let [_, line, place @ ..] = words else {
+        return Ok(Told::Ended { text, crash: false, place: Vec::new(), line: 0 });
+    };
+    let line = number(line.trim_start_matches('N'))?;
+    let micrometres = |word: &&str| Ok((number::<f64>(word)? * 1e3).round() as i64);
+    let place = place.iter().map(micrometres).collect::<Result<_, String>>()?;
+    Ok(Told::Ended { text, crash: true, place, line })
 }
 
 /// Lets time pass; what the machine says is taken now and then, as by a host.

@@ -23,8 +23,9 @@ use crate::text::JobText;
 use crate::trace::{Sole, Trace};
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::machine::filter::SAMPLE_HZ;
-use oxmill_controller::messages::{Realtime, Signals, SlowOutputs, Wiring};
+use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
 use oxmill_controller::pump;
+use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::settings::AxisKey;
 use oxmill_controller::units::Coordinate;
 use oxmill_controller::{Controller, Profile, StepRates};
@@ -73,6 +74,8 @@ pub struct Simulator {
     pub(crate) job: Sole<JobText>,
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
+    /// What came in, as a board records it.
+    pub(crate) recorder: Recorder<Box<[Page]>>,
     /// What moves belong to, if somebody wants to know.
     pub(crate) marks: Option<Marks>,
 }
@@ -114,6 +117,7 @@ impl Simulator {
             job: Sole(None),
             job_ready: 0,
             wiring: None,
+            recorder: Recorder::begin(vec![Page::EMPTY; boards::DESK.recording_pages].into(), &Restart::POWER),
             marks: None,
         };
         let World { fittings, machine, .. } = &mut simulator.world;
@@ -134,6 +138,40 @@ impl Simulator {
         self.host.send(bytes.as_ref());
         self.receive();
         self.turn();
+    }
+
+    /// Bytes from the host, behind which more wait or not: for a replay, which has these at the time they were taken.
+    pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
+        self.host.follow(more);
+        self.send(bytes);
+        // What waited has been taken, though it may be the begin of a line that is told when it ends.
+        self.host.follow(false);
+    }
+
+    /// For a replay, which does not know when the host was heard: it is never silent.
+    pub fn hear_always(&mut self) {
+        self.host.hear_always();
+    }
+
+    /// Bytes of the host are lost on their way.
+    pub fn lose_bytes(&mut self) {
+        self.host.lose();
+    }
+
+    /// For a replay: the machine takes this state. See `Controller::stand`.
+    pub fn stand(&mut self, standing: &Standing, lock: bool) {
+        self.controller.stand(standing, lock);
+        self.turn();
+    }
+
+    /// Hash of all blocks that were handed to the step task since its last stop.
+    pub fn recorded_blocks(&self) -> u32 {
+        self.recorder.blocks()
+    }
+
+    /// For a replay: that many blocks have gone before.
+    pub fn follow_blocks(&mut self, blocks: u32) {
+        self.recorder.follow_blocks(blocks);
     }
 
     /// A realtime command that does not come over the wire.
@@ -480,6 +518,9 @@ impl Simulator {
         while !self.power_is_gone() {
             if !pump::round(self) {
                 self.erase_ahead();
+                if self.controller.is_idle() && self.step.is_idle() {
+                    self.recorder.at_rest(self.clock.instant(), &self.controller);
+                }
                 return;
             }
         }

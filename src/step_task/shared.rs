@@ -82,6 +82,8 @@ pub struct ControlStatus {
     pub position: [AtomicI32; AXES],
     /// N word of what was running then.
     pub line: AtomicU32,
+    /// When that was: microseconds (wrapping).
+    pub moment: AtomicU32,
     /// The value of [`SerialStatus::heard`] up to which everything has been done and answered.
     free_at: AtomicU32,
     /// See [`Power`].
@@ -92,6 +94,7 @@ pub struct ControlStatus {
 pub static CONTROL: ControlStatus = ControlStatus {
     position: [const { AtomicI32::new(0) }; AXES],
     line: AtomicU32::new(0),
+    moment: AtomicU32::new(0),
     free_at: AtomicU32::new(u32::MAX),
     power: AtomicU32::new(0),
 };

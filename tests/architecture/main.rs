@@ -42,6 +42,8 @@ const ROOMS: &[(&str, &[&str])] = &[
         ],
     ),
     ("pump", &["controller", "messages", "units"]),
+    ("recorder", &["controller", "messages", "protocol", "units"]),
+    ("recorder_left_out", &["controller", "messages", "units"]),
 ];
 
 /// Crates that the controller may build on.

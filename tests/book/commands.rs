@@ -9,7 +9,7 @@ use oxmill_simulator::command_line::CommandLine;
 /// Commands of cargo itself that pages use.
 const OF_CARGO: [&str; 9] = ["bench", "binstall", "build", "clippy", "deny", "install", "mutants", "package", "test"];
 /// Programs of others that pages use.
-const OF_OTHERS: [&str; 6] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup"];
+const OF_OTHERS: [&str; 9] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup", "stty", "timeout", "wait"];
 
 /// A command of a page.
 struct Command<'a> {

@@ -7,9 +7,10 @@
 
 use oxmill_controller::messages::{
     Event, HOST_CHANGED, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH, Realtime,
-    Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
+    Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
+use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 use std::collections::{BTreeMap, VecDeque};
@@ -62,6 +63,8 @@ pub struct Board {
     pub hosts: VecDeque<Event<AXES>>,
     pub answers: VecDeque<Event<AXES>>,
     pins_asked: bool,
+    /// What came in: pages that are soon full.
+    recorder: Recorder<Vec<Page>>,
     pub late: u8,
     epoch: u16,
     hosts_gone: u16,
@@ -185,6 +188,7 @@ impl Board {
             hosts: VecDeque::new(),
             answers: VecDeque::new(),
             pins_asked: false,
+            recorder: Recorder::begin(vec![Page::EMPTY; 4], &Restart::POWER),
             late: 0,
             epoch: 0,
             hosts_gone: 0,
@@ -391,6 +395,9 @@ impl Board {
             self.round_replies = 0;
             let begun = self.stepper.segments_begun();
             if !round(self) {
+                if self.controller.is_idle() && self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle() {
+                    self.recorder.at_rest(self.now(), &self.controller);
+                }
                 if self.late & late::REPLIES == 0 && self.controller.wants_line() {
                     self.book.settle();
                 }
@@ -501,6 +508,14 @@ impl Pump<AXES, BLOCKS> for Board {
         Some(byte)
     }
 
+    fn record(&mut self, now: Instant, event: &Event<AXES>) {
+        self.recorder.record(now, event, &self.controller);
+    }
+
+    fn record_more(&mut self) {
+        self.recorder.more_waits();
+    }
+
     fn make_room(&mut self, _took: bool) -> bool {
         false
     }
@@ -520,6 +535,7 @@ impl Pump<AXES, BLOCKS> for Board {
                 if matches!(message, ToStep::Segment(_)) {
                     assert!(self.controller.alarm().is_none(), "a segment in {:?}", self.controller.alarm());
                 }
+                self.recorder.handed(&message);
                 self.queue.push_back(message);
                 self.load();
             }
@@ -533,6 +549,14 @@ impl Pump<AXES, BLOCKS> for Board {
             Output::Store(change) => {
                 let answer = self.store(&change);
                 self.answers.push_back(answer);
+            }
+            Output::ReadRecording { first } => {
+                let Board { controller, recorder, records, .. } = self;
+                let record = |at: u16| {
+                    let (key, value) = records.iter().nth(at.into())?;
+                    Some(Record { key: *key, value: heapless::Vec::from_slice(value).ok()? })
+                };
+                recorder.read(first, ("fuzz", 1_000_000), record, |piece| controller.recorded(piece));
             }
             Output::Pins(_) | Output::Worked => {}
         }

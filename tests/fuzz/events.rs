@@ -72,7 +72,7 @@ enum Line {
 
 const MOTIONS: [&str; 12] =
     ["G0", "G1", "G91G1", "G90G1", "G2R2", "G3R-3", "$J=G91", "$J=G90", "G38.2", "G38.5", "G81R1", "G53G0"];
-const LINES: [&str; 32] = [
+const LINES: [&str; 33] = [
     "$H",
     "$X",
     "$C",
@@ -101,6 +101,7 @@ const LINES: [&str; 32] = [
     "$LC=ON",
     "$PINS",
     "$RC",
+    "$REC",
     "O2REPEAT[3]",
     "G91G1X.05F900",
     "O2ENDREPEAT",

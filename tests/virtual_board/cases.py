@@ -1191,6 +1191,40 @@ def hung(bench):
         raise Failure("steps after the reset")
 
 
+def recorded(bench):
+    """A control task that hangs in mid-job: what the board has recorded leads the simulator to the place and line of the failure."""
+    bench.boot()
+    bench.settings(**JOB_SETTINGS)
+    board = bench.board
+    if not board.iwdg.started:
+        raise NotYet("this firmware starts no watchdog")
+    for line in ("G91", "N10 G1 X3 F1200", "N20 Y2", "N30 X40"):
+        bench.ask(line)
+    board.run(seconds=0.4)
+    hang(bench)
+    bench.wait(lambda: board.resets, 5, "a reset")
+    unpatch(bench)
+    tell(bench, "stuck", "atchdog")
+    told = cause(bench)
+    if "$REC" not in told:
+        raise NotYet("this firmware records nothing")
+    bench.ask("$X")
+    listing = bench.ask("$REC", 5.0)
+    end = next((line for line in listing if " ended " in line), None)
+    if end is None or listing[-1] != "ok" or "[REC:end]" not in listing:
+        raise Failure(f"the listing has no end: {listing[-5:]}")
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "board.log"
+        log.write_text("\n".join(listing) + "\n")
+        done = subprocess.run([bench.oxmill, "replay", str(log)], capture_output=True, text=True, check=False)
+    arrival = [line for line in done.stdout.splitlines() if "arrives at the place and line of the failure" in line]
+    if done.returncode not in (0, 1) or done.stderr or not arrival:
+        raise Failure(f"the replay parts: {done.stdout} {done.stderr}")
+    if f"N{told.split(', line ')[1].split(',')[0]} " not in arrival[0]:
+        raise Failure(f"the board failed at another line: {told}; {arrival[0]}")
+    yield f"{len(listing)} lines are listed; the replay {arrival[0].split('replay')[-1].strip()}"
+
+
 def deaf(bench):
     """Interrupts are masked for ever: only the independent watchdog can help."""
     bench.boot()
@@ -1850,6 +1884,7 @@ def all_cases(root):
         ("stack overflow", overflowed),
         ("failure in a failure", failed_twice),
         ("hung control task", hung),
+        ("recorded failure", recorded),
         ("masked for ever", deaf),
         ("brown-out", brown_out),
         ("low supply at power-up", low_at_power_up),

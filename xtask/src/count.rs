@@ -59,7 +59,7 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
-const ROWS: [Row; 17] = [
+const ROWS: [Row; 20] = [
     row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_335, 1_720))
         .beside("3360 / 4416", "4384 / 6240"),
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (895, 1_245)).beside("2656 / 3808", "3520 / 5440"),
@@ -82,6 +82,9 @@ const ROWS: [Row; 17] = [
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (10_350, 17_600))
         .beside("2800 / 4400", "4100 / 6500"),
+    row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
+    row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
+    row("recorded_rest", "recording, a pass at rest", Figure::Mean, None, (8, 13)),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];

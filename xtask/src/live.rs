@@ -1,7 +1,7 @@
 //! Conversations with the firmware in QEMU that need its tasks and interrupts: what the simulator has no part in.
 
 use crate::jobs::{read_until, wait_until_idle};
-use crate::{Failure, QEMU_BOARD, image, qemu};
+use crate::{Failure, QEMU_BOARD, cargo, image, qemu, root};
 use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
@@ -22,7 +22,9 @@ type Test = fn(&mut Lines) -> Result<(), Failure>;
 /// All of them, each with a machine that was just switched on.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    let tests: [(&str, Test); 11] = [
+    let tests: [(&str, Test); 13] = [
+        ("a_panic_in_mid_job_is_played_again_on_the_desk", recorded_failure),
+        ("hold_and_reset_in_motion_are_played_again_on_the_desk", recorded_stops),
         ("a_panic_is_told_after_the_reset_and_locks", panics),
         ("a_fault_is_told_after_the_reset_and_locks", faults),
         ("a_control_task_that_hangs_is_found_and_told", control_hangs),
@@ -159,6 +161,76 @@ fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Res
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
     hold_on(report.contains("steps=250,0,0"), || report)
+}
+
+/// What the machine has recorded, as a terminal would log it.
+fn listing(lines: &mut Lines) -> Result<String, Failure> {
+    lines.send(b"$REC\n")?;
+    read_until(&mut lines.host, LIMIT, |text| text.ends_with("[REC:end]\r\nok\r\n"))
+}
+
+/// Plays a log in the simulator; what that says of it.
+fn played(name: &str, log: &str) -> Result<String, Failure> {
+    let folder = root().join("target/recordings");
+    let file = folder.join(name);
+    let written = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, log));
+    written.map_err(|error| format!("{}: {error}", file.display()))?;
+    let mut replay = cargo();
+    replay.args(["run", "--quiet", "--locked", "--package", "oxmill", "--", "replay"]).arg(&file);
+    let output = replay.output().map_err(|error| error.to_string())?;
+    // 1: an alarm that the board had, too.
+    hold_on(matches!(output.status.code(), Some(0 | 1)), || {
+        format!("the replay parts: {}", String::from_utf8_lossy(&output.stderr))
+    })?;
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// A failure in mid-job: the recording leads the simulator to the same line and place.
+fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
+    lines.send(b"G21G91\nN10G1X4F600\nN20Y3\nN30G2X2Y2I2\nN40G1X4Y-1F900\nN50X30\nN60Y-4\n")?;
+    lines.wait_until_beyond(14.0)?;
+    lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
+    let welcome = lines.expect("to unlock]\r\n")?;
+    hold_on(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
+    // A host that has noticed nothing, and one that looks round and jogs, leave the recording alone.
+    lines.send(b"X5\n$RC\n$X\n")?;
+    let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
+    let told = read_until(&mut lines.host, LIMIT, unlocked)?;
+    lines.send(b"$J=G91X-1F600\n")?;
+    lines.expect("ok\r\n")?;
+    wait_until_idle(&mut lines.host)?;
+    let log = format!("{welcome}{told}{}", listing(lines)?);
+    let place = told.split_once("[LAST:").and_then(|(_, rest)| rest.split_once("|Ln:50]"));
+    let (place, _) = place.ok_or_else(|| format!("the record: {told}"))?;
+    let end = format!("panic N50 {}", place.replace(',', " "));
+    hold_on(log.contains(&format!("ended {end}]")), || format!("no {end} in {log}"))?;
+    let said = played("panic_in_mid_job.log", &log)?;
+    hold_on(said.contains(&format!("arrives at the place and line of the failure ({end})")), || said)?;
+    // A program takes its place.
+    lines.send(b"N1G0Y1\n")?;
+    lines.expect("ok\r\n")?;
+    wait_until_idle(&mut lines.host)?;
+    let log = listing(lines)?;
+    hold_on(!log.contains("panic") && log.contains(" state ") && log.contains("N1G0Y1"), || log.clone())?;
+    played("after_panic.log", &log).map(|_| ())
+}
+
+/// Nothing fails, but motion is held, overridden, and cut off by a reset.
+fn recorded_stops(lines: &mut Lines) -> Result<(), Failure> {
+    hold_and_resume(lines)?;
+    lines.send(b"\x91G90G1X0Y0F900\n")?;
+    lines.expect("ok")?;
+    wait_until_idle(&mut lines.host)?;
+    lines.send(b"G91G1X50Y7F600\nX-50\n")?;
+    lines.wait_until_beyond(2.0)?;
+    lines.send(b"\x18")?;
+    lines.expect("to unlock]")?;
+    lines.send(b"$X\nG91G1X-1F600\n")?;
+    lines.expect("ok\r\nok")?;
+    wait_until_idle(&mut lines.host)?;
+    let log = listing(lines)?;
+    hold_on(log.contains(" cut-off "), || log.clone())?;
+    played("stops.log", &log).map(|_| ())
 }
 
 fn panics(lines: &mut Lines) -> Result<(), Failure> {

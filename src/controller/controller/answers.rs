@@ -123,7 +123,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.records.host_greeted();
         self.say(report::welcome);
         if let Some(failure) = self.replies.failure().cloned() {
-            self.say(|out| report::failure(out, &failure));
+            let grbl = self.dialect() == Dialect::Grbl;
+            self.say(|out| report::failure(out, &failure, grbl));
         }
         self.settings_lock.host_greeted();
     }

@@ -1,12 +1,13 @@
-//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, startup lines, macros.
+//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, `$REC`, startup lines, macros.
 
 use super::Controller;
-use super::task::{Answer, Caller, Listing, Task};
+use super::task::{Answer, Ask, Caller, Listing, Task};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::machine::state::Mode;
 use crate::protocol::descriptions::DESCRIPTIONS;
+use crate::protocol::recorded::RECORDER;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -67,6 +68,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.say(|out| report::restart(out, &restart));
                 self.say(report::ok);
             }
+            System::Recording => self.list_recording()?,
             System::Pins => {
                 self.inputs.ask_view(false);
                 self.task = Task::Listing(Listing::Pins, 0);
@@ -90,6 +92,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.lines.end_check();
         }
         self.say(report::ok);
+    }
+
+    fn list_recording(&mut self) -> Result<(), Error> {
+        if !RECORDER {
+            return Err(Error::RecorderLeftOut);
+        }
+        self.task = Task::Listing(Listing::Recording(Ask::Wanted), 0);
+        Ok(())
     }
 
     fn sleep(&mut self) {

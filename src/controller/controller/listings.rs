@@ -2,11 +2,12 @@
 
 use super::Controller;
 use super::records::STORED_TEXT;
-use super::task::{Listing, Task};
+use super::task::{Ask, Listing, Task};
 use crate::axes::{Axis, LINEAR};
 use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
+use crate::protocol::recorded::RECORDER;
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::Key;
@@ -18,6 +19,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return false;
         }
         let more = match listing {
+            Listing::Recording(Ask::Wanted) if RECORDER => {
+                self.task = Task::Listing(Listing::Recording(Ask::Due), line);
+                return true;
+            }
+            Listing::Recording(_) => return false,
             Listing::Settings => self.list_setting(line),
             Listing::Parameters => self.list_parameter(line),
             Listing::Pins => match self.inputs.view() {

@@ -22,6 +22,7 @@
 //! * [`door`]: the safety door and parking
 //! * [`holds`]: feed holds, jogs, soft stops
 //! * [`outputs`], [`answers`]: pins, and what the host is told
+//! * [`standing`]: the state from which a replay begins, and the listing of what came in
 //! * [`view`]: what can be asked
 //!
 //! Parts of their own, which know nothing of the controller: [`line_in_work`], [`pins`], [`records`], [`settings_lock`], [`step_supply`], those
@@ -49,6 +50,7 @@ mod realtime;
 mod records;
 mod reset;
 mod settings_lock;
+mod standing;
 mod step_supply;
 mod stops;
 mod task;
@@ -67,6 +69,7 @@ use crate::machine::stops::Stops;
 use crate::messages::{Event, Observed, Output, Record, Restart, Room, ToStep};
 use crate::motion::Motion;
 use crate::protocol::line_intake::LineIntake;
+use crate::protocol::recorded::RECORDER;
 use crate::protocol::replies::Replies;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
@@ -378,6 +381,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if let Some(clear_noise) = self.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
+        }
+        if RECORDER && let Some(first) = self.take_ask() {
+            return Some(Output::ReadRecording { first });
         }
         if self.only_moves() {
             self.pins.calm_down();

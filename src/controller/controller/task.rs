@@ -237,4 +237,17 @@ pub(super) enum Listing {
     Pins,
     /// `$ES` and the like
     Descriptions(Described),
+    /// `$REC`
+    Recording(Ask),
+}
+
+/// How far a piece of a recording is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ask {
+    /// To be asked for once there is room for it.
+    Wanted,
+    /// To be asked for now.
+    Due,
+    /// Asked for.
+    Asked,
 }

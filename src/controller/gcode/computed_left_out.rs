@@ -30,6 +30,11 @@ impl<const N: usize> Computed<N> {
     }
 
     pub fn end_program(&mut self) {}
+
+    /// Nothing can be left behind.
+    pub fn is_blank(&self) -> bool {
+        true
+    }
 }
 
 /// A line of held text, of which there is none.

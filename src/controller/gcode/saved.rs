@@ -33,6 +33,11 @@ impl<const N: usize> SavedStates<N> {
         Self(heapless::Vec::new())
     }
 
+    /// Whether M72 has nothing to restore.
+    pub fn is_empty(&self) -> bool {
+        self.0.iter().all(|saved| saved.is_forgotten)
+    }
+
     /// What M72 restores at a level of calls; of a call that has returned its own.
     pub fn of(&self, level: u8) -> Option<&Saved<N>> {
         let at = |level| self.at(level).filter(|saved| !saved.is_forgotten);

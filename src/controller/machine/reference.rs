@@ -25,6 +25,11 @@ impl Reference {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
+    /// For a replay: as it was in the recording. Axes that were homed one by one are not known.
+    pub fn assume(&mut self, trusted: bool) {
+        *self = Reference { trusted, homed: AxisMask::NONE };
+    }
+
     /// Axes have been homed. With those of all `cycles` (masks of axes) the position is true; those homed one by one count
     /// together, and an axis that no cycle has counts as homed.
     pub fn homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {

@@ -470,6 +470,20 @@ impl<const N: usize> AnyMotion<N> {
         self.queue.kinematics.place(&self.machine_steps())
     }
 
+    /// Step counters, at rest.
+    pub fn step_counters(&self) -> PerAxis<i32, N> {
+        self.prepared().steps.zip(&self.origin, i32::wrapping_sub)
+    }
+
+    /// At rest: the position as programmed, and the step counters; nothing where the motors do not stand on the steps next to
+    /// it, or lead their tool because of backlash.
+    pub fn standing(&self) -> Option<(PerAxis<Coordinate, N>, PerAxis<i32, N>)> {
+        let (motors, place) = (self.prepared(), self.queue.planned_position());
+        let stands =
+            self.is_idle() && self.queue.kinematics.steps(&place) == motors.steps && motors.tool() == motors.steps;
+        stands.then(|| (place, self.step_counters()))
+    }
+
     /// Declares where the machine is; at rest only. Forgets what is queued.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
         let old = self.prepared();

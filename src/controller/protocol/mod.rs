@@ -11,6 +11,7 @@ pub mod line;
 pub mod line_intake;
 pub mod link;
 pub mod realtime;
+pub mod recorded;
 pub mod replies;
 pub mod report;
 pub mod system;

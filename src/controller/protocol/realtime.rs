@@ -55,6 +55,11 @@ pub const fn command(byte: u8) -> Option<Realtime> {
     })
 }
 
+/// The byte of a realtime command.
+pub fn byte_of(wanted: Realtime) -> u8 {
+    (0..=u8::MAX).find(|byte| command(*byte) == Some(wanted)).unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -224,7 +224,7 @@ mod tests {
     fn a_failure_is_told_until_it_has_been_asked_for() {
         let mut replies = Replies::new();
         assert_eq!(replies.failure(), None);
-        let failure = Restart { cause: ResetCause::Watchdog, crash: None };
+        let failure = Restart { cause: ResetCause::Watchdog, crash: None, is_recorded: true };
         replies.restarted(failure.clone());
         replies.reset();
         assert_eq!(replies.failure(), Some(&failure));

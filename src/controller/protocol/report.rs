@@ -3,6 +3,7 @@
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::descriptions::DESCRIPTIONS;
+use super::recorded::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::messages::{
@@ -139,8 +140,8 @@ const fn crash_name(kind: CrashKind) -> &'static str {
     }
 }
 
-/// What the host is told when the machine was stopped by a failure.
-pub fn failure(out: &mut Text, restart: &Restart) {
+/// What the host is told when the machine was stopped by a failure. `grbl`: without what Grbl's dialect does not have.
+pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, b"[MSG:Restarted after a failure (");
     let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
     put(out, name.as_bytes());
@@ -153,7 +154,8 @@ pub fn failure(out: &mut Text, restart: &Restart) {
             whole(out, u64::from(crash.line));
         }
     }
-    put(out, b", $RC tells more]\r\n");
+    let both = restart.is_recorded && !grbl;
+    put(out, if both { b", $RC tells more, $REC what came in]\r\n" } else { b", $RC tells more]\r\n" });
 }
 
 /// `[RESET:cause]`, and `[CRASH:kind:text]` if there was one.
@@ -233,7 +235,8 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, b"$HX $Mx=line $RST= $RC $PINS ");
+        put(out, if RECORDER { b"$HX $Mx=line $RST= $RC $REC " } else { b"$HX $Mx=line $RST= $RC " });
+        put(out, b"$PINS ");
         if DESCRIPTIONS {
             put(out, b"$ES $ESG $ESH $EG $EE $EA ");
         }

@@ -44,6 +44,8 @@ pub enum System<'a> {
     Restore(Restore),
     /// `$RC`
     ResetCause,
+    /// `$REC`
+    Recording,
     /// `$PINS`
     Pins,
     /// `$PINS=0`
@@ -80,7 +82,7 @@ impl System<'_> {
             | System::CheckLines(_)
             | System::Macros
             | System::SetMacro(..) => Err(Error::BadNumber),
-            System::MoreBuildInfo => Err(Error::InvalidStatement),
+            System::MoreBuildInfo | System::Recording => Err(Error::InvalidStatement),
             _ => Ok(()),
         }
     }
@@ -168,6 +170,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             b"ST=#" => Ok(System::Restore(Restore::Coordinates)),
             b"ST=*" => Ok(System::Restore(Restore::All)),
             b"C" => Ok(System::ResetCause),
+            b"EC" => Ok(System::Recording),
             _ => Err(Error::InvalidStatement),
         },
         Some(b'P') if rest == b"INS" => Ok(System::Pins),
@@ -233,6 +236,7 @@ mod tests {
         assert_eq!(read(b"$RST=*"), Ok(System::Restore(Restore::All)));
         assert_eq!(read(b"$I+"), Ok(System::MoreBuildInfo));
         assert_eq!(read(b"$ESH"), Ok(System::Describe(Described::Settings(Format::Tabs))));
+        assert_eq!(read(b"$REC"), Ok(System::Recording));
         assert_eq!(read(b"$EA"), Ok(System::Describe(Described::Alarms)));
         assert_eq!(read(b"$I=ABC"), Ok(System::SetBuildInfo(b"ABC")));
     }

@@ -38,7 +38,7 @@ pub fn whole(out: &mut Text, value: u64) {
 }
 
 /// Appends `value` / 10^`places` with that many decimals; `negative` puts the sign, even before a zero.
-fn fixed(out: &mut Text, negative: bool, value: u64, places: u32) {
+pub fn fixed(out: &mut Text, negative: bool, value: u64, places: u32) {
     if negative {
         put(out, b"-");
     }

@@ -134,6 +134,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
                 }
                 "store"
             }
+            Output::ReadRecording { .. } => "recording",
             Output::Worked => panic!("nothing to carry"),
         };
         self.log.push(name.into());

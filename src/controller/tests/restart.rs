@@ -72,13 +72,13 @@ impl Board {
 
 fn crash(kind: CrashKind, text: &[u8]) -> Option<Crash> {
     let text = heapless::Vec::from_slice(text).unwrap();
-    Some(Crash { kind, text, place: [1_250, -3_000, 0], line: 12 })
+    Some(Crash { kind, text, place: [1_250, -3_000, 0], line: 12, moment: 0 })
 }
 
 #[test]
 fn an_ordinary_start_says_nothing_of_it() {
     for cause in [ResetCause::Power, ResetCause::Pin, ResetCause::Software, ResetCause::Other] {
-        let (mut board, said) = Board::started(Some(Restart { cause, crash: None }));
+        let (mut board, said) = Board::started(Some(Restart { cause, crash: None, is_recorded: false }));
         assert_eq!(said, "\r\nGrbl 1.1h ['$' for help]\r\n");
         assert_eq!(board.line("G21"), "ok\r\n");
     }
@@ -88,9 +88,10 @@ fn an_ordinary_start_says_nothing_of_it() {
 
 #[test]
 fn a_failure_locks_and_is_told_until_the_host_has_asked() {
-    let message =
-        "[MSG:Restarted after a failure (stuck task) at machine 1.250,-3.000,0.000, line 12, $RC tells more]\r\n";
-    let restart = Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control") };
+    let message = "[MSG:Restarted after a failure (stuck task) at machine 1.250,-3.000,0.000, line 12, $RC tells more, \
+         $REC what came in]\r\n";
+    let restart =
+        Restart { cause: ResetCause::Software, crash: crash(CrashKind::Stuck, b"control"), is_recorded: true };
     let (mut board, said) = Board::started(Some(restart));
     assert_eq!(said, format!("\r\nGrbl 1.1h ['$' for help]\r\n{message}[MSG:'$H'|'$X' to unlock]\r\n"));
     assert_eq!(board.line("G1X5F100"), "error:9\r\n", "a job that goes on streaming moves nothing");
@@ -112,7 +113,7 @@ fn a_failure_locks_and_is_told_until_the_host_has_asked() {
 
 #[test]
 fn a_watchdog_without_a_record_is_told_too() {
-    let (_, said) = Board::started(Some(Restart { cause: ResetCause::Watchdog, crash: None }));
+    let (_, said) = Board::started(Some(Restart { cause: ResetCause::Watchdog, crash: None, is_recorded: false }));
     assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
 }
 

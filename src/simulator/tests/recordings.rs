@@ -69,7 +69,7 @@ fn apply(mill: &mut Simulator, input: &Input) {
         Input::Disconnect => mill.disconnect(),
         Input::Host(bytes) => mill.send(bytes),
         Input::Pin(line) => assert_eq!(mill.pin_line(line), "ok"),
-        Input::At(_) | Input::Job => {}
+        Input::At(_) | Input::Job | Input::Told(_) => {}
     }
 }
 
@@ -200,4 +200,132 @@ fn what_is_no_recording_is_refused() {
     }
     // A last line without its end was being written.
     assert!(Recording::parse("oxmill recording 1\nbegin 5\n6 at 0 0").is_ok());
+}
+
+/// What `$REC` lists, as a terminal would log it.
+fn listing(mill: &mut Simulator) -> String {
+    mill.take_output();
+    mill.send("$REC\n");
+    mill.run_for(Duration::from_millis(50));
+    let mut log = mill.take_output();
+    while mill.unfetched() > 0 {
+        log.push_str(&mill.take_output());
+    }
+    log
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+    /// The simulator as a board: what it lists leads another one to the same rest by the same blocks.
+    #[test]
+    fn what_a_board_lists_is_played(script in prop::collection::vec(inputs(), 1..60)) {
+        let (mut mill, _, _, _) = machine();
+        for (pause, input) in &script {
+            mill.run_for(Duration::from_micros(u64::from(*pause)));
+            apply(&mut mill, input);
+        }
+        mill.run_for(Duration::from_secs(3));
+        for calm in ["door 0", "hold 0", "limit y 0", "probe 0"] {
+            mill.pin_line(calm);
+        }
+        mill.send("\n\x18");
+        mill.run_for(Duration::from_secs(1));
+        mill.send("\x18$X\nG91 G1 F500 Z0.1\n");
+        mill.run_for(Duration::from_secs(3));
+        let before = mill.take_output();
+        let log = listing(&mut mill);
+        prop_assert!(log.ends_with("[REC:end]\r\nok\r\n"), "{}\n{}", before, log);
+        let recording = Recording::parse(&log).unwrap();
+        prop_assert!(recording.is_of_board() && recording.is_whole());
+        let mut again = recording.power_up().unwrap();
+        let arrival = oxmill_simulator::field::play(&recording, &mut again, |_| {}, |_| {});
+        if log.rfind(" stored]") > log.rfind(" state ") {
+            // Nothing to begin from, as a setting was changed while a switch was active.
+            prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
+            return Ok(());
+        }
+        // Which bytes of two hosts came first in one moment is not always known, nor whether `~` came a moment before the machine
+        // stood in a hold: then the replay may part, and says so. It never takes another way in silence.
+        let unclear = |input: &Input| match input {
+            Input::Connect | Input::Disconnect => true,
+            Input::Host(bytes) => bytes == b"~",
+            _ => false,
+        };
+        if arrival.parted.is_some() && script.iter().any(|(_, input)| unclear(input)) {
+            return Ok(());
+        }
+        prop_assert_eq!(arrival.parted, None, "{}", log);
+        prop_assert_eq!(again.recorded_blocks(), mill.recorded_blocks(), "{}", log);
+        prop_assert_eq!(again.machine_position(), mill.machine_position(), "{}", log);
+    }
+}
+
+/// What a board lists that has made two moves, each to its rest.
+fn two_moves() -> String {
+    let (mut mill, _, _, _) = machine();
+    for line in ["G91 G1 X-1 F600\n", "G1 X0.5\n"] {
+        mill.send(line);
+        mill.run_for(Duration::from_secs(3));
+    }
+    listing(&mut mill)
+}
+
+/// What comes of playing a listing, if it can be read.
+fn arrival(log: &str) -> Option<oxmill_simulator::field::Arrival> {
+    let recording = Recording::parse(log).ok()?;
+    let mut again = recording.power_up().ok()?;
+    Some(oxmill_simulator::field::play(&recording, &mut again, |_| {}, |_| {}))
+}
+
+#[test]
+fn a_replay_says_how_much_it_has_compared() {
+    let log = two_moves();
+    let said = |log: &str| arrival(log).unwrap().notes.pop().unwrap();
+    assert_eq!(said(&log), "the motors come to all 2 places that are recorded, by the same blocks");
+    let without = |word: &str| log.lines().filter(|line| !line.contains(word)).collect::<Vec<_>>().join("\n");
+    assert_eq!(
+        said(&without(" rest ")),
+        "nothing in it tells where the motors were, so nothing has been compared",
+        "{log}"
+    );
+    // A line that is missing is seen where the motors rest.
+    let parted = arrival(&without("host G1 X0.5")).unwrap();
+    assert!(parted.parted.is_some_and(|why| why.contains("the recording has the motors at")), "{log}");
+    assert!(parted.notes.iter().all(|note| !note.contains("the motors come")), "{:?}", parted.notes);
+    // Of two listings in a log the last counts, and one that was cut off says so.
+    let twice = format!("{}{log}", &log[..log.len() / 2]);
+    assert_eq!(said(&twice), said(&log));
+    let cut = log.rsplit_once("[REC:end]").unwrap().0;
+    assert!(arrival(cut).unwrap().notes[0].starts_with("the listing breaks off"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+    /// A listing that was damaged on its way is refused or played: nothing breaks by it.
+    #[test]
+    fn a_damaged_listing_does_no_harm(damage in prop::collection::vec((any::<prop::sample::Index>(), 0..5_u8, any::<u8>()), 1..5), length in any::<prop::sample::Index>(), cut in any::<bool>()) {
+        let mut log = two_moves().into_bytes();
+        for (at, kind, byte) in damage {
+            let at = at.index(log.len());
+            match kind {
+                0 => log[at] = byte,
+                1 => log[at] ^= 1 << (byte & 7),
+                2 => drop(log.remove(at)),
+                3 => log.insert(at, b'0' + byte % 10),
+                // A line is lost.
+                _ => {
+                    let end = log[at..].iter().position(|byte| *byte == b'\n').map_or(log.len(), |end| at + end + 1);
+                    let begin = log[..at].iter().rposition(|byte| *byte == b'\n').map_or(0, |begin| begin + 1);
+                    log.drain(begin..end);
+                }
+            }
+            prop_assume!(!log.is_empty());
+        }
+        if cut {
+            log.truncate(length.index(log.len()));
+        }
+        if let Some(arrival) = arrival(&String::from_utf8_lossy(&log)) {
+            prop_assert!(arrival.parted.is_some() || !arrival.notes.is_empty());
+        }
+    }
 }

@@ -18,6 +18,7 @@ use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed, Tolerance};
+use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
 use oxmill_controller::{Controller, Profile, StepRates};
 use oxmill_firmware as _;
@@ -56,6 +57,7 @@ mod boards {
     pub const FAR_PLANNER: usize = 0x2120_0000;
     pub const CONTROLLER: usize = 0x2130_0000;
     pub const FAR_RINGS: usize = 0x2140_0000;
+    pub const RING: usize = 0x2150_0000;
     /// Memory of the emulated machine that nothing else uses.
     pub struct Memory;
     // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
@@ -87,6 +89,7 @@ rows! {
     row_batch_3 row_batch_1 row_segment row_single row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
     row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far
+    row_recorded_line row_recorded_block row_recorded_rest
 }
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
@@ -573,7 +576,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
 }
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
-fn whole_line(place: &'static mut MaybeUninit<Whole>) {
+fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
     const PROFILE: Profile = Profile { rates: StepRates { safe_hz: 1_000_000 }, ..boards::PROFILE };
     // Computed by the compiler: the stack has no room for it.
     let controller = place.write(const { Controller::new(PROFILE) });
@@ -609,6 +612,62 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) {
         begun += unit_line(controller, black_box(text.as_bytes()), begun);
     }
     row_none();
+    controller
+}
+
+type Ring = Recorder<&'static mut [Page]>;
+
+/// The bytes of a line that the controller is told of, behind which more wait.
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_recorded_line(recorder: &mut Ring, now: Instant, bytes: &[LineByte], controller: &Whole) {
+    for byte in bytes {
+        recorder.record(now, &Event::Line(*byte), controller);
+    }
+    recorder.more_waits();
+}
+
+/// A message that goes to the step task.
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_recorded_block(recorder: &mut Ring, message: &ToStep) {
+    recorder.handed(message);
+}
+
+/// A pass of the control task in which nothing is under way.
+#[unsafe(no_mangle)]
+#[inline(never)]
+// unsafe because of the name, as above.
+fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
+    recorder.at_rest(now, controller);
+}
+
+/// Lines, round the ring, each at a time of its own; turns of pages are among them.
+fn recording(controller: &Whole) {
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are plain numbers.
+    let pages = unsafe { (boards::RING as *mut [Page; 8]).as_mut_unchecked() };
+    let mut recorder = Recorder::begin(pages.as_mut_slice(), &Restart::POWER);
+    row_recorded_line();
+    let line = b"X12.345Y-6.789\n".map(|byte| LineByte { byte, epoch: 0, damaged: false });
+    for k in 0..400_u64 {
+        unit_recorded_line(&mut recorder, Instant::from_ticks(k * 1_000), black_box(&line), controller);
+    }
+    row_none();
+    row_recorded_block();
+    let block = ToStep::Block { steps_by_axis: [AxisSteps::default(); 3], directions: 0 };
+    for _ in 0..10 {
+        unit_recorded_block(&mut recorder, black_box(&block));
+    }
+    row_none();
+    let now = Instant::from_ticks(1_000_000);
+    recorder.at_rest(now, controller);
+    row_recorded_rest();
+    for _ in 0..10 {
+        unit_recorded_rest(&mut recorder, now, controller);
+    }
+    row_none();
 }
 
 #[cortex_m_rt::entry]
@@ -624,6 +683,7 @@ fn main() -> ! {
     planning_with_jerk(far);
     text_and_arcs();
     // SAFETY: as above.
-    whole_line(unsafe { (boards::CONTROLLER as *mut MaybeUninit<Whole>).as_mut_unchecked() });
+    let place = unsafe { (boards::CONTROLLER as *mut MaybeUninit<Whole>).as_mut_unchecked() };
+    recording(whole_line(place));
     semihosting::process::exit(0)
 }

@@ -174,7 +174,9 @@ impl Pump<AXES, BLOCKS> for Rig {
             Output::Step(message) => self.stepper.load(message),
             Output::Reply(chunk) => self.hear(chunk.as_bytes()),
             Output::Pins(_) | Output::Wiring(_) | Output::Worked => {}
-            Output::Stop | Output::Store(_) | Output::ReadPins { .. } => panic!("nothing here answers that"),
+            Output::Stop | Output::Store(_) | Output::ReadPins { .. } | Output::ReadRecording { .. } => {
+                panic!("nothing here answers that")
+            }
         }
     }
 }

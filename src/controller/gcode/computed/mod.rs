@@ -55,6 +55,12 @@ impl<const N: usize> Computed<N> {
         self.input_read = 0;
     }
 
+    /// Whether programs have left nothing behind that another could read, but macros and the place of a contact.
+    pub fn is_blank(&self) -> bool {
+        let text = self.flow.text.len() == usize::from(self.flow.macros);
+        text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0
+    }
+
     /// A line is going to be checked: what one before it would have set, and did not, is forgotten.
     pub fn begin(&mut self) {
         self.parameters.drop_staged();

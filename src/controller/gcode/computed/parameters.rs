@@ -138,6 +138,11 @@ impl Parameters {
         self.growth = 0;
     }
 
+    /// Whether no parameter has a value.
+    pub fn is_empty(&self) -> bool {
+        self.in_force == 0
+    }
+
     /// Forgets all.
     pub fn reset(&mut self) {
         *self = Self::new();

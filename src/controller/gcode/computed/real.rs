@@ -30,6 +30,12 @@ pub(super) struct Real {
     exponent: i8,
 }
 
+/// Of some KB on a processor of 32 bits: once in the image. What is left is smaller than 64 bits hold, as one of the two is.
+#[inline(never)]
+fn remainder(dividend: i128, divisor: i128) -> i64 {
+    (dividend % divisor) as i64
+}
+
 impl Real {
     pub const ZERO: Real = Real::int(0);
     pub const ONE: Real = Real { mantissa: 1, exponent: 0 };
@@ -247,12 +253,12 @@ impl Real {
         let (rest, exponent) = if gap >= 0 {
             let mut rest = self.mantissa % divisor.mantissa;
             for _ in 0..gap {
-                rest = (i128::from(rest) * 10 % i128::from(divisor.mantissa)) as i64;
+                rest = remainder(i128::from(rest) * 10, i128::from(divisor.mantissa));
             }
             (rest, divisor.exponent)
         } else {
             let wide = i128::from(divisor.mantissa).saturating_mul(ten_to(gap.unsigned_abs()));
-            ((i128::from(self.mantissa) % wide) as i64, self.exponent)
+            (remainder(i128::from(self.mantissa), wide), self.exponent)
         };
         let rest = Self::known(rest, i32::from(exponent));
         let rest = if rest.is_negative() { rest.add(divisor.abs())? } else { rest };

@@ -1,0 +1,852 @@
+//! What came in, with its time, in a ring of RAM that outlives a reset: the last lines, commands, levels and reports of the step
+//! task before a failure. Listed by `$REC`, and played again by `oxmill replay`.
+//!
+//! ```text
+//!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries
+//!     ▲                          │
+//!     └── the oldest is taken ◀──┘
+//! ```
+//! A byte of a line is an entry of one byte; what happens less often has a tag (0x80 and above), and a change of time one of its
+//! own. Each page can be read by itself, so a ring that has gone round begins with a whole entry. An entry is counted when it has
+//! been written: whenever a reset comes, what is there is right.
+//!
+//! The bytes of a line are put together first and go to the ring with its end, in front of the controller: a reset leaves out at
+//! most the last bytes of a line that has not ended, which has done nothing yet.
+//!
+//! RAM without power holds anything: marks, numbers in a row and the sums of the pages tell.
+//!
+//! After a reset the recording of before it is kept and nothing is recorded, until a machine that is not locked gets a line of a
+//! program. `$` lines (a look at the settings, unlocking, jogs, homing) leave it alone.
+//!
+//! `?` is not recorded: hosts send it all the time, and it changes nothing.
+
+use crate::controller::Controller;
+use crate::messages::{
+    CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
+    Stopping, ToStep,
+};
+use crate::protocol::realtime;
+use crate::units::{Coordinate, Instant};
+use core::sync::atomic::{Ordering, compiler_fence};
+
+/// Bytes of entries in a page.
+const ROOM: usize = 236;
+const OPEN: u32 = u32::from_le_bytes(*b"came");
+/// The recording ends in this page.
+const CLOSED: u32 = u32::from_le_bytes(*b"ends");
+
+/// Bytes of a line that are put together before they go to the ring.
+const PLAIN: usize = 64;
+/// The time of the end of a line, and the end.
+const LINE_END: usize = 1 + 10 + 1;
+
+/// Basis and prime of 32-bit FNV-1a, here applied to whole words.
+const BASIS: u32 = 0x811C_9DC5;
+const PRIME: u32 = 0x0100_0193;
+/// Of the sum of a page: odd, so that a byte that is another one always changes the sum.
+const FACTOR: u32 = 0x9E37_79B1;
+
+/// Tags of entries that are no byte of a line.
+mod tag {
+    pub const BYTE: u8 = 0x80;
+    pub const TIME: u8 = 0x81;
+    pub const COMMAND: u8 = 0x82;
+    pub const INPUTS: u8 = 0x83;
+    pub const STEP: u8 = 0x84;
+    pub const STORED: u8 = 0x85;
+    pub const STORE_FAILED: u8 = 0x86;
+    pub const CONNECTED: u8 = 0x87;
+    pub const DISCONNECTED: u8 = 0x88;
+    pub const MORE: u8 = 0x89;
+    pub const DAMAGED: u8 = 0x8A;
+    pub const CUT: u8 = 0x8B;
+    pub const REST: u8 = 0x8C;
+    pub const STANDING: u8 = 0x8D;
+    pub const POWER_UP: u8 = 0x8E;
+    pub const ENDED: u8 = 0x8F;
+}
+
+/// A piece of the ring: 256 bytes, of which any are allowed.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct Page {
+    mark: u32,
+    /// Counts up from page to page.
+    number: u32,
+    /// Microseconds since power-up.
+    time: u64,
+    /// Bytes used, and in the 24 bits above that number their sum: one word, so that no reset comes between the two.
+    state: u32,
+    bytes: [u8; ROOM],
+}
+
+impl Page {
+    /// Nothing in it.
+    pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
+
+    /// Pages as the bytes that lie in RAM (little-endian): for tests of what a reset, or no power, leaves.
+    pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
+        pages.iter().flat_map(|page| {
+            let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
+            head.chain(page.time.to_le_bytes()).chain(page.state.to_le_bytes()).chain(page.bytes)
+        })
+    }
+
+    /// The page of 256 bytes.
+    pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
+        let mut rest = Bytes(bytes);
+        let (mark, number) = (rest.word()?, rest.word()?);
+        let time = rest.some().map(u64::from_le_bytes)?;
+        Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
+    }
+
+    /// Whatever is in it passes for what was written.
+    pub fn seal(&mut self, number: u32) {
+        (self.mark, self.number) = (OPEN, number);
+        let used = self.used().min(ROOM);
+        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add(sum, *byte));
+        self.state = sum << 8 | used as u32;
+    }
+
+    #[inline(always)]
+    fn used(&self) -> usize {
+        (self.state & 0xFF) as usize
+    }
+
+    /// The sum of an empty page.
+    fn seed(&self) -> u32 {
+        let words = [self.number, self.time as u32, (self.time >> 32) as u32];
+        words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add)
+    }
+
+    /// The entries, if they are what was written.
+    #[inline(never)]
+    fn entries(&self) -> Option<&[u8]> {
+        let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
+        let sum = bytes.iter().fold(self.seed(), |sum, byte| add(sum, *byte));
+        (sum << 8 == self.state & !0xFF).then_some(bytes)
+    }
+
+    fn begin(&mut self, number: u32, time: u64) {
+        // While it has no mark, it is no page.
+        self.mark = 0;
+        compiler_fence(Ordering::SeqCst);
+        (self.number, self.time) = (number, time);
+        self.state = self.seed() << 8;
+        compiler_fence(Ordering::SeqCst);
+        self.mark = OPEN;
+    }
+
+    /// All of them, or nothing.
+    #[inline]
+    fn append(&mut self, bytes: &[u8]) -> bool {
+        let used = self.used();
+        let end = used + bytes.len();
+        let Some(places) = self.bytes.get_mut(used..end) else { return false };
+        let mut sum = self.state >> 8;
+        for (place, byte) in places.iter_mut().zip(bytes) {
+            *place = *byte;
+            sum = add(sum, *byte);
+        }
+        // Counted when it is there.
+        compiler_fence(Ordering::SeqCst);
+        self.state = sum << 8 | end as u32;
+        compiler_fence(Ordering::SeqCst);
+        true
+    }
+}
+
+#[inline(always)]
+fn add(sum: u32, byte: u8) -> u32 {
+    sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
+}
+
+/// Byte, damage and epoch of a byte, the epoch above the others: plain bytes are a range. Put together as they lie in memory.
+#[inline(always)]
+fn word_of(byte: LineByte) -> u32 {
+    (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
+}
+
+/// Where reading is.
+#[derive(Clone, Debug)]
+struct Reading {
+    /// Of the page, if there is one more.
+    number: Option<u32>,
+    at: usize,
+    time: u64,
+    /// The line that is being put together.
+    line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
+    /// Stored records that have been told; `None` before the first of what is listed.
+    records: Option<u16>,
+    begun: bool,
+}
+
+/// Writes the ring, and reads it. `P` holds the pages.
+#[derive(Clone, Debug)]
+pub struct Recorder<P> {
+    pages: P,
+    /// The page that is written.
+    slot: usize,
+    number: u32,
+    time: u64,
+    /// Resets, stops and jog cancels that the controller has been told of, as the epochs of line bytes count them.
+    epoch: u16,
+    /// The least plain byte of a line, as [`word_of`] makes it: see [`Recorder::expect_plain`].
+    plain_from: u32,
+    /// Bytes that are not in the ring yet: plain ones of a line, or an entry.
+    next: heapless::Vec<u8, PLAIN>,
+    /// Bytes of older epochs are dropped.
+    reset_epoch: u16,
+    /// A byte that came before its command.
+    early: Option<u8>,
+    /// What is there is of before the reset, and stays.
+    kept: bool,
+    /// A line has begun whose bytes are not recorded.
+    in_line: bool,
+    /// Something has come since the machine was looked at in rest.
+    news: bool,
+    /// A replay could begin nowhere but at a state that is yet to come.
+    wants_standing: bool,
+    /// Hash of all blocks that were handed to the step task since the last stop.
+    blocks: u32,
+    /// What it was when it was recorded last.
+    blocks_recorded: u32,
+    /// Number of the page with the last state.
+    standing_in: u32,
+    reading: Reading,
+}
+
+impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
+    /// After a reset: what the pages hold of before it is kept, if there is anything.
+    pub fn begin(pages: P, restart: &Restart) -> Self {
+        let reading = Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
+        let mut recorder = Recorder {
+            pages,
+            slot: 0,
+            number: 0,
+            time: 0,
+            epoch: 0,
+            plain_from: 0,
+            next: heapless::Vec::new(),
+            reset_epoch: 0,
+            early: None,
+            kept: false,
+            in_line: false,
+            news: true,
+            wants_standing: true,
+            blocks: BASIS,
+            blocks_recorded: BASIS,
+            standing_in: 0,
+            reading,
+        };
+        match recorder.newest() {
+            Some(number) => recorder.keep(number, restart),
+            None => {
+                recorder.clear(0);
+                recorder.entry(Instant::from_ticks(0), tag::POWER_UP, &[]);
+            }
+        }
+        recorder.expect_plain();
+        recorder
+    }
+
+    /// The pages.
+    pub fn pages(&self) -> &[Page] {
+        self.pages.as_ref()
+    }
+
+    /// Whether there is a recording of before the reset.
+    pub fn is_kept(&self) -> bool {
+        self.kept
+    }
+
+    /// How the program before this one ended is its last entry.
+    #[inline(never)]
+    fn keep(&mut self, number: u32, restart: &Restart) {
+        self.kept = true;
+        (self.number, self.slot) = (number, self.slot_of(number));
+        if self.page(number).is_none_or(|page| page.mark == CLOSED) {
+            return;
+        }
+        // Its time is that of its last entry.
+        self.rewind();
+        while self.next_entry().is_some() {}
+        self.time = self.reading.time;
+        let mut text = Rest::new();
+        let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
+        if let Some(crash) = &restart.crash {
+            self.time_to(self.time + u64::from(crash.moment.wrapping_sub(self.time as u32)));
+            (place, line) = (crash.place, crash.line);
+            kind = CrashKind::ALL.iter().position(|known| *known == crash.kind).unwrap_or_default() as u8;
+        }
+        let _ = text.push(kind);
+        for number in place.map(|axis| axis as u32).into_iter().chain([line]) {
+            put_word(&mut text, number);
+        }
+        self.tagged(tag::ENDED, &text);
+        let slot = self.slot;
+        if let Some(page) = self.pages.as_mut().get_mut(slot) {
+            page.mark = CLOSED;
+        }
+    }
+
+    // Pages
+
+    fn slot_of(&self, number: u32) -> usize {
+        number as usize % self.pages.as_ref().len().max(1)
+    }
+
+    /// The page of a number, if it is there.
+    #[inline(never)]
+    fn page(&self, number: u32) -> Option<&Page> {
+        let page = self.pages.as_ref().get(self.slot_of(number))?;
+        (page.number == number && page.entries().is_some()).then_some(page)
+    }
+
+    #[inline(never)]
+    fn newest(&self) -> Option<u32> {
+        let pages = self.pages.as_ref().iter().enumerate();
+        let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
+        // What a page of an older round has left is behind; the newest is the one without a next.
+        whole.map(|(_, page)| page.number).max()
+    }
+
+    /// Everything is forgotten; what comes is recorded.
+    #[inline(never)]
+    fn clear(&mut self, time: u64) {
+        for page in self.pages.as_mut() {
+            page.mark = 0;
+        }
+        (self.number, self.slot, self.time) = (0, 0, time);
+        (self.kept, self.wants_standing, self.standing_in) = (false, true, 0);
+        (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
+        self.next.clear();
+        self.expect_plain();
+        if let Some(page) = self.pages.as_mut().first_mut() {
+            page.begin(0, time);
+        }
+    }
+
+    #[inline(never)]
+    fn turn_page(&mut self) {
+        self.number = self.number.wrapping_add(1);
+        self.slot = self.slot_of(self.number);
+        let (number, time) = (self.number, self.time);
+        if let Some(page) = self.pages.as_mut().get_mut(self.slot) {
+            page.begin(number, time);
+        }
+    }
+
+    // Writing
+
+    /// Plain bytes are those of this epoch; while the recording is kept, none are.
+    fn expect_plain(&mut self) {
+        // No byte is damaged in this way.
+        let kept = u32::from(self.kept) << 15;
+        self.plain_from = word_of(LineByte { byte: b' ', epoch: self.epoch, damaged: false }) | kept;
+    }
+
+    /// A byte of which nothing else need be known, which nearly all are.
+    #[inline(always)]
+    fn put_plain(&mut self, byte: LineByte) -> bool {
+        let is_plain = word_of(byte).wrapping_sub(self.plain_from) <= u32::from(b'~' - b' ');
+        is_plain && self.next.push(byte.byte).is_ok()
+    }
+
+    /// What has been put together goes to the ring; all in one page.
+    #[inline(never)]
+    fn flush(&mut self) {
+        for _ in 0..2 {
+            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&self.next)) {
+                break;
+            }
+            self.turn_page();
+        }
+        self.next.clear();
+    }
+
+    /// An entry lies in one page.
+    #[inline(never)]
+    fn tagged(&mut self, tag: u8, rest: &[u8]) {
+        if !self.next.is_empty() {
+            self.flush();
+        }
+        let mut entry = Rest::new();
+        let _ = entry.push(tag);
+        put_bytes(&mut entry, rest);
+        for _ in 0..2 {
+            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&entry)) {
+                return;
+            }
+            self.turn_page();
+        }
+    }
+
+    #[inline(never)]
+    fn time_to(&mut self, time: u64) {
+        if self.time < time {
+            self.put_time(time);
+            self.flush();
+            self.time = time;
+        }
+    }
+
+    /// What ends a line has its time.
+    #[inline(always)]
+    fn put_end(&mut self, time: u64, byte: u8) {
+        if self.time < time {
+            self.put_time(time);
+        }
+        let _ = self.next.push(byte);
+        self.flush();
+        self.time = self.time.max(time);
+    }
+
+    /// The entry that time has passed, put to the others.
+    #[inline]
+    fn put_time(&mut self, time: u64) {
+        if self.next.len() > PLAIN - LINE_END {
+            self.flush();
+        }
+        let mut left = time - self.time;
+        let _ = self.next.push(tag::TIME);
+        while left >= 0x80 {
+            let _ = self.next.push(left as u8 | 0x80);
+            left >>= 7;
+        }
+        let _ = self.next.push(left as u8);
+    }
+
+    #[inline(never)]
+    fn entry(&mut self, now: Instant, tag: u8, rest: &[u8]) {
+        self.time_to(now.ticks());
+        self.tagged(tag, rest);
+    }
+
+    /// What the controller is told at `now`. To be called in front of it.
+    #[inline(always)]
+    pub fn record<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        now: Instant,
+        event: &Event<N>,
+        controller: &Controller<N, BLOCKS>,
+    ) {
+        match event {
+            // Nearly all events.
+            Event::Line(byte) => {
+                if !self.put_plain(*byte) {
+                    self.line_byte(now, *byte, controller);
+                }
+            }
+            Event::Realtime(Realtime::Status) | Event::Pins(_) => {}
+            event => self.seldom(now, event),
+        }
+    }
+
+    /// Behind the line that has just been told more bytes wait.
+    #[inline]
+    pub fn more_waits(&mut self) {
+        if self.kept {
+            return;
+        }
+        let page = self.pages.as_mut().get_mut(self.slot).filter(|_| self.next.is_empty());
+        if !page.is_some_and(|page| page.append(&[tag::MORE])) {
+            self.tagged(tag::MORE, &[]);
+        }
+    }
+
+    #[inline(never)]
+    fn line_byte<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        now: Instant,
+        byte: LineByte,
+        controller: &Controller<N, BLOCKS>,
+    ) {
+        let LineByte { byte: text, epoch, damaged } = byte;
+        if self.kept {
+            let begins = !self.in_line;
+            self.in_line = !matches!(text, b'\n' | b'\r' | HOST_CHANGED);
+            let unlocked = !controller.is_locked();
+            if !(begins && unlocked && matches!(text, b'A'..=b'Z' | b'a'..=b'z' | b'#')) {
+                return;
+            }
+            self.clear(now.ticks());
+            self.stand(now, controller);
+        }
+        if text == HOST_CHANGED {
+            return self.entry(now, tag::CUT, &[]);
+        }
+        let behind = self.epoch.wrapping_sub(epoch) as i16;
+        if behind < 0 {
+            self.early = Some(text);
+            return;
+        }
+        if (epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
+            return;
+        }
+        // A jog of before a jog cancel moves nothing, as a damaged line does not.
+        if damaged || behind > 0 && text == b'$' {
+            self.entry(now, tag::DAMAGED, &[]);
+        }
+        self.text(now, text);
+    }
+
+    fn text(&mut self, now: Instant, text: u8) {
+        match text {
+            // Of a line, when it ends is what counts.
+            b'\n' | b'\r' => {
+                self.put_end(now.ticks(), text);
+                self.news = true;
+            }
+            b' '..=b'~' => self.tagged(text, &[]),
+            other => self.tagged(tag::BYTE, &[other]),
+        }
+    }
+
+    #[inline(never)]
+    fn seldom<const N: usize>(&mut self, now: Instant, event: &Event<N>) {
+        let opens = matches!(event, Event::Realtime(command) if command.opens_epoch());
+        self.epoch = self.epoch.wrapping_add(u16::from(opens));
+        self.expect_plain();
+        if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
+            self.reset_epoch = self.epoch;
+        }
+        if self.kept {
+            return;
+        }
+        self.news = true;
+        match event {
+            Event::Realtime(command) => {
+                self.wants_standing |= matches!(command, Realtime::Reset | Realtime::Stop);
+                self.entry(now, tag::COMMAND, &[realtime::byte_of(*command)]);
+            }
+            Event::Step(event) => self.step(now, event),
+            Event::Signals(sensed) => self.inputs(now, sensed),
+            Event::Stored | Event::StoreFailed => {
+                // What is stored now was not what the machine began with before.
+                self.wants_standing = true;
+                let stored = matches!(event, Event::Stored);
+                self.entry(now, if stored { tag::STORED } else { tag::STORE_FAILED }, &[]);
+            }
+            Event::Connected => self.entry(now, tag::CONNECTED, &[]),
+            Event::Disconnected(_) => self.entry(now, tag::DISCONNECTED, &[]),
+            Event::Line(_) | Event::Pins(_) => {}
+        }
+        if opens && let Some(early) = self.early.take() {
+            self.text(now, early);
+        }
+    }
+
+    fn inputs(&mut self, now: Instant, sensed: &Sensed) {
+        let mut words = [0; 8];
+        let (active, tripped) = words.split_at_mut(4);
+        active.copy_from_slice(&sensed.signals.word().to_le_bytes());
+        tripped.copy_from_slice(&sensed.tripped.to_le_bytes());
+        self.entry(now, tag::INPUTS, &words);
+    }
+
+    fn step<const N: usize>(&mut self, now: Instant, event: &StepEvent<N>) {
+        let (kind, position) = match event {
+            StepEvent::Stopped { moving: false, position, .. } => (0, position),
+            StepEvent::Stopped { moving: true, position, .. } => (1, position),
+            StepEvent::Probed { position } => (2, position),
+            StepEvent::Underrun { position, .. } => (3, position),
+            StepEvent::Miscounted { position, .. } => (4, position),
+        };
+        // How many blocks had been handed over depends on the moment of the stop.
+        (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
+        let mut rest = Rest::new();
+        let _ = rest.push(kind);
+        put_axes(&mut rest, &position.0);
+        self.entry(now, tag::STEP, &rest);
+    }
+
+    /// A message goes to the step task.
+    #[inline(always)]
+    pub fn handed(&mut self, message: &ToStep) {
+        if let ToStep::Block { steps_by_axis, directions } = message {
+            let mut hash = self.blocks;
+            // Axes that stand are left out: a board may have fewer of them than the machine that plays it.
+            for (axis, number) in steps_by_axis.iter().zip(1..) {
+                if axis.steps() != 0 {
+                    hash = (hash ^ axis.word()).wrapping_mul(PRIME) ^ number;
+                }
+            }
+            self.blocks = (hash ^ u32::from(*directions)).wrapping_mul(PRIME);
+        }
+    }
+
+    /// Hash of all blocks that were handed over since the last stop.
+    pub fn blocks(&self) -> u32 {
+        self.blocks
+    }
+
+    /// For a replay: blocks with this hash have gone before.
+    pub fn follow_blocks(&mut self, blocks: u32) {
+        self.blocks = blocks;
+    }
+
+    /// Nothing is under way: where the motors are, and now and then the state from which a replay can begin.
+    #[inline]
+    pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+        if self.news && !self.kept {
+            self.rest(now, controller);
+        }
+    }
+
+    #[inline(never)]
+    fn rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+        self.news = false;
+        if self.blocks != self.blocks_recorded {
+            self.blocks_recorded = self.blocks;
+            let mut rest = Rest::new();
+            put_axes(&mut rest, &controller.step_counters().0);
+            put_word(&mut rest, self.blocks);
+            self.entry(now, tag::REST, &rest);
+        }
+        // A state in each quarter of the ring.
+        let pages = self.pages.as_ref().len() as u32;
+        if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
+            self.stand(now, controller);
+        }
+    }
+
+    #[inline(never)]
+    fn stand<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+        let Some(standing) = controller.standing() else { return };
+        let mut rest = Rest::new();
+        let flags = u8::from(standing.trusted) | u8::from(standing.locked) << 1 | u8::from(standing.inches) << 2;
+        let _ = rest.push(flags);
+        put_word(&mut rest, standing.tool);
+        put_bytes(&mut rest, &standing.active.to_le_bytes());
+        put_word(&mut rest, self.blocks);
+        let _ = rest.push(N as u8);
+        for (counter, place) in standing.counters.iter().zip(&standing.place) {
+            put_word(&mut rest, *counter as u32);
+            put_bytes(&mut rest, &place.0.to_le_bytes());
+        }
+        let _ = rest.push(standing.words.len() as u8);
+        put_bytes(&mut rest, &standing.words);
+        self.entry(now, tag::STANDING, &rest);
+        self.wants_standing = false;
+        self.standing_in = self.number;
+    }
+
+    // Reading
+
+    /// From the oldest page on.
+    #[inline(never)]
+    fn rewind(&mut self) {
+        let mut oldest = self.number;
+        while self.number.wrapping_sub(oldest) < self.pages.as_ref().len() as u32
+            && oldest > 0
+            && self.page(oldest - 1).is_some()
+        {
+            oldest -= 1;
+        }
+        let page = self.page(oldest);
+        let (number, time) = (page.map(|page| page.number), page.map_or(0, |page| page.time));
+        self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
+    }
+
+    /// The next piece of a listing, told to `tell`. `board`: its name, and the ticks of its step clock in a second. `record` gives the
+    /// stored records one by one.
+    pub fn read(
+        &mut self,
+        first: bool,
+        (name, step_clock_hz): (&'static str, u32),
+        mut record: impl FnMut(u16) -> Option<Record>,
+        tell: impl FnOnce(&Recorded),
+    ) {
+        if first {
+            self.rewind();
+            return tell(&Recorded::Board { name, step_clock_hz });
+        }
+        if let Some(told) = self.reading.records {
+            if let Some(record) = record(told) {
+                self.reading.records = Some(told.saturating_add(1));
+                return tell(&Recorded::Record(record));
+            }
+            self.reading.records = None;
+        }
+        if !core::mem::replace(&mut self.reading.begun, true) {
+            return tell(&Recorded::Begin(self.reading.time));
+        }
+        match self.next_entry() {
+            Some(entry) => tell(&Recorded::Noted(self.reading.time, entry)),
+            None => tell(&Recorded::End),
+        }
+    }
+
+    /// The next entry; its time is that of the reading.
+    #[inline(never)]
+    fn next_entry(&mut self) -> Option<Noted> {
+        loop {
+            let Some(number) = self.reading.number else { return self.take_line() };
+            let at = self.reading.at;
+            let Some(page) = self.page(number) else {
+                self.reading.number = None;
+                continue;
+            };
+            let bytes = page.bytes.get(at..page.used()).unwrap_or_default();
+            let Some((tag, rest)) = bytes.split_first() else {
+                let next = number.wrapping_add(1);
+                self.reading.number = (number != self.number).then_some(next);
+                self.reading.at = 0;
+                continue;
+            };
+            let tag = *tag;
+            let Some((used, found)) = decode(tag, rest) else {
+                // Nothing that was written.
+                self.reading.number = None;
+                continue;
+            };
+            // What else comes may void the part of a line that is there: a reset, the end of a host.
+            if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
+                return self.take_line();
+            }
+            self.reading.at = at + 1 + used;
+            match found {
+                Found::Time(passed) => self.reading.time = self.reading.time.saturating_add(passed),
+                Found::Text(byte) => {
+                    let _ = self.reading.line.push(byte);
+                    if matches!(byte, b'\n' | b'\r') || self.reading.line.is_full() {
+                        return self.take_line();
+                    }
+                }
+                Found::Noted(entry) => return Some(entry),
+            }
+        }
+    }
+
+    fn take_line(&mut self) -> Option<Noted> {
+        let line = core::mem::take(&mut self.reading.line);
+        (!line.is_empty()).then_some(Noted::Host(line))
+    }
+}
+
+/// What follows a tag.
+type Rest = heapless::Vec<u8, ROOM>;
+
+// Called from many places, and seldom: small rather than fast.
+
+#[inline(never)]
+fn put_bytes(out: &mut Rest, bytes: &[u8]) {
+    for byte in bytes {
+        let _ = out.push(*byte);
+    }
+}
+
+#[inline(never)]
+fn put_word(out: &mut Rest, word: u32) {
+    put_bytes(out, &word.to_le_bytes());
+}
+
+#[inline(never)]
+fn put_axes(out: &mut Rest, axes: &[i32]) {
+    let _ = out.push(axes.len() as u8);
+    for axis in axes {
+        put_word(out, *axis as u32);
+    }
+}
+
+enum Found {
+    Time(u64),
+    Text(u8),
+    Noted(Noted),
+}
+
+/// Bytes of an entry, one after the other.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn some<const COUNT: usize>(&mut self) -> Option<[u8; COUNT]> {
+        let (some, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*some)
+    }
+
+    #[inline(never)]
+    fn byte(&mut self) -> Option<u8> {
+        self.some().map(|[byte]| byte)
+    }
+
+    #[inline(never)]
+    fn word(&mut self) -> Option<u32> {
+        self.some().map(u32::from_le_bytes)
+    }
+
+    #[inline(never)]
+    fn axes(&mut self) -> Option<heapless::Vec<i32, { Standing::AXES }>> {
+        let count = usize::from(self.byte()?);
+        let mut axes = heapless::Vec::new();
+        for _ in 0..count {
+            axes.push(self.word()? as i32).ok()?;
+        }
+        Some(axes)
+    }
+}
+
+/// How many bytes follow the tag, and what it is; `None` if not all are there, or it is nothing.
+fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
+    let mut bytes = Bytes(rest);
+    let found = match tag {
+        0..0x80 => Found::Text(tag),
+        tag::BYTE => Found::Text(bytes.byte()?),
+        tag::TIME => {
+            let mut passed = 0;
+            for shift in (0..64).step_by(7) {
+                let digit = bytes.byte()?;
+                passed |= u64::from(digit & 0x7F) << shift;
+                if digit < 0x80 {
+                    break;
+                }
+            }
+            Found::Time(passed)
+        }
+        tag::COMMAND => Found::Noted(Noted::Command(bytes.byte()?)),
+        tag::INPUTS => Found::Noted(Noted::Inputs { active: bytes.word()?, tripped: bytes.word()? }),
+        tag::STEP => {
+            let stopping = *Stopping::ALL.get(usize::from(bytes.byte()?))?;
+            Found::Noted(Noted::Step(stopping, bytes.axes()?))
+        }
+        tag::STORED | tag::STORE_FAILED => Found::Noted(Noted::Stored(tag == tag::STORED)),
+        tag::CONNECTED => Found::Noted(Noted::Connected),
+        tag::DISCONNECTED => Found::Noted(Noted::Disconnected),
+        tag::MORE => Found::Noted(Noted::More),
+        tag::DAMAGED => Found::Noted(Noted::Damaged),
+        tag::CUT => Found::Noted(Noted::Cut),
+        tag::REST => Found::Noted(Noted::Rest { counters: bytes.axes()?, blocks: bytes.word()? }),
+        tag::STANDING => Found::Noted(standing(&mut bytes)?),
+        tag::POWER_UP => Found::Noted(Noted::PowerUp),
+        tag::ENDED => {
+            let kind = bytes.byte()?;
+            let mut word = || bytes.word();
+            let place = [word()? as i32, word()? as i32, word()? as i32];
+            Found::Noted(Noted::Ended { crash: CrashKind::ALL.get(usize::from(kind)).copied(), place, line: word()? })
+        }
+        _ => return None,
+    };
+    Some((rest.len() - bytes.0.len(), found))
+}
+
+#[inline(never)]
+fn standing(bytes: &mut Bytes<'_>) -> Option<Noted> {
+    let flags = bytes.byte()?;
+    let (tool, active, blocks) = (bytes.word()?, bytes.word()?, bytes.word()?);
+    let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
+    for _ in 0..bytes.byte()? {
+        counters.push(bytes.word()? as i32).ok()?;
+        place.push(Coordinate(bytes.some().map(i64::from_le_bytes)?)).ok()?;
+    }
+    let mut words = heapless::Vec::new();
+    for _ in 0..bytes.byte()? {
+        words.push(bytes.byte()?).ok()?;
+    }
+    let bit = |n: u8| flags >> n & 1 != 0;
+    let (trusted, locked, inches) = (bit(0), bit(1), bit(2));
+    Some(Noted::Standing {
+        standing: Standing { counters, place, trusted, locked, inches, tool, active, words },
+        blocks,
+    })
+}

@@ -1,0 +1,64 @@
+//! In place of [`crate::recorder`] on boards whose RAM has no room for one: nothing is recorded, and nothing of it is in the image.
+
+use crate::controller::Controller;
+use crate::messages::{Event, Record, Recorded, Restart, ToStep};
+use crate::units::Instant;
+
+/// There is none.
+#[derive(Clone, Copy, Debug)]
+pub struct Page;
+
+impl Page {
+    /// There is none.
+    pub const EMPTY: Page = Page;
+}
+
+/// Records nothing.
+#[derive(Clone, Debug)]
+pub struct Recorder<P>(core::marker::PhantomData<P>);
+
+impl<P> Recorder<P> {
+    /// Nothing is kept.
+    pub fn begin(_pages: P, _restart: &Restart) -> Self {
+        Recorder(core::marker::PhantomData)
+    }
+
+    /// Nothing is.
+    pub fn is_kept(&self) -> bool {
+        false
+    }
+
+    /// Does nothing.
+    #[inline(always)]
+    pub fn record<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        _now: Instant,
+        _event: &Event<N>,
+        _controller: &Controller<N, BLOCKS>,
+    ) {
+    }
+
+    /// Does nothing.
+    #[inline(always)]
+    pub fn more_waits(&mut self) {}
+
+    /// Does nothing.
+    #[inline(always)]
+    pub fn handed(&mut self, _message: &ToStep) {}
+
+    /// Does nothing.
+    #[inline(always)]
+    pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, _now: Instant, _controller: &Controller<N, BLOCKS>) {
+    }
+
+    /// Tells nothing.
+    #[inline(always)]
+    pub fn read(
+        &mut self,
+        _first: bool,
+        _board: (&'static str, u32),
+        _record: impl FnMut(u16) -> Option<Record>,
+        _tell: impl FnOnce(&Recorded),
+    ) {
+    }
+}

@@ -1,0 +1,223 @@
+//! The ring of what came in, as it is found after a reset: whole, gone round, cut short, or nothing but noise.
+
+#![cfg(feature = "recorder")]
+
+use oxmill_controller::messages::{
+    Crash, CrashKind, Event, LineByte, Noted, Realtime, Recorded, ResetCause, Restart, Room, Sensed, Signals,
+};
+use oxmill_controller::recorder::{Page, Recorder};
+use oxmill_controller::units::Instant;
+use oxmill_controller::{Controller, Profile, StepRates};
+use proptest::prelude::*;
+
+type Board = Controller<3, 16>;
+type Ring = Recorder<Vec<Page>>;
+
+const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };
+
+fn board() -> Box<Board> {
+    let rates = StepRates { safe_hz: 100_000 };
+    let profile = Profile {
+        name: "test",
+        step_clock_hz: 1_000_000,
+        rates,
+        has_second_motor: false,
+        has_store: false,
+        program_pins: [0, 0],
+        axes: 3,
+    };
+    let mut board = Box::new(Controller::new(profile));
+    board.start(Instant::from_ticks(0));
+    board.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
+    // As a pump does: welcome line and startup lines.
+    while board.output(Instant::from_ticks(0), Room { step: true, reply: true }).is_some() {}
+    board
+}
+
+fn line(ring: &mut Ring, board: &Board, time: u64, epoch: u16, text: &str) {
+    for byte in text.bytes() {
+        ring.record(Instant::from_ticks(time), &Event::<3>::Line(LineByte { byte, epoch, damaged: false }), board);
+    }
+}
+
+/// What is listed, without what comes in front of the entries.
+fn entries(ring: &mut Ring) -> Vec<(u64, Noted)> {
+    let mut found = Vec::new();
+    let mut more = true;
+    let mut first = true;
+    while more {
+        ring.read(
+            first,
+            ("test", 1_000_000),
+            |_| None,
+            |piece| match piece {
+                Recorded::Noted(time, entry) => found.push((*time, entry.clone())),
+                Recorded::End => more = false,
+                _ => {}
+            },
+        );
+        first = false;
+    }
+    found
+}
+
+fn host(text: &str) -> Noted {
+    Noted::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
+}
+
+/// The pages outlive a reset: taken out of one recorder and given to the next.
+fn pages(ring: &Ring) -> Vec<Page> {
+    ring.pages().to_vec()
+}
+
+fn of_bytes(bytes: &[u8]) -> Vec<Page> {
+    bytes.chunks(256).map(|page| Page::of_bytes(page.try_into().unwrap()).unwrap()).collect()
+}
+
+#[test]
+fn what_came_in_is_listed_with_its_time() {
+    let board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+    assert!(!ring.is_kept());
+    line(&mut ring, &board, 10, 0, "G1X");
+    ring.record(Instant::from_ticks(500), &Event::<3>::Realtime(Realtime::Status), &board);
+    line(&mut ring, &board, 1_000, 0, "10\n");
+    ring.more_waits();
+    ring.record(Instant::from_ticks(70_000), &Event::<3>::Realtime(Realtime::FeedHold), &board);
+    let door = Sensed { signals: Signals { door: true, ..Signals::NONE }, ..Sensed::default() };
+    ring.record(Instant::from_ticks(70_000), &Event::<3>::Signals(door), &board);
+    let inputs = Noted::Inputs { active: 1 << 9, tripped: 0 };
+    let expected = [
+        (0, Noted::PowerUp),
+        (1_000, host("G1X10\n")),
+        (1_000, Noted::More),
+        (70_000, Noted::Command(b'!')),
+        (70_000, inputs),
+    ];
+    assert_eq!(entries(&mut ring), expected);
+}
+
+#[test]
+fn bytes_of_before_a_reset_are_left_out_and_those_behind_it_are_not() {
+    let board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+    // The first byte of the next epoch comes before its command.
+    line(&mut ring, &board, 10, 1, "Y");
+    ring.record(Instant::from_ticks(20), &Event::<3>::Realtime(Realtime::Reset), &board);
+    line(&mut ring, &board, 30, 0, "G1X10\n");
+    line(&mut ring, &board, 40, 1, "2\n");
+    assert_eq!(entries(&mut ring)[1..], [(20, Noted::Command(0x18)), (40, host("Y2\n"))]);
+}
+
+#[test]
+fn a_ring_that_has_gone_round_begins_with_a_whole_entry() {
+    let board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 3], &Restart::POWER);
+    let text = |n: u64| format!("G1X{n}Y-{n}F{n}\n");
+    for n in 0..500 {
+        line(&mut ring, &board, n * 2_000, 0, &text(n));
+    }
+    let found = entries(&mut ring);
+    assert!((10..60).contains(&found.len()), "{}", found.len());
+    // But for the first line, whose begin may have gone, all are whole and have their time.
+    for (n, entry) in (0..500).rev().zip(found.iter().skip(1).rev()) {
+        assert_eq!(*entry, (n * 2_000, host(&text(n))));
+    }
+}
+
+#[test]
+fn after_a_reset_it_is_kept_until_a_program_begins() {
+    let mut board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+    line(&mut ring, &board, 1_000_000_000_000, 0, "N7G1X10\n");
+    let before = pages(&ring);
+    let text = heapless::Vec::from_slice(b"x").unwrap();
+    let moment = 1_000_000_004_321_u64 as u32;
+    let crash = Crash { kind: CrashKind::Stuck, text, place: [1, -2, 3], line: 7, moment };
+    let restart = Restart { crash: Some(crash), ..SOFTWARE };
+    let mut ring = Ring::begin(before, &restart);
+    assert!(ring.is_kept());
+    let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
+    let found = entries(&mut ring);
+    assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
+    // Locked: a job that continues is refused and leaves it alone. So do `$` lines, and another reset.
+    board.restarted(restart);
+    line(&mut ring, &board, 10, 0, "G1X5\n");
+    let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
+    line(&mut ring, &board, 20, 0, "$X\n");
+    assert_eq!(entries(&mut ring), found);
+    let unlocked = self::board();
+    line(&mut ring, &unlocked, 30, 0, "$$\n\n");
+    assert_eq!(entries(&mut ring), found);
+    line(&mut ring, &unlocked, 40, 0, "G4P1\n");
+    assert!(!ring.is_kept());
+    let found = entries(&mut ring);
+    assert!(matches!(found[0], (40, Noted::Standing { .. })), "{found:?}");
+    assert_eq!(found[1..], [(40, host("G4P1\n"))]);
+}
+
+#[test]
+fn a_page_that_is_not_what_was_written_is_none() {
+    let board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+    for n in 0..30 {
+        line(&mut ring, &board, n, 0, "G1X10Y20Z30F600\n");
+    }
+    let whole = entries(&mut ring).len();
+    let mut bytes: Vec<u8> = Page::bytes_of(&pages(&ring)).collect();
+    // A byte of an entry of the first page.
+    bytes[60] ^= 4;
+    let mut ring = Ring::begin(of_bytes(&bytes), &SOFTWARE);
+    let left = entries(&mut ring).len();
+    assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+    /// What RAM holds after power-up, or after anything at all, is listed or forgotten, and recorded over.
+    #[test]
+    fn any_bytes_are_listed(noise in prop::collection::vec(any::<u8>(), 4 * 256), damage in prop::collection::vec((0..1024_usize, any::<u8>()), 0..6), real in any::<bool>(), seal in any::<bool>()) {
+        let board = board();
+        let mut bytes = noise;
+        if real {
+            let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+            for n in 0..200 {
+                line(&mut ring, &board, n * 777, 0, "G1X10Y20Z30F600\n");
+                ring.record(Instant::from_ticks(n * 777), &Event::<3>::Connected, &board);
+            }
+            bytes = Page::bytes_of(&pages(&ring)).collect();
+        }
+        for (at, byte) in damage {
+            bytes[at] = byte;
+        }
+        let mut pages = of_bytes(&bytes);
+        if seal {
+            // Entries of any bytes that pass for written ones.
+            pages.iter_mut().enumerate().for_each(|(number, page)| page.seal(number as u32));
+        }
+        let mut ring = Ring::begin(pages, &SOFTWARE);
+        prop_assert!(entries(&mut ring).len() < 2_000);
+        prop_assert!(!seal || ring.is_kept());
+        line(&mut ring, &board, 5, 0, "G1X10\n");
+        let found = entries(&mut ring);
+        prop_assert_eq!(found.last(), Some(&(5, host("G1X10\n"))));
+    }
+
+    /// Whenever the reset comes, what had been recorded is there.
+    #[test]
+    fn a_reset_at_any_moment_leaves_what_was_there(count in 1..2_000_usize) {
+        let board = board();
+        let mut ring = Ring::begin(vec![Page::EMPTY; 8], &Restart::POWER);
+        let text = "G1X1.5F600\n".repeat(200);
+        line(&mut ring, &board, 9, 0, &text[..count]);
+        let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
+        let said: Vec<u8> = entries(&mut ring).iter().flat_map(|(_, entry)| match entry {
+            Noted::Host(bytes) => bytes.to_vec(),
+            _ => Vec::new(),
+        }).collect();
+        // The line that is being put together has done nothing yet.
+        let ended = count - count % 11;
+        prop_assert!(text.as_bytes()[..ended].ends_with(&said));
+        prop_assert!(said.len() == ended || count > 1_500, "{} of {}", said.len(), count);
+    }
+}

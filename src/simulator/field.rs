@@ -1,0 +1,493 @@
+//! A board's recording, as `$REC` has listed it, played into the simulator; or why not.
+//!
+//! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
+//! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,
+//! if the machine comes by there at about that time. The other way round nothing is taken on trust: where the motors rest, which blocks
+//! were stepped in which order, and the place and line of a failure must come out by themselves.
+
+use crate::recording::{Input, Recording, Told};
+use crate::simulator::Simulator;
+use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
+use oxmill_controller::protocol::realtime;
+
+/// How much earlier or later than the board the simulator may be, in parts of a second.
+const SLACK_PARTS: u64 = 20;
+
+/// What came of a replay.
+#[derive(Debug, Default)]
+pub struct Arrival {
+    /// What is to be known of it.
+    pub notes: Vec<String>,
+    /// Where the simulator has parted from the board.
+    pub parted: Option<String>,
+}
+
+/// Plays a recording on a machine with the recorded settings that has just been powered up. `hear` gets what it says, `pass` now and
+/// then the time since the begin, ticks of the step clock.
+pub fn play(
+    recording: &Recording,
+    simulator: &mut Simulator,
+    hear: impl FnMut(&str),
+    pass: impl FnMut(u64),
+) -> Arrival {
+    let mut arrival = Arrival::default();
+    if !recording.is_whole() {
+        arrival.notes.push("the listing breaks off: what came later is not known".into());
+    }
+    let inputs = in_order(recording.inputs());
+    let begin = match begin_of(&inputs) {
+        Ok(begin) => begin,
+        Err(why) => {
+            arrival.parted = Some(why);
+            return arrival;
+        }
+    };
+    let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
+    let played = replay.play(&inputs, begin, &mut arrival.notes);
+    arrival.parted = played.err();
+    if arrival.parted.is_none() {
+        arrival.notes.push(match replay.met {
+            0 => "nothing in it tells where the motors were, so nothing has been compared".into(),
+            1 => "the motors come to the one place that is recorded, by the same blocks".into(),
+            places => format!("the motors come to all {places} places that are recorded, by the same blocks"),
+        });
+    }
+    arrival
+}
+
+/// What a reset has stopped may be told before the reset itself, as they come through two queues: it is put behind.
+fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
+    let mut ordered = inputs.to_vec();
+    // Stops that were ordered and are not told yet.
+    let mut ordered_stops = 0_u32;
+    for at in 0..ordered.len() {
+        if stops(&ordered[at].1) {
+            ordered_stops += 1;
+        } else if is_stop(&ordered[at].1) && ordered_stops > 0 {
+            ordered_stops -= 1;
+        } else if is_stop(&ordered[at].1)
+            && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
+            // Else it is that one which the order has stopped.
+            && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
+        {
+            ordered[at..=behind].rotate_left(1);
+            // The one that is here now is another.
+            ordered_stops += u32::from(stops(&ordered[at].1));
+            if let Some((time, _)) = ordered.get(behind - 1).cloned() {
+                ordered[behind].0 = time;
+            }
+        }
+    }
+    // Lines of a host that has gone were in the queue before it went: up to the cut.
+    let mut since = 0;
+    for cut in 0..ordered.len() {
+        if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
+            continue;
+        }
+        let gone = (since..cut).find(|at| matches!(ordered[*at].1, Input::Connect | Input::Disconnect));
+        if let Some(gone) = gone {
+            let time = ordered[gone].0;
+            let (mut before, behind): (Vec<_>, Vec<_>) =
+                ordered.drain(gone..cut).partition(|(_, input)| is_of_line(input));
+            before.iter_mut().for_each(|(of_line, _)| *of_line = time);
+            before.extend(behind);
+            ordered.splice(gone..gone, before);
+        }
+        since = cut + 1;
+    }
+    ordered
+}
+
+/// Whether it is of a line of the host, and no command.
+fn is_of_line(input: &Input) -> bool {
+    match input {
+        Input::Host(bytes) => bytes.len() != 1 || realtime::command(bytes[0]).is_none(),
+        Input::Told(Told::Noted(Noted::More)) => true,
+        _ => false,
+    }
+}
+
+/// Whether it is the begin of a line without its end.
+fn is_begin(input: &Input) -> bool {
+    matches!(input, Input::Host(bytes) if is_of_line(input) && !bytes.ends_with(b"\n") && !bytes.ends_with(b"\r"))
+}
+
+/// Whether it stops the step task.
+fn stops(input: &Input) -> bool {
+    match input {
+        Input::Host(bytes) => bytes[..] == [0x18],
+        Input::Told(Told::Noted(Noted::Inputs { tripped, .. })) => *tripped != 0,
+        _ => false,
+    }
+}
+
+/// Whether it tells of a stop.
+fn is_stop(input: &Input) -> bool {
+    matches!(input, Input::Told(Told::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
+}
+
+/// The number of the input behind which a replay can begin.
+fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
+    let told =
+        |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
+    // Stored records are those of the end: before the last change the machine had others.
+    let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Noted(Noted::Stored(true)))));
+    if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Noted(Noted::PowerUp))))) {
+        return Ok(0);
+    }
+    let from = stored.map_or(0, |at| at + 1);
+    let state = inputs[from..].iter().position(told(|told| matches!(told, Told::Noted(Noted::Standing { .. }))));
+    state.map(|at| from + at).ok_or_else(|| {
+        let why = if stored.is_some() { "no state behind the last stored setting" } else { "no state at rest" };
+        let last = inputs.iter().rev().find_map(|(_, input)| match input {
+            Input::Told(Told::Ended { text, .. }) => Some(format!("; its end: {text}")),
+            _ => None,
+        });
+        let lines = inputs.iter().filter(|(_, input)| matches!(input, Input::Host(_))).count();
+        format!(
+            "begins in the middle: {why} is left in it, from which {lines} lines and commands could be played{}",
+            last.unwrap_or_default()
+        )
+    })
+}
+
+struct Playing<'a, H, P> {
+    simulator: &'a mut Simulator,
+    hear: H,
+    pass: P,
+    /// The time of the simulator at which it began, and how much it is ahead of the recording's.
+    begin: u64,
+    shift: u64,
+    /// Of each motor, the counter of the board less that of the simulator.
+    offset: Vec<i32>,
+    /// Ends of hosts that may be followed by a cut.
+    cuts: u32,
+    /// Recorded places of the motors to which the simulator has come.
+    met: u32,
+}
+
+impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
+    fn play(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
+        self.simulator.hear_always();
+        self.start(inputs, begin, notes)?;
+        for (at, (time, input)) in inputs.iter().enumerate().skip(begin + 1) {
+            // The begin of a line has the time of what came behind it, and was there already if it waited behind the line before.
+            let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
+            let time = if waited { self.simulator.clock().now() } else { time + self.shift };
+            let later = inputs.get(at + 1..).unwrap_or_default();
+            match input {
+                Input::Host(bytes) => self.host(time, bytes, later),
+                Input::Connect | Input::Disconnect => {
+                    self.advance(time);
+                    self.cuts += 1;
+                    if *input == Input::Connect { self.simulator.connect() } else { self.simulator.disconnect() }
+                }
+                Input::Told(told) => self.told(time, told, later, notes)?,
+                Input::Pin(_) | Input::At(_) | Input::Job => {
+                    return Err("lines of a board and of a simulator are mixed".into());
+                }
+            }
+            self.listen();
+        }
+        Ok(())
+    }
+
+    /// Brings the state about from which it begins.
+    fn start(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
+        let Some((time, input)) = inputs.get(begin) else { return Err("nothing is recorded".into()) };
+        let mut counters = Vec::new();
+        if let Input::Told(Told::Noted(Noted::Standing { standing, blocks })) = input {
+            if begin > 0 {
+                notes.push(format!("begins at a state at rest; {begin} lines of the recording before it are left out"));
+            }
+            self.stand(standing)?;
+            self.simulator.follow_blocks(*blocks);
+            counters = standing.counters.to_vec();
+        } else {
+            notes.push("begins at power-up".into());
+        }
+        let now = self.simulator.clock().now();
+        self.shift = now.saturating_sub(*time);
+        self.advance(time + self.shift);
+        self.begin = self.simulator.clock().now();
+        let here = self.counters();
+        counters.resize(here.len(), 0);
+        self.offset = counters.iter().zip(&here).map(|(board, here)| board.wrapping_sub(*here)).collect();
+        Ok(())
+    }
+
+    fn stand(&mut self, standing: &Standing) -> Result<(), String> {
+        let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
+        self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
+        self.simulator.stand(standing, false);
+        self.simulator.take_output();
+        let mut words = [standing.words.as_slice(), b"\n"].concat();
+        if standing.inches {
+            words.extend(b"G20\n");
+        }
+        self.simulator.send(&words);
+        self.simulator.run_until_idle();
+        let said = self.simulator.take_output();
+        if said.contains("error") || said.contains("ALARM") {
+            return Err(format!("the state cannot be brought about: {}", said.trim()));
+        }
+        self.simulator.stand(standing, standing.locked);
+        Ok(())
+    }
+
+    // Time
+
+    fn listen(&mut self) {
+        while self.simulator.unfetched() > 0 {
+            (self.hear)(&self.simulator.take_output());
+        }
+    }
+
+    fn advance(&mut self, until: u64) {
+        let slice = self.hz() / 50;
+        while self.simulator.clock().now() < until {
+            self.simulator.advance_to(until.min(self.simulator.clock().now() + slice));
+            self.listen();
+            (self.pass)(self.simulator.clock().now().saturating_sub(self.begin));
+        }
+    }
+
+    fn hz(&self) -> u64 {
+        u64::from(self.simulator.board().step_clock_hz)
+    }
+
+    /// Lets time pass until something holds, in small steps from a little before a moment to a little after it. Whether it did.
+    fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&Simulator) -> bool) -> bool {
+        let slack = self.hz() / SLACK_PARTS;
+        self.advance(time.saturating_sub(slack));
+        while !holds(self.simulator) {
+            let now = self.simulator.clock().now();
+            if now >= time + slack {
+                return false;
+            }
+            self.simulator.advance_to(now + step.max(1));
+            self.listen();
+        }
+        true
+    }
+
+    fn seconds(&self, time: u64) -> String {
+        let clock = self.simulator.clock();
+        format!("{:.6} s after its begin", clock.seconds(time.saturating_sub(self.begin)))
+    }
+
+    // What the motors have done
+
+    fn counters(&self) -> Vec<i32> {
+        self.simulator.machine().position().to_vec()
+    }
+
+    /// What the board's counters would be.
+    fn as_on_board(&self) -> Vec<i32> {
+        self.counters().iter().zip(&self.offset).map(|(here, offset)| here.wrapping_add(*offset)).collect()
+    }
+
+    /// Comes to where the board was cut off.
+    fn meet_place(&mut self, time: u64, counters: &[i32]) -> bool {
+        let wanted: Vec<i32> =
+            counters.iter().zip(&self.offset).map(|(board, offset)| board.wrapping_sub(*offset)).collect();
+        let step = self.hz() / 1_000_000;
+        let is_there = |simulator: &Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
+        // At its own time, if it can be: motion may not have left a place, or have come to it long ago.
+        let mut ahead = self.simulator.clone();
+        ahead.advance_to(time);
+        if is_there(&ahead) {
+            self.advance(time);
+            return true;
+        }
+        self.meet(time, step, is_there)
+    }
+
+    // What comes in
+
+    fn host(&mut self, time: u64, bytes: &[u8], later: &[(u64, Input)]) {
+        match (bytes, cut_off(later)) {
+            // The steps end where the board's have ended.
+            ([0x18], Some(counters)) => {
+                self.meet_place(time, counters);
+            }
+            (b"~", _) => self.resume(time),
+            _ => self.advance(time),
+        }
+        let more = matches!(later.first(), Some((_, Input::Told(Told::Noted(Noted::More)))));
+        self.simulator.send_followed(bytes, more);
+    }
+
+    /// A host says `~` as soon as it hears that the machine rests in a hold, and here that may be a little later.
+    fn resume(&mut self, time: u64) {
+        self.advance(time);
+        let mut ahead = self.simulator.clone();
+        let step = self.hz() / 10_000;
+        while ahead.clock().now() < time + self.hz() / SLACK_PARTS {
+            if ahead.controller().is_paused() {
+                return self.advance(ahead.clock().now());
+            }
+            ahead.advance_to(ahead.clock().now() + step);
+        }
+    }
+
+    fn told(&mut self, time: u64, told: &Told, later: &[(u64, Input)], notes: &mut Vec<String>) -> Result<(), String> {
+        let entry = match told {
+            Told::Noted(entry) => entry,
+            Told::Ended { crash: false, text, .. } => {
+                self.advance(time);
+                notes.push(format!("ends as the recording: {text}"));
+                return Ok(());
+            }
+            Told::Ended { text, place, line, .. } => return self.ended(time, text, place, *line, notes),
+        };
+        match entry {
+            Noted::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
+            Noted::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
+            Noted::Rest { counters, blocks } => self.rest(time, counters, *blocks),
+            Noted::Standing { standing, .. } => self.compare_state(time, standing),
+            Noted::Stored(true) | Noted::More => Ok(()),
+            Noted::Stored(false) => Err(format!("{}: the board could not store a setting", self.seconds(time))),
+            Noted::Damaged => {
+                self.advance(time);
+                self.simulator.lose_bytes();
+                Ok(())
+            }
+            Noted::Cut => {
+                let known = self.cuts > 0;
+                self.cuts = self.cuts.saturating_sub(1);
+                if known {
+                    return Ok(());
+                }
+                Err(format!("{}: another host has taken over, which is not recorded", self.seconds(time)))
+            }
+            _ => Err(format!("{}: the board was powered up again", self.seconds(time))),
+        }
+    }
+
+    fn inputs(&mut self, time: u64, active: u32, tripped: u32, later: &[(u64, Input)]) -> Result<(), String> {
+        match cut_off(later) {
+            Some(counters) if tripped != 0 => {
+                self.meet_place(time, counters);
+            }
+            _ => self.advance(time),
+        }
+        let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
+        for active in [active | tripped, active] {
+            self.simulator.set_pins(Signals::of_word(active ^ inverted));
+        }
+        Ok(())
+    }
+
+    fn stopped(
+        &mut self,
+        time: u64,
+        stopping: Stopping,
+        counters: &[i32],
+        later: &[(u64, Input)],
+    ) -> Result<(), String> {
+        match stopping {
+            Stopping::Probed => {
+                if self.meet_place(time, counters) {
+                    // The step task sees the contact before the filter does, but for one that was there when it began to look.
+                    let mut pins = self.simulator.pins();
+                    let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
+                    let told = later.iter().find_map(|(time, input)| match input {
+                        Input::Told(Told::Noted(Noted::Inputs { active, .. })) => {
+                            Some((time + self.shift, Signals::of_word(active ^ inverted).probe))
+                        }
+                        _ => None,
+                    });
+                    pins.probe = match told {
+                        Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
+                        // The filter has seen it before.
+                        Some(_) => pins.probe,
+                        None => !pins.probe,
+                    };
+                    self.simulator.set_pins(pins);
+                    return Ok(());
+                }
+            }
+            Stopping::Underrun => return Err(format!("{}: the board's step queue ran dry", self.seconds(time))),
+            Stopping::Miscounted => return Err(format!("{}: the board's outputs miscounted", self.seconds(time))),
+            Stopping::Moving => self.advance(time),
+            // Braking may have begun a step clock's tick or two later.
+            Stopping::AtRest => {
+                self.meet_place(time, counters);
+            }
+        }
+        self.compare(time, counters)
+    }
+
+    fn compare(&mut self, time: u64, counters: &[i32]) -> Result<(), String> {
+        let here = self.as_on_board();
+        // Either may have counters of axes that the other does not have, and that stand.
+        let common = here.len().min(counters.len());
+        let others = here.iter().skip(common).chain(counters.iter().skip(common));
+        if here[..common] == counters[..common] && others.into_iter().all(|axis| *axis == 0) {
+            self.met += 1;
+            return Ok(());
+        }
+        Err(format!("{} the recording has the motors at {counters:?}; here they are at {here:?}", self.seconds(time)))
+    }
+
+    fn rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
+        self.meet(time, self.hz() / 10_000, Simulator::is_idle);
+        self.advance(time);
+        self.compare(time, counters)?;
+        if self.simulator.recorded_blocks() == blocks {
+            return Ok(());
+        }
+        Err(format!("{} the motors rest where they should, but other blocks have led there", self.seconds(time)))
+    }
+
+    fn compare_state(&mut self, time: u64, standing: &Standing) -> Result<(), String> {
+        self.meet(time, self.hz() / 10_000, Simulator::is_idle);
+        self.advance(time);
+        let Some(mut here) = self.simulator.controller().standing() else {
+            return Err(format!("{} the board was at rest in a plain state; here it is not", self.seconds(time)));
+        };
+        here.counters = standing.counters.clone();
+        here.place.truncate(standing.place.len());
+        if here == *standing {
+            return Ok(());
+        }
+        Err(format!("{} the recording has the state {standing:?}; here it is {here:?}", self.seconds(time)))
+    }
+
+    /// The end: the machine comes by the place, at the line.
+    fn ended(
+        &mut self,
+        time: u64,
+        text: &str,
+        place: &[i64],
+        line: u32,
+        notes: &mut Vec<String>,
+    ) -> Result<(), String> {
+        let is_there = |simulator: &Simulator| {
+            let controller = simulator.controller();
+            let here = controller.machine_position();
+            // As the board keeps it: whole micrometres towards zero.
+            controller.line_number() == line && here.iter().zip(place).all(|(here, there)| here.0 / 10_000 == *there)
+        };
+        if self.meet(time, self.hz() / 20_000, is_there) {
+            let late = self.simulator.clock().now() as f64 - time as f64;
+            let milliseconds = late / self.hz() as f64 * 1e3;
+            notes.push(format!(
+                "arrives at the place and line of the failure ({text}), {milliseconds:+.1} ms from its time"
+            ));
+            return Ok(());
+        }
+        let here = self.simulator.machine_position();
+        let number = self.simulator.controller().line_number();
+        Err(format!("{}: the board ended so: {text}; here N{number} is at {here:?}", self.seconds(time)))
+    }
+}
+
+/// Where the board was cut off by what comes in now: its report follows at once.
+fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
+    later.iter().take(3).find_map(|(_, input)| match input {
+        Input::Told(Told::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),
+        _ => None,
+    })
+}
