@@ -500,6 +500,8 @@ fn a_recorded_job_is_played_again() {
     // One that was cut off cannot be compared.
     let (cut, _) = other.trim_end().rsplit_once('\n').expect("lines");
     assert_eq!(run(&["replay", text(&file("cut.rec", &format!("{cut}\n")))]).status.code(), Some(3));
+    let output = run(&["replay", text(&file("empty.rec", "oxmill recording 1\nbegin 0\n5 host ?\n"))]);
+    assert_eq!(output.status.code(), Some(3), "nothing is compared");
     assert_eq!(run(&["replay", text(&job)]).status.code(), Some(2), "no recording");
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
 }

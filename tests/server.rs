@@ -206,6 +206,10 @@ fn no_client_makes_the_server_grow() {
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
+    // Also in its first line, where a request of a browser would be.
+    let mut first = server.served_at_last();
+    first.send([b'X'; (1 << 16) + 2000]);
+    assert_eq!(first.line(), "[MSG:The line has no end]");
     let mut deaf = server.served_at_last();
     deaf.stream.set_write_timeout(Some(Duration::from_millis(500))).expect("a socket");
     let questions = b"$$\n".repeat(5000);
@@ -218,6 +222,33 @@ fn no_client_makes_the_server_grow() {
     drop(deaf);
     // What the one that left had asked for is not said to the next one.
     server.served_at_last();
+}
+
+/// What a pin has done at once is behind it in the recording: an alarm, an end of motion.
+#[test]
+fn a_recording_with_alarms_of_pins_is_played_again() {
+    let folder = std::env::temp_dir().join(format!("oxmill-pins-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    for pin in ["estop", "fault", "limit x"] {
+        let file = folder.join("a.rec");
+        let path = file.to_str().expect("a name");
+        let options = ["serve", "--tcp", "127.0.0.1:0", "--pins", "127.0.0.1:0", "--set", "$21=1", "--record", path];
+        let (server, words) = Server::with_words(&options, 1);
+        let pins = words[0].strip_prefix("pins on ").expect("an address").to_owned();
+        assert_eq!(answer_to(&pins, format!("{pin} 1\n").as_bytes()), "ok\n");
+        assert!(answer_to(&pins, b"steps\n").starts_with("steps "));
+        let end = Instant::now() + PATIENCE;
+        // Where the machine is comes with the next look at it.
+        while !std::fs::read_to_string(&file).is_ok_and(|text| text.contains(" at ")) {
+            assert!(Instant::now() < end, "{pin} is recorded");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        drop(server);
+        let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
+        let said = String::from_utf8_lossy(&replay.stderr).into_owned();
+        assert!(replay.status.code() != Some(3), "{pin}: {said}{}", std::fs::read_to_string(&file).unwrap());
+    }
+    std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
 /// A port without an address is one of the loopback, for the pins as well; connections that find no place are told.

@@ -5,7 +5,7 @@
 //! if the machine comes by there at about that time. The other way round nothing is taken on trust: where the motors rest, which blocks
 //! were stepped in which order, and the place and line of a failure must come out by themselves.
 
-use crate::recording::{Input, Recording, Told};
+use crate::recording::{Input, NOTHING_COMPARED, Recording, Told};
 use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
@@ -44,10 +44,10 @@ pub fn play(
     };
     let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
-    arrival.parted = played.err();
-    if arrival.parted.is_none() {
+    let ends = inputs.iter().any(|(_, input)| matches!(input, Input::Told(Told::Ended { crash: true, .. })));
+    arrival.parted = played.err().or_else(|| (replay.met == 0 && !ends).then(|| NOTHING_COMPARED.into()));
+    if arrival.parted.is_none() && replay.met > 0 {
         arrival.notes.push(match replay.met {
-            0 => "nothing in it tells where the motors were, so nothing has been compared".into(),
             1 => "the motors come to the one place that is recorded, by the same blocks".into(),
             places => format!("the motors come to all {places} places that are recorded, by the same blocks"),
         });

@@ -214,7 +214,7 @@ fn play(
         notes.extend(arrival.notes);
         arrival.parted.map_or(Ok(()), Err)
     } else {
-        recording.play(&mut simulator, |text| said.push_str(text), pass)
+        recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
         // What the board did not live to do is no part of it.

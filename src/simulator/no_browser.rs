@@ -9,6 +9,9 @@ const TLS: &[u8] = b"\x16\x03";
 /// Longer than any line that the firmware takes; the addresses of requests may be longer, and then it is one.
 const LONGEST_LINE: usize = 1024;
 
+/// No method that a page may use without asking first (by OPTIONS) is longer.
+const LONGEST_METHOD: usize = 64;
+
 /// A reader that fails if a browser writes to it.
 pub struct NoBrowser<R> {
     reader: R,
@@ -37,7 +40,7 @@ fn is_request(first: &[u8]) -> Option<bool> {
     let line = first.split(|byte| *byte == b'\n').next().unwrap_or(first);
     let method = line.split(|byte| *byte == b' ').next().unwrap_or(line);
     let is_text = line.iter().all(|byte| (b' '..=b'~').contains(byte) || *byte == b'\r');
-    if !is_text || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
+    if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
     if line.len() < first.len() {

@@ -33,6 +33,11 @@ use std::fmt::Write as _;
 use std::io::{self, BufRead, Read, Write};
 use std::rc::Rc;
 
+/// Why a replay that has not parted from its recording is not told to be the same.
+pub(crate) const NOTHING_COMPARED: &str = "nothing in it tells where the motors were, so nothing has been compared";
+/// How long a recording may be, s: 100 days.
+const LONGEST: u64 = 100 * 24 * 3600;
+
 /// The first line.
 const TITLE: &str = "oxmill recording 1";
 
@@ -325,6 +330,15 @@ impl Recording {
         self.inputs.last().map_or(0, |(time, _)| time.saturating_sub(self.begin.unwrap_or_default()))
     }
 
+    /// Whether there was anything by which two machines are compared.
+    ///
+    /// # Errors
+    /// Nothing tells where the machine was: the recording is not whole.
+    pub fn check_compared(&self) -> Result<(), String> {
+        let compares = self.inputs.iter().any(|(_, input)| matches!(input, Input::At(_)));
+        if compares { Ok(()) } else { Err(NOTHING_COMPARED.into()) }
+    }
+
     /// Whether a machine that has come to the end of the job is where it was in the recording.
     ///
     /// # Errors
@@ -373,6 +387,13 @@ impl Recording {
         Ok(recording)
     }
 
+    /// A time that can be reached, in a few minutes as a replay is some 10,000 times as fast as the machine.
+    fn time(&self, text: &str) -> Result<u64, String> {
+        let time = number(text)?;
+        let last = LONGEST * u64::from(self.board.step_clock_hz);
+        if time <= last { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
+    }
+
     fn line(&mut self, line: &str) -> Result<(), String> {
         let (word, rest) = line.split_once(' ').unwrap_or((line, ""));
         match word {
@@ -395,7 +416,7 @@ impl Recording {
                 self.machine.push('\n');
             }
             "end" => self.broken_off = false,
-            "begin" => self.begin = Some(number(rest).and_then(in_range)?),
+            "begin" => self.begin = Some(self.time(rest)?),
             "job" => self.job.get_or_insert_default().extend(unescape(rest)?),
             time => {
                 let (word, rest) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -409,7 +430,7 @@ impl Recording {
                     word if let Some(told) = told(word, rest)? => Input::Told(told),
                     _ => return Err(format!("`{line}` is not understood")),
                 };
-                let time = number(time).and_then(in_range)?;
+                let time = self.time(time)?;
                 let begin = self.begin.ok_or("it comes before `begin`")?;
                 if self.inputs.last().map_or(begin, |(before, _)| *before) > time {
                     return Err("it is earlier than the line before".into());
@@ -584,11 +605,6 @@ fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
         hear(&simulator.take_output());
     }
-}
-
-/// A time that can be reached and passed.
-fn in_range(time: u64) -> Result<u64, String> {
-    if time < 1 << 62 { Ok(time) } else { Err(format!("`{time}` is later than any machine runs")) }
 }
 
 fn number<T: std::str::FromStr>(text: &str) -> Result<T, String> {

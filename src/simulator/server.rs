@@ -400,10 +400,10 @@ impl Device {
             Happened::Connecting(incoming, sender) => self.connecting(incoming, sender),
             Happened::Heard => {}
             Happened::Pins(line, reply) => {
-                let answer = self.simulator.pin_line(&line);
-                if answer == "ok" {
-                    self.record(&Input::Pin(line));
+                if self.simulator.moves_pin(&line) {
+                    self.record(&Input::Pin(line.clone()));
                 }
+                let answer = self.simulator.pin_line(&line);
                 // A client that has gone in the meantime needs no answer.
                 let _ = reply.send(answer);
             }

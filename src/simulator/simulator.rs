@@ -253,6 +253,15 @@ impl Simulator {
         }
     }
 
+    /// Whether a line of the pin protocol is one that moves or disturbs a pin.
+    pub fn moves_pin(&self, line: &str) -> bool {
+        let axes = self.board.axes;
+        match crate::pins::disturbed(axes, line) {
+            Some(disturbed) => disturbed.is_ok(),
+            None => crate::pins::apply(self.inputs.hand(), axes, line).is_ok(),
+        }
+    }
+
     /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
     pub fn unread(&self) -> usize {
         self.host.unread()

@@ -56,6 +56,8 @@ class Machine:
         pins = self.process.stderr.readline().split()[-1].rsplit(":", 1)
         self.pins = socket.create_connection((pins[0], int(pins[1])), timeout=PATIENCE)
         self.answers = self.pins.makefile()
+        # One that says nothing for a minute is turned away.
+        self.steps()
 
     def __enter__(self):
         return self

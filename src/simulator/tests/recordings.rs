@@ -194,6 +194,8 @@ fn what_is_no_recording_is_refused() {
         ("oxmill recording 1\n6 connect\n", "line 2: it comes before `begin`"),
         ("oxmill recording 1\nbegin 18446744073709551615\n", "line 2: `18446744073709551615` is later"),
         ("oxmill recording 1\nboard desk 0\n", "line 2: `0` is no step clock"),
+        ("oxmill recording 1\nbegin 864000000000001\n", "line 2: `864000000000001` is later than 100 days"),
+        ("oxmill recording 1\nbegin 0\n2000000000000000000 pin door 1\n", "line 3: `2000000000000000000` is later"),
     ] {
         let error = Recording::parse(text).unwrap_err();
         assert!(error.starts_with(why), "{error}");
@@ -283,11 +285,8 @@ fn a_replay_says_how_much_it_has_compared() {
     let said = |log: &str| arrival(log).unwrap().notes.pop().unwrap();
     assert_eq!(said(&log), "the motors come to all 2 places that are recorded, by the same blocks");
     let without = |word: &str| log.lines().filter(|line| !line.contains(word)).collect::<Vec<_>>().join("\n");
-    assert_eq!(
-        said(&without(" rest ")),
-        "nothing in it tells where the motors were, so nothing has been compared",
-        "{log}"
-    );
+    let without_places = arrival(&without(" rest ")).unwrap().parted;
+    assert!(without_places.is_some_and(|why| why.starts_with("nothing in it tells where")), "{log}");
     // A line that is missing is seen where the motors rest.
     let parted = arrival(&without("host G1 X0.5")).unwrap();
     assert!(parted.parted.is_some_and(|why| why.contains("the recording has the motors at")), "{log}");
