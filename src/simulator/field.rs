@@ -44,10 +44,10 @@ pub fn play(
     };
     let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
-    let ends = inputs.iter().any(|(_, input)| matches!(input, Input::Told(Told::Ended { crash: true, .. })));
-    arrival.parted = played.err().or_else(|| (replay.met == 0 && !ends).then(|| NOTHING_COMPARED.into()));
-    if arrival.parted.is_none() && replay.met > 0 {
+    arrival.parted = played.err();
+    if arrival.parted.is_none() {
         arrival.notes.push(match replay.met {
+            0 => NOTHING_COMPARED.into(),
             1 => "the motors come to the one place that is recorded, by the same blocks".into(),
             places => format!("the motors come to all {places} places that are recorded, by the same blocks"),
         });

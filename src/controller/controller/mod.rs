@@ -352,7 +352,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.drivers.off_at().is_none()
             && !self.accessories.is_on()
             && !self.accessories.digital().is_waiting()
-            && self.lines.heartbeat().silent_at().is_none()
+            // A silence begins with what is at work, in the moment at which that begins.
+            && !self.settings.is_on(Key::HostSilence)
+            && !self.settings.is_on(Key::JogSilence)
     }
 
     /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
