@@ -1,4 +1,4 @@
-(Drilling: two rows of holes with a canned cycle, in inches)
+(Drilling: a row of holes with a canned cycle, in inches)
 (Runs in the seed dialect, $900=2: it moves after G80 without a motion word)
 G0 G49 G40 G17 G80 G50 G90
 ; Rapid, no tool length, no cutter compensation, XY, no cycle, no scaling

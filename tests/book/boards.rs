@@ -10,13 +10,16 @@ use std::fmt::Write;
 /// Lengths of the step pulse (`$0`) whose greatest rates the table has, microseconds.
 const PULSES: [f32; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
 /// What an image may lack, as the firmware calls it and as a reader does.
-const PARTS: [(&str, &str); 6] = [
+const PARTS: [(&str, &str); 9] = [
     ("expressions", "expressions, parameters, O words"),
     ("extended-gcode", "cycles, tool table"),
     ("rotation", "rotated and scaled coordinates"),
     ("splines", "splines"),
+    ("blending", "rounded corners (`G64 P`)"),
+    ("tool-setter", "tool setters (`$918=2`)"),
     ("program-pins", "outputs and inputs of programs"),
     ("descriptions", "texts of settings and errors (`$ES`)"),
+    ("recorder", "recording (`$REC`)"),
 ];
 
 fn file(name: &str) -> String {

@@ -27,6 +27,79 @@ fn work(rig: &mut Rig) -> [f64; AXES] {
 }
 
 #[test]
+fn chapter_2_2_1_the_motion_word_stays_in_force() {
+    let mut rig = Rig::with(CARVER);
+    walk(
+        &mut rig,
+        &[
+            ("G1 X10 Y20 F50", Some([10.0, 20.0, 0.0])),
+            ("X5 Y15", Some([5.0, 15.0, 0.0])),
+            ("X15 Y-10", Some([15.0, -10.0, 0.0])),
+            ("Z -10", Some([15.0, -10.0, -10.0])),
+            ("G1 X20 Y0 F10", Some([20.0, 0.0, -10.0])),
+            ("X40 Y10", Some([40.0, 10.0, -10.0])),
+            ("X-20 Y0", Some([-20.0, 0.0, -10.0])),
+            ("Z -10", Some([-20.0, 0.0, -10.0])),
+            ("X50 Y30", Some([50.0, 30.0, -10.0])),
+        ],
+    );
+}
+
+/// With and without the motion word that the text recommends behind G55.
+#[test]
+fn chapter_2_2_1_another_system_between_moves() {
+    for first in ["X5 Y15", "G1 X5 Y15"] {
+        let mut rig = Rig::with(CARVER);
+        walk(
+            &mut rig,
+            &[
+                ("G10 L2 P2 X100 Y-50 Z5", None),
+                ("G1 X10 Y20 F50", Some([10.0, 20.0, 0.0])),
+                ("G55", Some([10.0, 20.0, 0.0])),
+                (first, Some([105.0, -35.0, 0.0])),
+                ("X15 Y-10", Some([115.0, -60.0, 0.0])),
+                ("Z -10", Some([115.0, -60.0, -5.0])),
+            ],
+        );
+    }
+}
+
+/// The command is of its line, its offset stays.
+#[test]
+fn chapter_2_2_1_g10_l20_is_of_its_line() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("G10 L20 P1 X10 Y0", Some([0.0; AXES]))]);
+    assert_eq!(work(&mut rig), [10.0, 0.0, 0.0]);
+    walk(&mut rig, &[("G1 X20 Y5 F600", Some([10.0, 5.0, 0.0])), ("X0 Y0", Some([-10.0, 0.0, 0.0]))]);
+}
+
+/// An arc whose radius is not said again is none: only straight moves go on without their word.
+#[test]
+fn chapter_2_2_1_an_arc_needs_its_radius() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("G1 F600", None), ("G2 X20 Y0 R30", Some([20.0, 0.0, 0.0]))]);
+    assert_eq!(rig.ask("X40 Y10"), ["error:35"]);
+    assert_near(rig.place_mm(CARVER_STEPS), [20.0, 0.0, 0.0], HALF_STEP);
+}
+
+#[test]
+fn chapter_2_2_2_words_of_several_groups_share_a_line() {
+    for lines in [["G55", "G1 X40 Y10 F600"], ["G1 F600", "G55 G1 X40 Y10"]] {
+        let mut rig = Rig::with(CARVER);
+        let [first, second] = lines;
+        walk(&mut rig, &[("G10 L2 P2 X3 Y4", None), (first, Some([0.0; AXES])), (second, Some([43.0, 14.0, 0.0]))]);
+        // Of a group there is one word; of words that move, too, but by an error of their own.
+        assert_eq!([rig.ask("G54 G55"), rig.ask("G0 G1 X1")], [["error:21"], ["error:24"]]);
+    }
+}
+
+#[test]
+fn chapter_2_3_4_g91_1_beside_a_move() {
+    let mut rig = Rig::with(CARVER);
+    walk(&mut rig, &[("G91.1 G0 X5 Y10", Some([5.0, 10.0, 0.0]))]);
+}
+
+#[test]
 fn chapter_2_2_3_example_1_g53_within_g91() {
     let mut rig = Rig::with(CARVER);
     walk(
