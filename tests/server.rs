@@ -151,6 +151,9 @@ fn thousands_of_connections_leave_nothing_behind() {
     let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
     for server in [Server::new(&[]), Server::started(&web, "web http://")] {
         let address = server.address.trim_end_matches('/');
+        // With all threads that it has for itself: those begin with the first connection at the latest.
+        answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
+        std::thread::sleep(Duration::from_millis(500));
         let before = held(&server.program);
         // Some are idle at the same time: more than there are places, so that the last ones are closed.
         let idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).expect("it listens")).collect();
