@@ -22,7 +22,6 @@ pub mod clock;
 pub mod command_line;
 pub mod explain;
 #[cfg(feature = "program")]
-#[cfg(feature = "program")]
 pub mod field;
 #[cfg(feature = "program")]
 pub mod files;
