@@ -473,8 +473,8 @@ fn over_a_late_link_no_axis_changes_its_speed_faster() {
         let (first, rest) = text.split_once('\n').unwrap();
         for (which, words) in ["G61".to_string(), format!("G64 P{p:.4}")].iter().enumerate() {
             let rig = run_late(&settings, &format!("{first}\n{words}\n{rest}"), line_s);
-            let change =
-                greatest_change(&rig.trace, HZ as f64, &course, &limits, 0.005).map_or(0.0, |change| change.ratio);
+            let change = greatest_change(&rig.trace, HZ as f64, &course, &limits, 0.005);
+            let change = change.unwrap_or_else(|error| panic!("case {case}, {words}: {error}")).ratio;
             greatest[which] = greatest[which].max(change);
             if change > CHANGE {
                 faults.push(format!("case {case}, {words}, {feed} mm/s, {line_s} s a line: {change}"));

@@ -725,3 +725,22 @@ fn a_spindle_that_stays_on_keeps_its_speed() {
         assert!(power != 0 && mill.power().abs_diff(power) <= 1, "{} instead of {power}", mill.power());
     }
 }
+
+/// Startup lines are no job that the host has left behind.
+#[test]
+fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
+    let mut mill = homed();
+    mill.send("$392=4\n$N0=G4P2\n");
+    assert!(mill.run_until_idle());
+    State::DoorParked.enter(&mut mill);
+    mill.send("~");
+    mill.run_for(Duration::from_secs(3));
+    // The spindle comes up.
+    assert!(status(&mut mill).contains("<Door:3|") && turns(&mill) && !mill.is_stepping());
+    mill.disconnect();
+    pin(&mut mill, "reset 1");
+    mill.run_for(Duration::from_secs(1));
+    pin(&mut mill, "reset 0");
+    mill.run_for(Duration::from_secs(3));
+    assert!(status(&mut mill).contains("<Idle|"), "{}", mill.take_output());
+}

@@ -127,7 +127,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 } else {
                     self.settings.seconds(Key::DoorCoolantDelay)
                 };
-                self.mode = Mode::Door(Door::CoolantRestoring(self.now + delay));
+                let until = self.now + delay;
+                self.mode = Mode::Door(Door::CoolantRestoring(until));
+                // Nothing to wait for: the same call does what follows, and leaves no wake-up that is now.
+                if until <= self.now {
+                    self.settle_door(Door::CoolantRestoring(until));
+                }
             }
             Door::CoolantRestoring(until) if self.now >= until => {
                 if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
@@ -219,14 +224,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let at_once = !self.accessories.is_on() || self.settings.is_on(Key::Laser);
         let delay = if at_once { Duration::millis(0) } else { self.settings.seconds(Key::DoorSpindleDelay) };
         self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
-        // Nothing to wait for: the same call does the next phases.
         if at_once {
             self.settle_door(Door::SpindleRestoring(self.now));
-            if let Mode::Door(Door::CoolantRestoring(until)) = self.mode
-                && self.now >= until
-            {
-                self.settle_door(Door::CoolantRestoring(until));
-            }
         }
     }
 

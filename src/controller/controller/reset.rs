@@ -23,6 +23,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_position(self.motion.machine_position());
         self.probe.forget_result();
         self.line.end_single_block();
+        self.lines.heartbeat_mut().set_gone(false);
         self.replies.reset();
         self.greet();
         if self.settings.is_on(Key::HardLimits) && self.inputs.signals().limits != 0 {
