@@ -149,7 +149,11 @@ impl Job<'_> {
             change: if self.jerk == 0.0 {
                 let of = |window| greatest_change(&rig.trace, HZ as f64, &course, &limits, window);
                 let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
-                changes.map_or(0.0, |changes| changes.iter().map(|change| change.ratio).fold(0.0, f64::max))
+                match changes {
+                    Ok(changes) => changes.iter().map(|change| change.ratio).fold(0.0, f64::max),
+                    // It does not pass the corners by which that is read.
+                    Err(_) => against(&rig, &exact, self.steps_per_mm),
+                }
             } else {
                 0.0
             },
@@ -456,8 +460,47 @@ fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     rig
 }
 
-/// A bend that is seen late is braked for: with a tolerance as well as without one no axis changes its speed by more than
-/// it does where all lines are there in time.
+/// Window in which speeds are compared where no course can be followed, s.
+const WINDOW: f64 = 0.02;
+
+/// The greatest change of an axis' mean speed from one window to the next, mm/s.
+fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
+    let mut most = 0.0_f64;
+    for axis in 0..AXES {
+        let mut place = [0; AXES];
+        let mut steps = Vec::new();
+        for pulse in trace {
+            place = pulse.moved(place);
+            if pulse.steps >> axis & 1 != 0 {
+                steps.push((pulse.at as f64 / HZ as f64, place[axis] as f64 / steps_per_mm));
+            }
+        }
+        let at = |time: f64| {
+            let next = steps.partition_point(|(at, _)| *at <= time);
+            match (next.checked_sub(1).map(|before| steps[before]), steps.get(next)) {
+                (Some((t0, p0)), Some((t1, p1))) => p0 + (p1 - p0) * (time - t0) / (t1 - t0),
+                (Some((_, place)), None) => place,
+                (None, _) => 0.0,
+            }
+        };
+        let end = trace.last().map_or(0.0, |pulse| pulse.at as f64 / HZ as f64);
+        let mut time = trace.first().map_or(0.0, |pulse| pulse.at as f64 / HZ as f64);
+        while time + 2.0 * WINDOW < end {
+            let second = at(time + 2.0 * WINDOW) - 2.0 * at(time + WINDOW) + at(time);
+            most = most.max(second.abs() / WINDOW);
+            time += WINDOW / 4.0;
+        }
+    }
+    most
+}
+
+/// The greatest change of speed against that of the exact path. A step is seen in one window or the next.
+fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
+    greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
+}
+
+/// A bend that is seen late is braked for. Exact, no axis changes its speed by more than it may; with a tolerance, whose path does not
+/// pass the corners by which that is read, by no more than on the exact path over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);
@@ -471,17 +514,19 @@ fn over_a_late_link_no_axis_changes_its_speed_faster() {
         let mean = points.windows(2).map(between).sum::<f64>() / points.len() as f64;
         let line_s = random.within(0.05, 2.0) * mean / feed;
         let (first, rest) = text.split_once('\n').unwrap();
-        for (which, words) in ["G61".to_string(), format!("G64 P{p:.4}")].iter().enumerate() {
-            let rig = run_late(&settings, &format!("{first}\n{words}\n{rest}"), line_s);
-            let change = greatest_change(&rig.trace, HZ as f64, &course, &limits, 0.005);
-            let change = change.unwrap_or_else(|error| panic!("case {case}, {words}: {error}")).ratio;
-            greatest[which] = greatest[which].max(change);
-            if change > CHANGE {
-                faults.push(format!("case {case}, {words}, {feed} mm/s, {line_s} s a line: {change}"));
-            }
+        let run = |words: &str| run_late(&settings, &format!("{first}\n{words}\n{rest}"), line_s);
+        let (exact, blended) = (run("G61"), run(&format!("G64 P{p:.4}")));
+        let change = greatest_change(&exact.trace, HZ as f64, &course, &limits, 0.005);
+        let change = change.unwrap_or_else(|error| panic!("case {case}: {error}")).ratio;
+        let share = against(&blended, &exact, 80.0);
+        greatest = [greatest[0].max(change), greatest[1].max(share)];
+        if change > CHANGE || share > CHANGE {
+            faults.push(format!(
+                "case {case}, P{p}, {feed} mm/s, {line_s} s a line: {change}, with the tolerance {share}"
+            ));
         }
     }
-    println!("{cases} jobs: greatest change {greatest:.3?}");
+    println!("{cases} jobs: greatest change {:.3}, with a tolerance {:.3} of that", greatest[0], greatest[1]);
     assert!(faults.is_empty(), "{} of {cases}:\n{}", faults.len(), faults.join("\n"));
 }
 
