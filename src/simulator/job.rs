@@ -1,8 +1,8 @@
 //! `run`: a file through the controller, in simulated time, and the report about it.
 
+use crate::board_replay;
 use crate::check::Check;
 use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZero};
-use crate::field;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
 use crate::machine::linear;
@@ -210,7 +210,7 @@ fn play(
         progress.set_message(crate::summary::clock_time(clock.seconds(ticks)));
     };
     let same = if recording.is_of_board() {
-        let arrival = field::play(recording, &mut simulator, |text| said.push_str(text), pass);
+        let arrival = board_replay::play(recording, &mut simulator, |text| said.push_str(text), pass);
         notes.extend(arrival.notes);
         arrival.parted.map_or(Ok(()), Err)
     } else {

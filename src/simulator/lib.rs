@@ -16,13 +16,13 @@
 #![forbid(unsafe_code)]
 
 pub mod advice;
+#[cfg(feature = "program")]
+pub mod board_replay;
 pub mod check;
 pub mod clock;
 #[cfg(feature = "program")]
 pub mod command_line;
 pub mod explain;
-#[cfg(feature = "program")]
-pub mod field;
 #[cfg(feature = "program")]
 pub mod files;
 pub mod fittings;

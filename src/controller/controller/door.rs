@@ -127,24 +127,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 } else {
                     self.settings.seconds(Key::DoorCoolantDelay)
                 };
-                let until = self.now + delay;
-                self.mode = Mode::Door(Door::CoolantRestoring(until));
-                // Nothing to wait for: the same call does what follows, and leaves no wake-up that is now.
-                if until <= self.now {
-                    self.settle_door(Door::CoolantRestoring(until));
-                }
-            }
-            Door::CoolantRestoring(until) if self.now >= until => {
-                if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
-                    // The job's block is entered with the slack where it was.
-                    self.door.end_with_lead(self.motion.lead());
-                    self.mode = Mode::Door(Door::Plunging);
+                // A phase of no length would leave a wake-up that is now.
+                if delay == Duration::millis(0) {
+                    self.plunge();
                 } else {
-                    self.leave_door();
+                    self.mode = Mode::Door(Door::CoolantRestoring(self.now + delay));
                 }
             }
+            Door::CoolantRestoring(until) if self.now >= until => self.plunge(),
             Door::Plunging if self.door.motion().is_idle() => self.leave_door(),
             _ => {}
+        }
+    }
+
+    /// Slowly back into the cut, if the tool was parked.
+    #[inline(never)]
+    fn plunge(&mut self) {
+        if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
+            // The job's block is entered with the slack where it was.
+            self.door.end_with_lead(self.motion.lead());
+            self.mode = Mode::Door(Door::Plunging);
+        } else {
+            self.leave_door();
         }
     }
 

@@ -240,7 +240,7 @@ proptest! {
         let recording = Recording::parse(&log).unwrap();
         prop_assert!(recording.is_of_board() && recording.is_whole());
         let mut again = recording.power_up().unwrap();
-        let arrival = oxmill_simulator::field::play(&recording, &mut again, |_| {}, |_| {});
+        let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
             // Nothing to begin from, as a setting was changed while a switch was active.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
@@ -273,10 +273,10 @@ fn two_moves() -> String {
 }
 
 /// What comes of playing a listing, if it can be read.
-fn arrival(log: &str) -> Option<oxmill_simulator::field::Arrival> {
+fn arrival(log: &str) -> Option<oxmill_simulator::board_replay::Arrival> {
     let recording = Recording::parse(log).ok()?;
     let mut again = recording.power_up().ok()?;
-    Some(oxmill_simulator::field::play(&recording, &mut again, |_| {}, |_| {}))
+    Some(oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {}))
 }
 
 #[test]
