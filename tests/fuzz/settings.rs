@@ -183,7 +183,8 @@ impl Machine {
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
         // Whatever it has begun has its end, or is ended.
-        if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || line.contains("$C") {
+        if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || said.contains("[MSG:Enabled]")
+        {
             self.reset();
         }
         if self.is_busy {

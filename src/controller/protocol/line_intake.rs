@@ -264,6 +264,8 @@ impl LineIntake {
         self.drop_rest = false;
         self.jog_bytes = 0;
         self.clear();
+        // An LF that follows ends a line of its own, whatever came before the reset.
+        self.line.separate();
     }
 
     /// When the host is heard.

@@ -1,7 +1,7 @@
 //! What waits to be sent to the host: the queue of answers, a status report that was asked for, and news that are told
 //! once.
 
-use super::report::{RareFields, is_of_one_host};
+use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;
 use crate::messages::{Chunk, Restart};
 
@@ -9,6 +9,8 @@ use crate::messages::{Chunk, Restart};
 const BYTES: usize = 1024;
 /// Free bytes that a listing, a status report or a line asks for before it begins.
 const RESERVE: usize = 2 * PIECE;
+/// Bytes that only the answer to the line in work may fill. The longest is that to a checked line.
+const ANSWER: usize = 64;
 
 /// Answers and reports to come.
 // Small things first: one instruction reaches 4 KiB from the base of the controller.
@@ -71,13 +73,16 @@ impl Replies {
     }
 
     /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a
-    /// message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole.
+    /// message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole, but never the answer to the
+    /// line in work.
     ///
     /// `hosts_cut`: of the hosts that have gone those whose last line has been read. The next host would take the answer
     /// to a line of one that has gone for one of its own, so it is left out.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
         let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_of_one_host(text);
-        if unheard || self.queue.capacity() - self.queue.len() < text.len() {
+        let free = self.queue.capacity() - self.queue.len();
+        let has_room = free >= text.len() + ANSWER || free >= text.len() && is_answer(text);
+        if unheard || !has_room {
             return;
         }
         self.echoed = text.last() == Some(&b':');
@@ -180,6 +185,12 @@ mod tests {
         replies.push(b"ALARM:1\r\n", 0);
         assert_eq!(sent(&mut replies), "x".repeat(900) + "ALARM:1\r\n");
         assert!(replies.has_room() && replies.is_idle());
+        // The answer to the line that a reset ends, behind the welcome lines of a flood of resets.
+        for _ in 0..100 {
+            replies.push(b"\r\nGrbl 1.1h ['$' for help]\r\n", 0);
+        }
+        replies.push(b"ok\r\n", 0);
+        assert!(sent(&mut replies).ends_with("help]\r\nok\r\n"));
     }
 
     #[test]
@@ -213,7 +224,7 @@ mod tests {
     fn a_status_report_waits_for_room() {
         let mut replies = Replies::new();
         assert!(!replies.take_status());
-        replies.push(&[b'x'; BYTES], 0);
+        replies.push(&[b'x'; RESERVE], 0);
         replies.ask_status();
         assert!(!replies.take_status() && !replies.is_idle());
         sent(&mut replies);
