@@ -481,6 +481,10 @@ impl Pump<AXES, BLOCKS> for Board {
                 if sensed.signals.reset || sensed.signals.emergency_stop || sensed.tripped != 0 {
                     // What has been received by now is dropped.
                     self.forget_lines();
+                    if self.commands.iter().any(|command| command.opens_epoch()) {
+                        // So is a byte that has been given and waits for its command.
+                        self.book.least = self.book.come;
+                    }
                 }
                 Some(Event::Signals(sensed))
             }
