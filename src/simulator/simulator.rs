@@ -309,22 +309,26 @@ impl Simulator {
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
         let began = self.clock.now();
-        loop {
+        // Where only the limit is reached nothing looks, or how time is cut would shift the wake-ups that follow.
+        let is_event = loop {
             match self.step.due() {
                 Some(due) if due <= until => {
                     self.clock.advance_to(due);
                     if self.step.tick(&self.clock, &mut self.world, &mut self.inputs) {
-                        break;
+                        break true;
                     }
                 }
                 // The timer runs on and so does the wait for the wake-up.
                 _ => {
                     self.clock.advance_to(until);
-                    break;
+                    break wake == Some(until) || sample == Some(until);
                 }
             }
-        }
+        };
         self.count_wait(began);
+        if !is_event {
+            return true;
+        }
         if self.inputs.sample_due().is_some_and(|due| due <= self.clock.now()) {
             self.sample_contacts();
         }

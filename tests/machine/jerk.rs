@@ -259,6 +259,31 @@ fn corners_behind_coarse_steps_are_minded() {
     }
 }
 
+/// A hold ends with the ramp that it has begun with: a start right behind it, at any moment, keeps the limit, too.
+#[test]
+fn a_start_right_behind_a_hold_keeps_the_limit() {
+    for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {
+        let job = Job::line(10.0, 4, feed);
+        // About as long as the hold takes, and less and more.
+        let brakes = 2.0 * (feed / jerk).sqrt();
+        for part in 0..60 {
+            let mut rig = Rig::with(&settings(&MACHINE, [jerk; 3]));
+            rig.send(job.text.as_bytes());
+            rig.run_for(0.4);
+            rig.send(b"!");
+            rig.run_for(brakes * (0.7 + 0.01 * f64::from(part)));
+            for _ in 0..2 {
+                rig.send(b"~");
+                rig.run_for(1.0);
+            }
+            rig.settle();
+            assert_eq!(rig.place, MACHINE.place(mm(job.at)));
+            check_jerk(&rig.trace, HZ as f64, &job.lines, &MACHINE, [jerk; 3])
+                .unwrap_or_else(|fault| panic!("{feed} mm/s, {jerk} mm/s³, {part}: {fault}"));
+        }
+    }
+}
+
 /// The measure itself: the trapezoid has a jerk beyond these limits.
 #[test]
 fn a_trapezoid_is_seen() {
@@ -301,9 +326,19 @@ fn unequal() -> impl Strategy<Value = (Limits, [f64; AXES])> {
 
 const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x93, b'!', b'!', b'~', b'~'];
 
+/// `OXMILL_JERK`: so many random jobs, others than usual.
+fn cases() -> u32 {
+    std::env::var("OXMILL_JERK").map_or(120, |cases| cases.parse().expect("a number"))
+}
+
+/// The usual jobs are always the same.
+fn seed() -> u64 {
+    if cases() == 120 { 1 } else { u64::from(cases()) }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 120, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+        cases: cases(), max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(seed()), ..ProptestConfig::default()
     })]
 
     #[test]

@@ -37,9 +37,10 @@ pub(super) fn next_cut<const N: usize>(
     let millimetre = 1.0 / run.scale;
     let state = PathState { speed: motion.pace.speed * millimetre, acceleration: motion.acceleration };
     let nominal = if braking { 0.0 } else { square_root(run.nominal2) * millimetre };
-    // Changes of speed within a step: the motor sees nothing of how they go.
+    // Changes of speed within a step: the motor sees nothing of how they go. But a hold that has braked for longer ends
+    // as it has begun.
     let fastest = greater(nominal, state.speed);
-    if ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
+    if state.acceleration >= 0.0 && ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
         let (curve, left) = run.trapezoid(motion.pace, braking, planner)?;
         return Some(segment::cut(&curve, run.done, left, motion.pace));
     }
