@@ -303,6 +303,7 @@ impl LineIntake {
     /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
+        self.line.separate();
         self.line.expect_plain(false);
     }
 
@@ -393,6 +394,10 @@ mod tests {
         intake.drop_received(6);
         intake.observe(0, 0);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
+        // An LF behind it ends a line of its own, whatever came before.
+        assert_eq!(give(&mut intake, b"G4\r", 2), ["G4"]);
+        intake.drop_received(1);
+        assert_eq!(give(&mut intake, b"\n\n", 2), [""]);
     }
 
     /// Leaves the line in place, as the controller does while a jog waits.
