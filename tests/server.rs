@@ -143,6 +143,25 @@ fn held(program: &Child) -> [usize; 2] {
     [count("task"), count("fd")]
 }
 
+/// A client whose cable has been pulled is not seen by who waits for its bytes: the kernel asks for signs of life.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
+    let server = Server::new(&[]);
+    let client = server.served();
+    let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
+    let (here, there) = (client.stream.peer_addr().expect("a socket"), client.stream.local_addr().expect("a socket"));
+    let sockets = std::fs::read_to_string("/proc/net/tcp").expect("Linux");
+    // sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..; timer 2 is the one that keeps a connection alive.
+    let timers: Vec<&str> = sockets
+        .lines()
+        .map(|line| line.split_whitespace().collect::<Vec<_>>())
+        .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
+        .map(|words| words[5].split(':').next().unwrap_or_default())
+        .collect();
+    assert_eq!(timers, ["02"], "{sockets}");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn thousands_of_connections_leave_nothing_behind() {

@@ -15,6 +15,7 @@ use crate::recording::{Input, Recorder};
 use crate::simulator::Simulator;
 use crate::web_link::{self, Site};
 use anyhow::{Context, Result, anyhow};
+use socket2::{SockRef, TcpKeepalive};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -67,6 +68,19 @@ pub(crate) enum Happened {
 pub(crate) struct Incoming {
     pub(crate) link: Connection,
     pub(crate) place: Taken,
+}
+
+/// How long a client of another computer may be silent until its system is asked for a sign of life, and the time between
+/// such questions: one whose cable has been pulled leaves the machine to others after a minute or two.
+const SILENCE: Duration = Duration::from_secs(20);
+const QUESTIONS: Duration = Duration::from_secs(5);
+
+fn set_up(stream: &TcpStream) -> io::Result<()> {
+    // Answers are short and each is waited for.
+    stream.set_nodelay(true)?;
+    // A client that does not read holds its writer for so long at a time.
+    stream.set_write_timeout(Some(LOOK))?;
+    SockRef::from(stream).set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
 }
 
 /// How a client is connected.
@@ -451,8 +465,7 @@ impl Device {
 
     fn admit(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
         let stream = incoming.stream();
-        // Answers are short and each is waited for. A client that does not read holds its writer for so long at a time.
-        let set_up = stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(LOOK)));
+        let set_up = set_up(stream);
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
         let inbox = Arc::new(Inbox::default());
         let Incoming { link, place } = incoming;
