@@ -131,7 +131,7 @@ fn is_plain(text: &str) -> bool {
 
 /// The answers to a line.
 fn answers(said: &str) -> Vec<&str> {
-    said.lines().filter(|said| *said == "ok" || said.starts_with("error:")).collect()
+    said.lines().filter(|said| *said == "ok" || said.starts_with("error:") || said.starts_with(':')).collect()
 }
 
 impl Machine {
@@ -182,9 +182,9 @@ impl Machine {
         // A dwell or a move that takes long is cut off, and not answered.
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
-        // Whatever it has begun has its end, or is ended.
-        if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || said.contains("[MSG:Enabled]")
-        {
+        // Whatever it has begun has its end, or is ended: lines that are checked (`$LC=ON`), too.
+        let begins = said.contains("[MSG:Enabled]") || said.starts_with(':');
+        if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || begins {
             self.reset();
         }
         if self.is_busy {
@@ -212,6 +212,8 @@ impl Machine {
             self.go_on();
         }
         self.is_busy = !self.board.controller.is_idle();
+        // The end of a line that was begun: behind it lines are not checked any more.
+        self.board.ask("");
         self.board.ask("$X");
     }
 
