@@ -19,6 +19,12 @@ pub enum Line {
     ProgramEnd,
     Spindle(bool),
     Flood(bool),
+    /// Selects a tool.
+    Select(u8),
+    /// Puts the selected tool into the spindle.
+    Change,
+    /// Selects a tool and puts it into the spindle. `true`: and turns the spindle on.
+    Tool(u8, bool),
     /// A jog by so many mm of an axis.
     Jog(usize, i8),
     /// A jog to a place that soft limits forbid; a long one without them.
@@ -65,6 +71,10 @@ impl Line {
             Line::TooLong => format!("G1{}", "X1".repeat(42)),
             Line::Dwell => format!("G4 P{DWELL}"),
             Line::Spindle(true) => format!("M3 S{SPINDLE}"),
+            Line::Select(tool) => format!("T{tool}"),
+            Line::Tool(tool, false) => format!("T{tool} M6"),
+            Line::Tool(tool, true) => format!("T{tool} M6 M3 S{SPINDLE}"),
+            Line::Change => "M6".into(),
             Line::Empty => String::new(),
             Line::Pause => "M0".into(),
             Line::ProgramEnd => "M2".into(),
@@ -139,6 +149,7 @@ pub const HOLD: u8 = b'!';
 pub const START: u8 = b'~';
 pub const DOOR: u8 = 0x84;
 pub const JOG_CANCEL: u8 = 0x85;
+pub const SINGLE_BLOCK: u8 = 0x89;
 pub const FEED_100: u8 = 0x90;
 pub const FEED_UP: u8 = 0x91;
 pub const FEED_DOWN: u8 = 0x92;
@@ -180,6 +191,8 @@ pub struct Setup {
     pub homing: bool,
     /// `$20`, which needs `homing`; machine coordinates are believed from power-up then (`$902=0`).
     pub soft_limits: bool,
+    /// `$918=1`.
+    pub tool_changes: bool,
 }
 
 impl Setup {
@@ -193,8 +206,13 @@ impl Setup {
         }
         lines.extend(["$24=600", "$25=2000", "$26=50"].map(str::to_string));
         lines.push("$902=0".into());
-        let switches =
-            [(self.homing, "$22=1"), (self.soft_limits, "$20=1"), (self.hard_limits, "$21=1"), (self.grbl, "$900=0")];
+        let switches = [
+            (self.homing, "$22=1"),
+            (self.soft_limits, "$20=1"),
+            (self.hard_limits, "$21=1"),
+            (self.tool_changes, "$918=1"),
+            (self.grbl, "$900=0"),
+        ];
         lines.extend(switches.iter().filter(|(on, _)| *on).map(|(_, line)| (*line).to_string()));
         lines
     }
@@ -223,6 +241,8 @@ fn line() -> impl Strategy<Value = Line> {
         1 => Just(Line::ProgramEnd),
         2 => any::<bool>().prop_map(Line::Spindle),
         2 => any::<bool>().prop_map(Line::Flood),
+        2 => (1..3_u8, any::<bool>()).prop_map(|(tool, spindle)| Line::Tool(tool, spindle)),
+        1 => prop_oneof![Just(Line::Change), (0..3_u8).prop_map(Line::Select)],
         4 => Just(Line::Unlock),
         3 => Just(Line::Home),
         2 => Just(Line::Check),
@@ -255,6 +275,8 @@ fn one() -> impl Strategy<Value = Action> {
         JOG_CANCEL,
         JOG_CANCEL,
         STOP,
+        SINGLE_BLOCK,
+        SINGLE_BLOCK,
     ];
     let pins = PINS.map(|(pin, ..)| pin).to_vec();
     prop_oneof![
@@ -344,11 +366,12 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
 
 /// A conversation: how the machine is set up, and what is done with it.
 pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
-    let setup = any::<[bool; 4]>().prop_map(|[grbl, hard_limits, homing, soft_limits]| Setup {
+    let setup = any::<[bool; 5]>().prop_map(|[grbl, hard_limits, homing, soft_limits, tool_changes]| Setup {
         grbl,
         hard_limits,
         homing,
         soft_limits: soft_limits && homing,
+        tool_changes,
     });
     let actions = prop::collection::vec(some(), 1..30).prop_map(|parts| parts.concat());
     (setup, actions)

@@ -76,4 +76,6 @@ fn a_difference_is_found_and_shrunk() {
     );
     let without_homing = found(|setup| Setup { homing: false, ..setup });
     assert!(without_homing.contains("error:5"), "{without_homing}");
+    let without_tool_changes = found(|setup| Setup { tool_changes: false, ..setup });
+    assert!(without_tool_changes.contains("[MSG:Tool change T"), "{without_tool_changes}");
 }

@@ -25,9 +25,28 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
+            // Oxmill: at any time, and to Grbl's dialect it is nothing.
+            action::SINGLE_BLOCK if !self.setup.grbl => self.toggle_single_block(also),
             action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
             // Oxmill: also in an alarm that only a reset ends.
             _ => self.override_speed(byte),
+        }
+    }
+
+    /// A line that has not ended when it is switched off is answered as if it had never been on.
+    pub(super) fn toggle_single_block(&mut self, also: &mut Vec<Model>) {
+        self.single_block = !self.single_block;
+        self.say(if self.single_block { "[MSG:Single block on]" } else { "[MSG:Single block off]" });
+        if self.mode == Mode::Free {
+            self.end_single_block();
+            self.read(also);
+        }
+    }
+
+    pub(super) fn end_single_block(&mut self) {
+        if !self.single_block && self.work == Some(Work::SingleBlock) {
+            self.work = None;
+            self.say("ok");
         }
     }
 

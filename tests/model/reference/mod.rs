@@ -73,6 +73,10 @@ enum Work {
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
+    /// Oxmill: the motion of the line, behind which single block pauses.
+    SingleBlock,
+    /// Oxmill: M6 asks for this tool, until the next cycle start. `spindle`: its line turns the spindle on then.
+    Tool { tool: u8, spindle: bool },
     /// A jog behind one that 0x85 has ended.
     LaterJog(Line),
     /// A target that is forbidden: locks where the machine has come to rest, and a hold or a door is over.
@@ -131,6 +135,11 @@ pub struct Model {
     /// The operator has stopped the spindle in a hold.
     spindle_stopped: bool,
     flood: bool,
+    /// Oxmill: 0x89, a pause behind each line that moves.
+    single_block: bool,
+    /// The tools of T and M6.
+    selected: u8,
+    tool: u8,
     /// Door, sleep and alarms switch both off.
     outputs_off: bool,
     /// Feed, rapid, spindle; percent.
@@ -165,6 +174,9 @@ impl Model {
             spindle: false,
             spindle_stopped: false,
             flood: false,
+            single_block: false,
+            selected: 0,
+            tool: 0,
             outputs_off: false,
             overrides: [100; 3],
             said: Vec::new(),
@@ -358,6 +370,15 @@ impl Model {
         }
     }
 
+    /// A line that waits for that is carried out.
+    fn motion_has_ended(&mut self) {
+        match self.work.take() {
+            Some(Work::Drain(line)) => self.carry_out(line),
+            Some(Work::SingleBlock) => self.carry_out(Line::Pause),
+            _ => {}
+        }
+    }
+
     /// What [`Model::timer`] tells has ended.
     fn happen(&mut self, also: &mut Vec<Model>) {
         if self.braking.take().is_some() {
@@ -371,9 +392,7 @@ impl Model {
             if self.mode == Mode::Jog {
                 self.mode = Mode::Free;
             }
-            if let Some(Work::Drain(line)) = self.work.take() {
-                self.carry_out(line);
-            }
+            self.motion_has_ended();
             self.read(also);
         } else if let Some(Work::Dwell { .. }) = self.work.take() {
             self.say("ok");

@@ -73,10 +73,11 @@ impl Model {
             let mut ended = self.clone();
             ended.place = ended.target();
             ended.motion = None;
-            if let Some(Work::Drain(line)) = ended.work.take_if(|work| matches!(work, Work::Drain(_))) {
+            if matches!(ended.work, Some(Work::Drain(_) | Work::SingleBlock)) {
                 ended.mode = Mode::Free;
                 ended.outputs_off = false;
-                ended.carry_out(line);
+                ended.end_single_block();
+                ended.motion_has_ended();
                 ended.read(also);
             } else {
                 ended.go_on(also);
@@ -90,6 +91,7 @@ impl Model {
             motion.stepped = false;
             motion.time = now.plus(motion.time);
         }
+        self.end_single_block();
         match &mut self.work {
             Some(Work::Forbidden) => return self.lock_for(2),
             Some(Work::Dwell { time, held }) => {
@@ -97,6 +99,13 @@ impl Model {
                 *time = now.plus(*time);
             }
             Some(Work::Pause) => {
+                self.work = None;
+                self.say("ok");
+            }
+            Some(Work::Tool { tool, spindle }) => {
+                self.tool = *tool;
+                self.selected = *tool;
+                self.spindle = *spindle;
                 self.work = None;
                 self.say("ok");
             }
@@ -213,6 +222,8 @@ impl Model {
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];
+        self.single_block = false;
+        self.selected = self.tool;
         self.mode = Mode::Free;
         self.checked = None;
         self.say("");
