@@ -193,7 +193,14 @@ pub struct Setup {
     pub soft_limits: bool,
     /// `$918=1`.
     pub tool_changes: bool,
+    /// `$922` and `$923`.
+    pub watch: bool,
+    /// `$924` to `$926` and `$928`; `None`: as they are by default.
+    pub reactions: Option<u8>,
 }
+
+/// The alarm of a host that is silent or has gone, where that is one.
+pub const HOST: u8 = 3;
 
 impl Setup {
     /// The lines that make it.
@@ -213,11 +220,35 @@ impl Setup {
             (self.tool_changes, "$918=1"),
             (self.grbl, "$900=0"),
         ];
+        if self.watch {
+            lines.push(format!("$922={JOB_SILENCE}"));
+            lines.push(format!("$923={JOG_SILENCE}"));
+        }
+        if self.reactions.is_some() {
+            let numbers = [(924, 1), (925, 101), (926, 102), (928, HOST)];
+            lines.extend(numbers.map(|(number, alarm)| format!("${number}={}", self.reaction(alarm))));
+        }
         lines.extend(switches.iter().filter(|(on, _)| *on).map(|(_, line)| (*line).to_string()));
         lines
     }
 }
 
+impl Setup {
+    /// How the machine stops for the fault of this alarm.
+    pub fn reaction(self, alarm: u8) -> u8 {
+        match (self.reactions, alarm) {
+            (Some(reaction), 101) => reaction % 3,
+            (Some(reaction), _) => reaction,
+            (None, HOST) => 4,
+            (None, _) => 0,
+        }
+    }
+}
+
+/// How long a host may be silent in mid-job and during a jog, s. No sum of times that pass and of those of a dwell or a
+/// delay.
+pub const JOB_SILENCE: f64 = 1.13;
+pub const JOG_SILENCE: f64 = 0.31;
 /// Rate of all axes, mm/min.
 pub const RATE: f64 = 6000.0;
 /// Acceleration of all axes, mm/s².
@@ -366,12 +397,10 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
 
 /// A conversation: how the machine is set up, and what is done with it.
 pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
-    let setup = any::<[bool; 5]>().prop_map(|[grbl, hard_limits, homing, soft_limits, tool_changes]| Setup {
-        grbl,
-        hard_limits,
-        homing,
-        soft_limits: soft_limits && homing,
-        tool_changes,
+    let reactions = prop_oneof![3 => Just(None), 4 => (0..6_u8).prop_map(Some)];
+    let setup = (any::<[bool; 6]>(), reactions).prop_map(|(switches, reactions)| {
+        let [grbl, hard_limits, homing, soft_limits, tool_changes, watch] = switches;
+        Setup { grbl, hard_limits, homing, soft_limits: soft_limits && homing, tool_changes, watch, reactions }
     });
     let actions = prop::collection::vec(some(), 1..30).prop_map(|parts| parts.concat());
     (setup, actions)

@@ -6,7 +6,14 @@ use super::{MANY, Mode, Model, Motion, Places, SLACK, Span, Work};
 impl Model {
     /// Looks at the lines that have come, as long as nothing keeps them waiting.
     pub(super) fn read(&mut self, also: &mut Vec<Model>) {
-        while self.reads() {
+        while self.reads() && !self.waiting.is_empty() {
+            if self.next_silence().is_some_and(|span| span.from <= self.now.to) {
+                // That may be noticed first.
+                let mut silent = self.clone();
+                silent.host_is_silent(also);
+                silent.read(also);
+                also.push(silent);
+            }
             let Some(line) = self.waiting.pop_front() else { return };
             let is_jog = matches!(line, Line::Jog(..) | Line::JogOutside | Line::WrongJog(..));
             let is_before = self.cancelled > 0;

@@ -7,10 +7,12 @@
 //! open about nothing else but this:
 //! * how far a motion got that was stopped: the place is taken from the report;
 //! * whether a motion of which no step has been seen yet is one to a reset, an emergency and a hold;
+//! * whether a silence of the host or a line that waits comes first, of two in the same moment;
 //! * whether a target is within the soft limits while it is not known where a motion came to rest;
 //! * numbers within messages and listings (`*`), and how many lines a listing has ([`MANY`]).
 
 mod commands;
+mod faults;
 mod homing;
 mod lines;
 mod stops;
@@ -93,6 +95,11 @@ enum Mode {
     Free,
     Jog,
     Hold,
+    /// Oxmill: brakes for a fault, whose alarm follows at rest, and with it the name of another limit switch that closed `later`.
+    Fault {
+        alarm: u8,
+        later: bool,
+    },
     /// 0x19 brakes; then everything is forgotten. Oxmill: Grbl has no such command.
     Stop,
     Door {
@@ -116,6 +123,10 @@ pub struct Model {
     braking: Option<Span>,
     /// No host is there.
     absent: bool,
+    /// When the host was heard last, or there was nothing yet to watch it for.
+    heard: Span,
+    /// Oxmill: a door that stands for a host that has gone leaves the outputs on.
+    keeps_outputs: bool,
     /// What it has not carried out at rest behind a door will not be carried out.
     forgets: bool,
     work: Option<Work>,
@@ -161,6 +172,8 @@ impl Model {
             motion: None,
             braking: None,
             absent: false,
+            heard: Span::at(0.0),
+            keeps_outputs: false,
             forgets: false,
             work: None,
             waiting: VecDeque::new(),
@@ -197,7 +210,7 @@ impl Model {
             Mode::Jog => "Jog",
             Mode::Hold if braking => "Hold:1",
             Mode::Hold => "Hold:0",
-            Mode::Stop => "Hold:1",
+            Mode::Stop | Mode::Fault { .. } => "Hold:1",
             Mode::Door { restoring: Some(_) } => "Door:3",
             Mode::Door { .. } if braking => "Door:2",
             Mode::Door { .. } if self.on(Pin::Door) => "Door:1",
@@ -226,7 +239,7 @@ impl Model {
 
     /// Spindle and flood coolant, as a report has them.
     pub fn accessories(&self) -> String {
-        let flood = self.flood && !self.outputs_off && !self.restores_spindle();
+        let flood = self.flood && !self.outputs_off && (self.keeps_outputs || !self.restores_spindle());
         [(self.turns(), 'S'), (flood, 'F')].into_iter().filter(|(on, _)| *on).map(|(_, letter)| letter).collect()
     }
 
@@ -288,7 +301,8 @@ impl Model {
 
     /// What may come of an action.
     pub fn act(&self, action: &Action) -> Vec<Model> {
-        let mut model = Model { said: Vec::new(), may_step: self.moves(), must_step: false, ..self.clone() };
+        let mut model =
+            Model { said: Vec::new(), may_step: self.moves(), must_step: false, heard: self.now, ..self.clone() };
         let mut also = Vec::new();
         let mut end = self.now.from;
         match action {
@@ -305,7 +319,7 @@ impl Model {
             }
             Action::Absent(seconds) => {
                 end += seconds;
-                model.host_goes();
+                model.host_goes(&mut also);
             }
         }
         also.push(model);
@@ -322,26 +336,31 @@ impl Model {
     /// Whatever happens until then.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
-        match self.next_end() {
-            Some(span) if span.from <= end => {
-                if span.to > end {
-                    let mut later = self.clone();
-                    later.end_no_sooner(end);
-                    later.now = Span::at(end);
-                    all.push(later);
-                }
-                let span = Span { from: span.from.max(self.now.from), to: span.to.min(end) };
-                self.now = span;
-                let mut also = Vec::new();
-                self.happen(&mut also);
-                also.push(self);
-                for model in also {
-                    model.advance(end, all);
-                }
+        let ends = [self.next_end(), self.next_silence()];
+        let last = ends.iter().flatten().fold(end, |last, span| last.min(span.to)).max(self.now.from);
+        if ends.iter().flatten().all(|span| span.to > end) {
+            let mut later = self.clone();
+            later.end_no_sooner(end);
+            later.now = Span::at(end);
+            all.push(later);
+        }
+        for (index, span) in ends.into_iter().enumerate() {
+            let Some(span) = span.filter(|span| span.from <= last) else { continue };
+            let mut model = self.clone();
+            model.now = Span { from: span.from.max(self.now.from), to: last };
+            model.end_no_sooner(model.now.from);
+            let watched = model.watched().is_some();
+            let mut also = Vec::new();
+            match index {
+                0 => model.happen(&mut also),
+                _ => model.host_is_silent(&mut also),
             }
-            _ => {
-                self.now = Span::at(end);
-                all.push(self);
+            also.push(model);
+            for mut model in also {
+                if !watched {
+                    model.heard = model.now;
+                }
+                model.advance(end, all);
             }
         }
     }
@@ -364,9 +383,26 @@ impl Model {
         self.timer().map(|span| *span)
     }
 
+    /// Oxmill: how long the host may be silent now, s: in mid-job and during a jog.
+    fn watched(&self) -> Option<f64> {
+        let at_work = self.motion.is_some() || self.work.is_some();
+        match self.mode {
+            Mode::Free if self.setup.watch && at_work => Some(action::JOB_SILENCE),
+            Mode::Jog if self.setup.watch && self.braking.is_none() => Some(action::JOG_SILENCE),
+            _ => None,
+        }
+    }
+
+    fn next_silence(&self) -> Option<Span> {
+        self.watched().map(|longest| self.heard.plus(Span { from: longest, to: longest + 0.003 }))
+    }
+
     fn end_no_sooner(&mut self, than: f64) {
         if let Some(span) = self.timer() {
             span.from = span.from.max(than);
+        }
+        if let Some(longest) = self.watched() {
+            self.heard.from = self.heard.from.max(than - longest - 0.003);
         }
     }
 

@@ -34,6 +34,9 @@ impl Model {
 
     /// A motion that was stopped has come to rest.
     pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
+        if let Mode::Fault { alarm, later } = self.mode {
+            return self.rest_for(alarm, later);
+        }
         if self.work == Some(Work::Forbidden) {
             self.forget_motion();
             if self.mode == Mode::Free {
@@ -58,8 +61,8 @@ impl Model {
                 if self.forgets {
                     self.forget_motion();
                 }
-                self.outputs_off = true;
-                self.spindle_stopped = false;
+                self.outputs_off = !self.keeps_outputs;
+                self.spindle_stopped &= self.keeps_outputs;
             }
             _ => {}
         }
@@ -117,16 +120,16 @@ impl Model {
             _ => {}
         }
         if self.absent && self.motion.is_some() {
-            self.hold();
+            self.host_fails(also);
         }
         self.read(also);
     }
 
     /// Oxmill: a job is held whose host has gone, or goes while a door resumes it; a jog ends.
-    pub(super) fn host_goes(&mut self) {
+    pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
-        if self.motion.is_some() {
-            self.hold();
+        if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
+            self.host_fails(also);
         }
     }
 
@@ -291,10 +294,13 @@ impl Model {
                 }
             }
             Mode::Door { .. } => {}
+            // Oxmill: no spindle that a fault has left on turns at an open door.
+            Mode::Fault { .. } | Mode::Critical => return self.switch_off(),
             Mode::Home(_) => return self.fail_homing(7, also),
-            Mode::Alarm | Mode::Critical | Mode::Check | Mode::Sleep => return,
+            Mode::Alarm | Mode::Check | Mode::Sleep => return,
         }
         self.mode = Mode::Door { restoring: None };
+        self.keeps_outputs = false;
         self.outputs_off |= self.braking.is_none();
         self.spindle_stopped &= self.braking.is_some();
         self.say("[MSG:Check Door]");
@@ -307,6 +313,7 @@ impl Model {
                 self.go_on(also);
             }
             Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
+                // Oxmill: also where a fault has left them on.
                 let seconds =
                     RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
                 self.outputs_off = false;
