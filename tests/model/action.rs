@@ -382,6 +382,59 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
+/// A fault of an input in a job, of which the spindle may have been stopped, and what comes while the machine brakes.
+fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
+    let before = prop::sample::select(vec![
+        vec![],
+        vec![DOOR],
+        vec![HOLD],
+        vec![HOLD, SPINDLE_STOP],
+        vec![HOLD, SPINDLE_STOP, START],
+        vec![STOP],
+    ]);
+    let pin = || prop::sample::select(PINS.map(|(pin, ..)| pin).to_vec()).prop_map(|pin| Action::Pin(pin, true));
+    let stop = || prop::sample::select(vec![Pin::Limit(0), Pin::Limit(1), Pin::EmergencyStop, Pin::DriverFault]);
+    let meanwhile = prop_oneof![
+        3 => pin(),
+        2 => prop::sample::select(vec![HOLD, START, DOOR, STOP, RESET, JOG_CANCEL]).prop_map(Action::Byte),
+        1 => Just(Action::Absent(PASSES[1])),
+        1 => Just(Action::Pass(PASSES[3])),
+    ];
+    let moves = prop::sample::select(vec![Line::Move(2, -15, true), Line::Move(0, -15, false), Line::Jog(1, -3)]);
+    (moves, before, stop(), meanwhile, any::<[bool; 2]>()).prop_map(
+        |(line, before, stop, meanwhile, [rests, later])| {
+            let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Line(line), Action::Pass(PASSES[2])];
+            for byte in before {
+                actions.push(Action::Byte(byte));
+                actions.extend(rests.then_some(Action::Pass(PASSES[2])));
+            }
+            actions.push(Action::Pin(stop, true));
+            actions.extend(later.then_some(Action::Pass(PASSES[0])));
+            actions.extend([meanwhile, Action::Pass(PASSES[3])]);
+            actions
+        },
+    )
+}
+
+/// Tools that are selected, put in, or not, and what is said of them.
+fn tools() -> impl Strategy<Value = Vec<Action>> {
+    let tool = || {
+        prop_oneof![
+            (0..3_u8).prop_map(Line::Select),
+            (1..3_u8, any::<bool>()).prop_map(|(tool, spindle)| Line::Tool(tool, spindle)),
+            Just(Line::Change),
+        ]
+    };
+    let ends = prop_oneof![
+        3 => prop::sample::select(vec![START, START, RESET, STOP, DOOR]).prop_map(Action::Byte),
+        1 => any::<bool>().prop_map(|on| Action::Line(Line::Spindle(on))),
+    ];
+    (tool(), ends, tool()).prop_map(|(first, end, second)| {
+        let told = Action::Line(Line::ParserState);
+        vec![Action::Line(first), end, told.clone(), Action::Line(second), Action::Byte(START), told]
+    })
+}
+
 fn some() -> impl Strategy<Value = Vec<Action>> {
     prop_oneof![
         40 => one().prop_map(|action| vec![action]),
@@ -390,6 +443,8 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         // Jogs that meet what ends jogs, and lines that wait.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
+        1 => job_with_a_fault().prop_flat_map(sequence),
+        1 => tools().prop_flat_map(sequence),
         // Part of a homing cycle.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]

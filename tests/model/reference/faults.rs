@@ -1,6 +1,6 @@
 //! Faults, of inputs and of the host: Oxmill stops for each as its setting says.
 
-use super::super::action::HOST;
+use super::super::action::{HOST, Pin};
 use super::{Mode, Model, Work};
 
 /// The input of an alarm, as its message names it.
@@ -77,8 +77,9 @@ impl Model {
     }
 
     fn lock_until_reset(&mut self, alarm: u8) {
-        // What a door or the operator has stopped stays off.
-        let stopped = self.spindle_stopped || self.outputs_off || matches!(self.mode, Mode::Door { .. });
+        // What a door or the operator has stopped stays off; and at an open door nothing stays on.
+        let at_door = self.on(Pin::Door) || matches!(self.mode, Mode::Door { .. });
+        let stopped = self.spindle_stopped || self.outputs_off || at_door;
         if self.setup.reaction(alarm) < 3 || stopped {
             self.switch_off();
         }
