@@ -141,6 +141,8 @@ pub enum Action {
     Pass(f64),
     /// The host goes, and another comes after this time, s.
     Absent(f64),
+    /// The spindle falls below its speed for this time, s.
+    SlowSpindle(f64),
 }
 
 pub const RESET: u8 = 0x18;
@@ -176,6 +178,7 @@ impl Action {
             Action::Pin(pin, on) => format!("pin {} {}", PINS[pin.index()].2, u8::from(*on)),
             Action::Pass(seconds) => format!(".. {seconds}"),
             Action::Absent(seconds) => format!("host goes\n.. {seconds}\nhost comes"),
+            Action::SlowSpindle(seconds) => format!("pin at_speed 0\n.. {seconds}\npin at_speed 1"),
         }
     }
 }
@@ -195,12 +198,16 @@ pub struct Setup {
     pub tool_changes: bool,
     /// `$922` and `$923`.
     pub watch: bool,
-    /// `$924` to `$926` and `$928`; `None`: as they are by default.
+    /// `$915`: the spindle tells that it is up to speed.
+    pub at_speed: bool,
+    /// `$924` to `$928`; `None`: as they are by default.
     pub reactions: Option<u8>,
 }
 
 /// The alarm of a host that is silent or has gone, where that is one.
 pub const HOST: u8 = 3;
+/// The alarm of a spindle that has lost its speed.
+pub const SLOW: u8 = 14;
 
 impl Setup {
     /// The lines that make it.
@@ -224,8 +231,13 @@ impl Setup {
             lines.push(format!("$922={JOB_SILENCE}"));
             lines.push(format!("$923={JOG_SILENCE}"));
         }
+        if self.at_speed {
+            lines.push(format!("$916={SPIN_UP}"));
+            lines.push(format!("$929={SLOW_FOR}"));
+            lines.push("$915=1".into());
+        }
         if self.reactions.is_some() {
-            let numbers = [(924, 1), (925, 101), (926, 102), (928, HOST)];
+            let numbers = [(924, 1), (925, 101), (926, 102), (927, SLOW), (928, HOST)];
             lines.extend(numbers.map(|(number, alarm)| format!("${number}={}", self.reaction(alarm))));
         }
         lines.extend(switches.iter().filter(|(on, _)| *on).map(|(_, line)| (*line).to_string()));
@@ -240,6 +252,7 @@ impl Setup {
             (Some(reaction), 101) => reaction % 3,
             (Some(reaction), _) => reaction,
             (None, HOST) => 4,
+            (None, SLOW) => 1,
             (None, _) => 0,
         }
     }
@@ -249,6 +262,10 @@ impl Setup {
 /// delay.
 pub const JOB_SILENCE: f64 = 1.13;
 pub const JOG_SILENCE: f64 = 0.31;
+/// How long a spindle may be below its speed, s.
+pub const SLOW_FOR: f64 = 0.17;
+/// The time that it has after another speed, s.
+pub const SPIN_UP: f64 = 0.27;
 /// Rate of all axes, mm/min.
 pub const RATE: f64 = 6000.0;
 /// Acceleration of all axes, mm/s².
@@ -318,6 +335,7 @@ fn one() -> impl Strategy<Value = Action> {
         2 => any::<bool>().prop_map(|on| Action::Pin(Pin::Door, on)),
         8 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Pass),
         2 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Absent),
+        1 => prop::sample::select(PASSES.to_vec()).prop_map(Action::SlowSpindle),
     ]
 }
 
@@ -393,27 +411,48 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
         vec![STOP],
     ]);
     let pin = || prop::sample::select(PINS.map(|(pin, ..)| pin).to_vec()).prop_map(|pin| Action::Pin(pin, true));
-    let stop = || prop::sample::select(vec![Pin::Limit(0), Pin::Limit(1), Pin::EmergencyStop, Pin::DriverFault]);
+    let inputs = vec![Pin::Limit(0), Pin::Limit(1), Pin::EmergencyStop, Pin::DriverFault];
+    let stop = prop_oneof![
+        4 => prop::sample::select(inputs).prop_map(|pin| Action::Pin(pin, true)),
+        1 => prop::sample::select(vec![0.1601, 0.1799]).prop_map(Action::SlowSpindle),
+    ];
     let meanwhile = prop_oneof![
         3 => pin(),
         2 => prop::sample::select(vec![HOLD, START, DOOR, STOP, RESET, JOG_CANCEL]).prop_map(Action::Byte),
         1 => Just(Action::Absent(PASSES[1])),
+        1 => prop::sample::select(PASSES[1..4].to_vec()).prop_map(Action::SlowSpindle),
         1 => Just(Action::Pass(PASSES[3])),
     ];
     let moves = prop::sample::select(vec![Line::Move(2, -15, true), Line::Move(0, -15, false), Line::Jog(1, -3)]);
-    (moves, before, stop(), meanwhile, any::<[bool; 2]>()).prop_map(
-        |(line, before, stop, meanwhile, [rests, later])| {
-            let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Line(line), Action::Pass(PASSES[2])];
-            for byte in before {
-                actions.push(Action::Byte(byte));
-                actions.extend(rests.then_some(Action::Pass(PASSES[2])));
-            }
-            actions.push(Action::Pin(stop, true));
-            actions.extend(later.then_some(Action::Pass(PASSES[0])));
-            actions.extend([meanwhile, Action::Pass(PASSES[3])]);
-            actions
-        },
-    )
+    (moves, before, stop, meanwhile, any::<[bool; 2]>()).prop_map(|(line, before, stop, meanwhile, [rests, later])| {
+        let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Line(line), Action::Pass(PASSES[2])];
+        for byte in before {
+            actions.push(Action::Byte(byte));
+            actions.extend(rests.then_some(Action::Pass(PASSES[2])));
+        }
+        actions.push(stop);
+        actions.extend(later.then_some(Action::Pass(PASSES[0])));
+        actions.extend([meanwhile, Action::Pass(PASSES[3])]);
+        actions
+    })
+}
+
+/// A job whose spindle loses its speed once and again, and what may give it time to come up.
+fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
+    let slow =
+        || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
+    let between = || {
+        prop_oneof![
+            2 => prop::sample::select(vec![SPINDLE_UP, SPINDLE_DOWN, FEED_UP, HOLD]).prop_map(Action::Byte),
+            1 => prop::sample::select(PASSES[..4].to_vec()).prop_map(Action::Pass),
+        ]
+    };
+    (between(), slow(), between(), slow()).prop_map(|(before, first, between, second)| {
+        let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Pass(PASSES[3])];
+        actions.extend([Action::Line(Line::Move(2, -15, true)), before, first, between, second]);
+        actions.push(Action::Pass(PASSES[2]));
+        actions
+    })
 }
 
 /// Tools that are selected, put in, or not, and what is said of them.
@@ -445,6 +484,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         1 => resumed_job().prop_flat_map(sequence),
         1 => job_with_a_fault().prop_flat_map(sequence),
         1 => tools().prop_flat_map(sequence),
+        1 => job_with_a_slow_spindle().prop_flat_map(sequence),
         // Part of a homing cycle.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]
@@ -453,9 +493,18 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
 /// A conversation: how the machine is set up, and what is done with it.
 pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
     let reactions = prop_oneof![3 => Just(None), 4 => (0..6_u8).prop_map(Some)];
-    let setup = (any::<[bool; 6]>(), reactions).prop_map(|(switches, reactions)| {
-        let [grbl, hard_limits, homing, soft_limits, tool_changes, watch] = switches;
-        Setup { grbl, hard_limits, homing, soft_limits: soft_limits && homing, tool_changes, watch, reactions }
+    let setup = (any::<[bool; 7]>(), reactions).prop_map(|(switches, reactions)| {
+        let [grbl, hard_limits, homing, soft_limits, tool_changes, watch, at_speed] = switches;
+        Setup {
+            grbl,
+            hard_limits,
+            homing,
+            soft_limits: soft_limits && homing,
+            tool_changes,
+            watch,
+            at_speed,
+            reactions,
+        }
     });
     let actions = prop::collection::vec(some(), 1..30).prop_map(|parts| parts.concat());
     (setup, actions)

@@ -80,6 +80,8 @@ fn a_difference_is_found_and_shrunk() {
     assert!(without_tool_changes.contains("[MSG:Tool change T"), "{without_tool_changes}");
     let without_watch = found(|setup| Setup { watch: false, ..setup });
     assert!(without_watch.contains("[MSG:The host is silent]"), "{without_watch}");
+    let without_speed = found(|setup| Setup { at_speed: false, ..setup });
+    assert!(without_speed.contains("[MSG:The spindle has lost its speed]"), "{without_speed}");
     let without_reactions = found(|setup| Setup { reactions: None, ..setup });
     let faults = ["pin limit", "pin estop", "pin fault", "host goes", "The host is silent"];
     assert!(faults.iter().any(|fault| without_reactions.contains(fault)), "{without_reactions}");

@@ -45,6 +45,8 @@ impl Talk {
         let mut talk = Talk { mill, text: String::new() };
         let greeting = talk.mill.take_output();
         talk.note_answers(&greeting);
+        assert_eq!(talk.mill.pin_line("at_speed 1"), "ok");
+        talk.text.push_str("pin at_speed 1\n");
         for line in setup.settings() {
             writeln!(talk.text, "-> {line}").expect("text");
             talk.mill.send(format!("{line}\n"));
@@ -76,6 +78,11 @@ impl Talk {
                 self.mill.run_for(Duration::from_secs_f64(*seconds));
                 self.mill.take_output();
                 self.mill.connect();
+            }
+            Action::SlowSpindle(seconds) => {
+                assert_eq!(self.mill.pin_line("at_speed 0"), "ok");
+                self.mill.run_for(Duration::from_secs_f64(*seconds));
+                assert_eq!(self.mill.pin_line("at_speed 1"), "ok");
             }
         }
         let said = self.mill.take_output();

@@ -1,6 +1,6 @@
-//! Faults, of inputs and of the host: Oxmill stops for each as its setting says.
+//! Faults, of inputs, of the spindle and of the host: Oxmill stops for each as its setting says.
 
-use super::super::action::{HOST, Pin};
+use super::super::action::{HOST, Pin, SLOW};
 use super::{Mode, Model, Work};
 
 /// The input of an alarm, as its message names it.
@@ -14,7 +14,7 @@ fn input(alarm: u8) -> &'static str {
 
 /// Of several faults the heaviest is told.
 fn heavier(one: u8, other: u8) -> u8 {
-    [101, 102, 1].into_iter().find(|alarm| [one, other].contains(alarm)).unwrap_or(one)
+    [101, 102, 1, SLOW].into_iter().find(|alarm| [one, other].contains(alarm)).unwrap_or(one)
 }
 
 impl Model {
@@ -23,7 +23,7 @@ impl Model {
         let braking_for = if let Mode::Fault { alarm, .. } = self.mode { Some(alarm) } else { None };
         let told = braking_for.map_or(alarm, |other| heavier(alarm, other));
         self.trusted &= alarm != 102;
-        if self.setup.reaction(alarm) % 3 == 0 || !self.can_brake() {
+        if self.setup.reaction(alarm).is_multiple_of(3) || !self.can_brake() {
             self.stop_at_once(told, also);
         } else if braking_for != Some(told) {
             self.brake_for(alarm);
@@ -43,7 +43,7 @@ impl Model {
 
     /// It says which input and where, if not in Grbl's dialect.
     fn name_input(&mut self, alarm: u8) {
-        if !self.setup.grbl {
+        if !self.setup.grbl && ![HOST, SLOW].contains(&alarm) {
             self.say(format!("[MSG:{}*", input(alarm)));
         }
     }
@@ -99,11 +99,14 @@ impl Model {
             self.work = None;
             self.say("ok");
         }
-        if alarm != HOST {
-            self.name_input(alarm);
-        }
+        self.name_input(alarm);
         self.say("[MSG:Reset to continue]");
         self.lock_until_reset(alarm);
+    }
+
+    pub(super) fn spindle_is_slow(&mut self, also: &mut Vec<Model>) {
+        self.say("[MSG:The spindle has lost its speed]");
+        self.fault(SLOW, also);
     }
 
     /// It has not been heard for too long.

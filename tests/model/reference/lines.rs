@@ -160,6 +160,7 @@ impl Model {
     pub(super) fn change_tool(&mut self, tool: u8, spindle: bool) {
         if self.changes_tool(tool) {
             self.spindle = false;
+            self.given = None;
             self.say(format!("[MSG:Tool change T{tool}]"));
             self.work = Some(Work::Tool { tool, spindle });
             self.mode = Mode::Hold;
@@ -205,7 +206,10 @@ impl Model {
             }
             Line::Change => return self.change_tool(self.selected, false),
             Line::Tool(tool, spindle) => return self.change_tool(tool, spindle),
-            Line::Spindle(on) => self.spindle = on,
+            Line::Spindle(on) => {
+                self.spindle = on;
+                self.given = self.given.filter(|_| on);
+            }
             Line::Flood(on) => self.flood = on,
             _ => {}
         }

@@ -125,6 +125,11 @@ pub struct Model {
     absent: bool,
     /// When the host was heard last, or there was nothing yet to watch it for.
     heard: Span,
+    /// Since when the spindle has been below its speed.
+    slow: Option<Span>,
+    /// The override of a spindle that turns, as it was looked at last while lines could be carried out, and until when
+    /// that speed is given time.
+    given: Option<(u32, Span)>,
     /// Oxmill: a door that stands for a host that has gone leaves the outputs on.
     keeps_outputs: bool,
     /// What it has not carried out at rest behind a door will not be carried out.
@@ -173,6 +178,8 @@ impl Model {
             braking: None,
             absent: false,
             heard: Span::at(0.0),
+            slow: None,
+            given: None,
             keeps_outputs: false,
             forgets: false,
             work: None,
@@ -294,6 +301,11 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
+            // Lines that turn it on, and delays of doors, would wait for it.
+            Action::SlowSpindle(_) => {
+                let waits = !self.waiting.is_empty() || !matches!(self.work, None | Some(Work::SingleBlock));
+                self.mode == Mode::Free && self.motion.is_some() && !waits
+            }
             // What would be answered meanwhile is answered to nobody.
             Action::Absent(_) => self.waiting.is_empty() && self.work.is_none(),
         }
@@ -321,14 +333,27 @@ impl Model {
                 end += seconds;
                 model.host_goes(&mut also);
             }
+            Action::SlowSpindle(seconds) => {
+                end += seconds;
+                model.slow = Some(self.now);
+            }
         }
         also.push(model);
         let mut all = Vec::new();
-        for model in also {
+        for mut model in also {
+            model.look_at_spindle();
             model.advance(end, &mut all);
         }
         if matches!(action, Action::Absent(_)) {
             all.iter_mut().for_each(Model::host_comes);
+        }
+        for model in &mut all {
+            if model.slow.take().is_some()
+                && let Some((_, given)) = &mut model.given
+            {
+                // It has told that it is up to speed.
+                *given = model.now;
+            }
         }
         all
     }
@@ -336,7 +361,7 @@ impl Model {
     /// Whatever happens until then.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
-        let ends = [self.next_end(), self.next_silence()];
+        let ends = [self.next_end(), self.next_silence(), self.next_slowness()];
         let last = ends.iter().flatten().fold(end, |last, span| last.min(span.to)).max(self.now.from);
         if ends.iter().flatten().all(|span| span.to > end) {
             let mut later = self.clone();
@@ -353,13 +378,15 @@ impl Model {
             let mut also = Vec::new();
             match index {
                 0 => model.happen(&mut also),
-                _ => model.host_is_silent(&mut also),
+                1 => model.host_is_silent(&mut also),
+                _ => model.spindle_is_slow(&mut also),
             }
             also.push(model);
             for mut model in also {
                 if !watched {
                     model.heard = model.now;
                 }
+                model.look_at_spindle();
                 model.advance(end, all);
             }
         }
@@ -385,12 +412,34 @@ impl Model {
 
     /// Oxmill: how long the host may be silent now, s: in mid-job and during a jog.
     fn watched(&self) -> Option<f64> {
-        let at_work = self.motion.is_some() || self.work.is_some();
         match self.mode {
-            Mode::Free if self.setup.watch && at_work => Some(action::JOB_SILENCE),
+            Mode::Free if self.setup.watch && self.is_at_work() => Some(action::JOB_SILENCE),
             Mode::Jog if self.setup.watch && self.braking.is_none() => Some(action::JOG_SILENCE),
             _ => None,
         }
+    }
+
+    /// Oxmill: after another direction or override a spindle has some time to come up to speed.
+    fn look_at_spindle(&mut self) {
+        if !self.turns() {
+            self.given = None;
+        } else if self.mode == Mode::Free && self.given.is_none_or(|(percent, _)| percent != self.overrides[2]) {
+            self.given =
+                Some((self.overrides[2], self.now.plus(Span { from: action::SPIN_UP, to: action::SPIN_UP + 0.003 })));
+        }
+    }
+
+    fn is_at_work(&self) -> bool {
+        self.motion.is_some() || self.work.is_some()
+    }
+
+    /// Oxmill: a spindle may be below its speed for so long in mid-job.
+    fn next_slowness(&self) -> Option<Span> {
+        let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
+        let slow = self.slow.filter(|_| needs_speed)?;
+        let (_, given) = self.given?;
+        let slow = slow.plus(Span::at(action::SLOW_FOR));
+        Some(Span { from: slow.from.max(given.from), to: slow.to.max(given.to) + 0.003 })
     }
 
     fn next_silence(&self) -> Option<Span> {
@@ -400,6 +449,9 @@ impl Model {
     fn end_no_sooner(&mut self, than: f64) {
         if let Some(span) = self.timer() {
             span.from = span.from.max(than);
+        }
+        if let Some(slow) = &mut self.slow {
+            slow.from = slow.from.max(than - action::SLOW_FOR - 0.003);
         }
         if let Some(longest) = self.watched() {
             self.heard.from = self.heard.from.max(than - longest - 0.003);

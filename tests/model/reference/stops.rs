@@ -171,6 +171,7 @@ impl Model {
     }
 
     pub(super) fn switch_off(&mut self) {
+        self.given = None;
         self.spindle = false;
         self.spindle_stopped = false;
         self.flood = false;
