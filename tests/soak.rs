@@ -1,5 +1,6 @@
 //! A long job with all that a day at the machine brings: lines of every kind as fast as the receive buffer takes them, held,
-//! resumed, overridden, asked for reports, stopped, reset in mid-motion, by hosts that close the port and come again.
+//! resumed, overridden, asked for reports, stopped, reset in mid-motion, by hosts that close the port and come again or are
+//! silent for too long, and with inputs that stop it, as `$924` to `$928` say.
 //!
 //! Promises: each line is answered once; wherever the machine comes to rest, the motors have made the steps that the
 //! program asked for and no other, to the last one; after a stop or a reset the reported position is that of the motors, and
@@ -17,6 +18,13 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(600);
 /// Growth of the process that is not one, KiB: what the allocator keeps.
 const GROWTH: u64 = 4_096;
+/// A silent host is missed; limit switches stop the machine.
+const WATCHES: [&str; 3] = ["$922=0.3", "$923=0.2", "$21=1"];
+/// Reactions that keep the position and, if it is the host that is missed, the job.
+const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
+/// Inputs that stop the machine by these, with their settings and alarms.
+const FAULTS: [(&str, &str, &str); 3] =
+    [("limit x", "$924", "ALARM:1"), ("estop", "$925", "ALARM:101"), ("fault", "$926", "ALARM:102")];
 
 /// Counts for the record.
 #[derive(Default, Debug)]
@@ -30,6 +38,9 @@ struct Counts {
     resets: u64,
     resets_in_motion: u64,
     hosts: u64,
+    silences: u64,
+    jogs: u64,
+    faults: u64,
 }
 
 struct Soak {
@@ -57,10 +68,10 @@ impl Soak {
             counts: Counts::default(),
         };
         soak.hear();
-        for line in SETTINGS {
+        for line in SETTINGS.iter().copied().chain(WATCHES) {
             soak.waiting.push_back(line.into());
         }
-        soak.finish();
+        soak.settings();
         soak.counts = Counts::default();
         soak
     }
@@ -85,6 +96,7 @@ impl Soak {
         while let Some((line, rest)) = self.half.split_once("\r\n") {
             assert!(!line.starts_with("error:") && !line.starts_with("ALARM"), "{line} {}", self.told());
             self.answered += u64::from(line == "ok");
+            self.counts.silences += u64::from(line == "[MSG:The host is silent]");
             heard.push(line.to_owned());
             self.half = rest.to_owned();
         }
@@ -140,7 +152,7 @@ impl Soak {
 
     /// One `~` may come while the machine still brakes; and it has braked for want of a host (`$928`) without being asked.
     fn go_on(&mut self) {
-        let rests = !self.mill.is_stepping() && self.mill.is_active();
+        let rests = !self.mill.is_stepping() && !self.mill.is_idle();
         if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
             self.mill.send("~");
         }
@@ -211,8 +223,66 @@ impl Soak {
         self.agree();
     }
 
+    /// An input stops the machine as its setting says. That keeps the position; the job goes on after a reset.
+    fn fault(&mut self) {
+        let (pin, _, alarm) = FAULTS[self.random.below(3) as usize];
+        self.hear();
+        assert_eq!(self.mill.pin_line(&format!("{pin} 1")), "ok");
+        // The longest way to rest is that from 100 mm/s at 500 mm/s².
+        self.mill.run_for(Duration::from_millis(400));
+        let heard = self.mill.take_output();
+        assert!(heard.lines().any(|line| line == alarm), "{heard} {}", self.told());
+        self.agree();
+        assert_eq!(self.mill.pin_line(&format!("{pin} 0")), "ok");
+        self.counts.faults += 1;
+        self.interrupt(0x18);
+    }
+
+    /// A jog at whose key nobody is any more, at rest. It ends by itself.
+    fn jog(&mut self) {
+        // A hold may have come where the job had come to its end.
+        for _ in 0..100 {
+            if self.report().starts_with("<Idle") {
+                break;
+            }
+            self.mill.send("~");
+            self.wait(100);
+        }
+        let (silences, begun) = (self.counts.silences, self.place()[0]);
+        // Within the program's reach.
+        let by = self.random.below(11) as i64 * if begun > 0 { -1 } else { 1 };
+        self.mill.send(format!("$J=G91 X{by} F1500\n"));
+        self.wait(1_000);
+        self.half.clear();
+        (self.sent, self.answered) = (0, 0);
+        // It covers 5 mm until the host is missed, and then brakes for less than one.
+        let moved = (self.place()[0] - begun) as f64 / STEPS_PER_MM;
+        let ends = by.abs() < 6 || self.counts.silences == silences + 1 && moved.abs() < by.abs() as f64;
+        assert!(ends, "{moved} mm of a jog by {by} mm {}", self.told());
+        assert!(self.mill.is_idle(), "{} {}", self.report(), self.told());
+        self.agree();
+        self.program.place = self.place();
+        self.counts.jogs += 1;
+    }
+
+    /// Other reactions, at rest.
+    fn settings(&mut self) {
+        for (_, setting, _) in FAULTS {
+            let reactions = if setting == "$925" { &CONTROLLED[..2] } else { &CONTROLLED };
+            self.waiting.push_back(format!("{setting}={}", self.random.of(reactions)));
+        }
+        self.waiting.push_back(format!("$928={}", self.random.of(&CONTROLLED)));
+        self.finish();
+    }
+
     /// Some lines, and what happens meanwhile.
     fn chunk(&mut self) {
+        if self.random.below(4) == 0 {
+            self.settings();
+        }
+        if self.random.below(8) == 0 {
+            self.jog();
+        }
         for _ in 0..1 + self.random.below(60) {
             self.program.lines(&mut self.random, &mut self.waiting);
         }
@@ -227,6 +297,9 @@ impl Soak {
             if self.random.below(900) == 0 {
                 let byte = if self.random.below(3) == 0 { 0x19 } else { 0x18 };
                 self.interrupt(byte);
+            }
+            if self.random.below(500) == 0 {
+                self.fault();
             }
         }
         // A host that has its answers closes the port while the machine still moves.
@@ -276,6 +349,10 @@ fn a_long_job_keeps_every_step() {
     if let (Some([early, _]), Some([_, most])) = (early, late) {
         assert!(most <= early + GROWTH, "memory grows from {early} to {most} KiB");
     }
-    let Counts { rests, reports, holds, overrides, hosts, resets, .. } = soak.counts;
-    assert!([rests, reports, holds, overrides, hosts, resets].iter().all(|count| *count > 0), "{:?}", soak.counts);
+    let Counts { rests, reports, holds, overrides, hosts, resets, silences, jogs, faults, .. } = soak.counts;
+    assert!(
+        [rests, reports, holds, overrides, hosts, resets, silences, jogs, faults].iter().all(|count| *count > 0),
+        "{:?}",
+        soak.counts
+    );
 }

@@ -110,6 +110,11 @@ const LINES: [&str; 33] = [
 /// Settings that change what the machine does and not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
+/// What the machine watches, and what it does for a fault: none of it gives places other names. Chosen by numbers from here.
+const WATCHES_FROM: u8 = 240;
+const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
+/// Of these a value is 0.05 s.
+const TIMES: [u16; 4] = [916, 922, 923, 929];
 
 impl Line {
     fn text(&self) -> String {
@@ -118,6 +123,11 @@ impl Line {
                 let mm = |value: &i8| f64::from(*value) / 50.0;
                 let motion = MOTIONS[usize::from(*motion) % MOTIONS.len()];
                 format!("{motion}X{:.3}Y{:.3}Z{:.3}F{}\n", mm(x), mm(y), mm(z), 60 + u32::from(*feed) * 12)
+            }
+            Line::Setting { number: which @ WATCHES_FROM.., value } => {
+                let number = WATCHES[usize::from(which - WATCHES_FROM) % WATCHES.len()];
+                let unit = if TIMES.contains(&number) { 0.05 } else { 1.0 };
+                format!("${number}={:.2}\n", f64::from(value % 12) * unit)
             }
             Line::Setting { number, value } => {
                 format!("${}={}\n", NUMBERS[usize::from(*number) % NUMBERS.len()], value % 12)
@@ -222,7 +232,7 @@ impl Account {
     fn before(&mut self, action: &Action) {
         let renames = match action {
             Action::Text(text) => text.contains('$'),
-            Action::Line(Line::Setting { .. }) => true,
+            Action::Line(Line::Setting { number, .. }) => *number < WATCHES_FROM,
             Action::Line(line) => matches!(line.text().as_str(), "$H\n" | "$RST=*\n"),
             Action::Lie(_) => true,
             _ => false,

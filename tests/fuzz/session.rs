@@ -91,6 +91,13 @@ const COMMANDS: [&str; 20] = [
     "O1CALL",
 ];
 
+/// What the machine watches and how it stops for faults: commands from [`WATCHES_FROM`] on.
+const WATCHES: [&str; 16] = [
+    "$914=0", "$915=1", "$916=.02", "$918=1", "$922=.02", "$922=.1", "$923=.02", "$923=.1", "$924=1", "$924=5",
+    "$925=2", "$926=4", "$927=0", "$928=0", "$928=1", "$928=5",
+];
+const WATCHES_FROM: u8 = 240;
+
 impl Line {
     fn text(&self) -> String {
         match self {
@@ -106,6 +113,7 @@ impl Line {
             // Resolution, rates and accelerations stay what a session has time for.
             Line::Setting { number, .. } if (100..=132).contains(number) => "\n".into(),
             Line::Setting { number, value } => format!("${}={value}\n", number % 950),
+            Line::Command(which @ WATCHES_FROM..) => format!("{}\n", WATCHES[usize::from(which - WATCHES_FROM)]),
             Line::Command(which) => format!("{}\n", COMMANDS[usize::from(*which) % COMMANDS.len()]),
         }
     }

@@ -19,6 +19,12 @@ pub enum Line {
     ProgramEnd,
     Spindle(bool),
     Flood(bool),
+    /// Selects a tool.
+    Select(u8),
+    /// Puts the selected tool into the spindle.
+    Change,
+    /// Selects a tool and puts it into the spindle. `true`: and turns the spindle on.
+    Tool(u8, bool),
     /// A jog by so many mm of an axis.
     Jog(usize, i8),
     /// A jog to a place that soft limits forbid; a long one without them.
@@ -65,6 +71,10 @@ impl Line {
             Line::TooLong => format!("G1{}", "X1".repeat(42)),
             Line::Dwell => format!("G4 P{DWELL}"),
             Line::Spindle(true) => format!("M3 S{SPINDLE}"),
+            Line::Select(tool) => format!("T{tool}"),
+            Line::Tool(tool, false) => format!("T{tool} M6"),
+            Line::Tool(tool, true) => format!("T{tool} M6 M3 S{SPINDLE}"),
+            Line::Change => "M6".into(),
             Line::Empty => String::new(),
             Line::Pause => "M0".into(),
             Line::ProgramEnd => "M2".into(),
@@ -131,6 +141,8 @@ pub enum Action {
     Pass(f64),
     /// The host goes, and another comes after this time, s.
     Absent(f64),
+    /// The spindle falls below its speed for this time, s.
+    SlowSpindle(f64),
 }
 
 pub const RESET: u8 = 0x18;
@@ -139,6 +151,7 @@ pub const HOLD: u8 = b'!';
 pub const START: u8 = b'~';
 pub const DOOR: u8 = 0x84;
 pub const JOG_CANCEL: u8 = 0x85;
+pub const SINGLE_BLOCK: u8 = 0x89;
 pub const FEED_100: u8 = 0x90;
 pub const FEED_UP: u8 = 0x91;
 pub const FEED_DOWN: u8 = 0x92;
@@ -165,6 +178,7 @@ impl Action {
             Action::Pin(pin, on) => format!("pin {} {}", PINS[pin.index()].2, u8::from(*on)),
             Action::Pass(seconds) => format!(".. {seconds}"),
             Action::Absent(seconds) => format!("host goes\n.. {seconds}\nhost comes"),
+            Action::SlowSpindle(seconds) => format!("pin at_speed 0\n.. {seconds}\npin at_speed 1"),
         }
     }
 }
@@ -180,7 +194,20 @@ pub struct Setup {
     pub homing: bool,
     /// `$20`, which needs `homing`; machine coordinates are believed from power-up then (`$902=0`).
     pub soft_limits: bool,
+    /// `$918=1`.
+    pub tool_changes: bool,
+    /// `$922` and `$923`.
+    pub watch: bool,
+    /// `$915`: the spindle tells that it is up to speed.
+    pub at_speed: bool,
+    /// `$924` to `$928`; `None`: as they are by default.
+    pub reactions: Option<u8>,
 }
+
+/// The alarm of a host that is silent or has gone, where that is one.
+pub const HOST: u8 = 3;
+/// The alarm of a spindle that has lost its speed.
+pub const SLOW: u8 = 14;
 
 impl Setup {
     /// The lines that make it.
@@ -193,13 +220,52 @@ impl Setup {
         }
         lines.extend(["$24=600", "$25=2000", "$26=50"].map(str::to_string));
         lines.push("$902=0".into());
-        let switches =
-            [(self.homing, "$22=1"), (self.soft_limits, "$20=1"), (self.hard_limits, "$21=1"), (self.grbl, "$900=0")];
+        let switches = [
+            (self.homing, "$22=1"),
+            (self.soft_limits, "$20=1"),
+            (self.hard_limits, "$21=1"),
+            (self.tool_changes, "$918=1"),
+            (self.grbl, "$900=0"),
+        ];
+        if self.watch {
+            lines.push(format!("$922={JOB_SILENCE}"));
+            lines.push(format!("$923={JOG_SILENCE}"));
+        }
+        if self.at_speed {
+            lines.push(format!("$916={SPIN_UP}"));
+            lines.push(format!("$929={SLOW_FOR}"));
+            lines.push("$915=1".into());
+        }
+        if self.reactions.is_some() {
+            let numbers = [(924, 1), (925, 101), (926, 102), (927, SLOW), (928, HOST)];
+            lines.extend(numbers.map(|(number, alarm)| format!("${number}={}", self.reaction(alarm))));
+        }
         lines.extend(switches.iter().filter(|(on, _)| *on).map(|(_, line)| (*line).to_string()));
         lines
     }
 }
 
+impl Setup {
+    /// How the machine stops for the fault of this alarm.
+    pub fn reaction(self, alarm: u8) -> u8 {
+        match (self.reactions, alarm) {
+            (Some(reaction), 101) => reaction % 3,
+            (Some(reaction), _) => reaction,
+            (None, HOST) => 4,
+            (None, SLOW) => 1,
+            (None, _) => 0,
+        }
+    }
+}
+
+/// How long a host may be silent in mid-job and during a jog, s. No sum of times that pass and of those of a dwell or a
+/// delay.
+pub const JOB_SILENCE: f64 = 1.13;
+pub const JOG_SILENCE: f64 = 0.31;
+/// How long a spindle may be below its speed, s.
+pub const SLOW_FOR: f64 = 0.17;
+/// The time that it has after another speed, s.
+pub const SPIN_UP: f64 = 0.27;
 /// Rate of all axes, mm/min.
 pub const RATE: f64 = 6000.0;
 /// Acceleration of all axes, mm/s².
@@ -223,6 +289,8 @@ fn line() -> impl Strategy<Value = Line> {
         1 => Just(Line::ProgramEnd),
         2 => any::<bool>().prop_map(Line::Spindle),
         2 => any::<bool>().prop_map(Line::Flood),
+        2 => (1..3_u8, any::<bool>()).prop_map(|(tool, spindle)| Line::Tool(tool, spindle)),
+        1 => prop_oneof![Just(Line::Change), (0..3_u8).prop_map(Line::Select)],
         4 => Just(Line::Unlock),
         3 => Just(Line::Home),
         2 => Just(Line::Check),
@@ -255,6 +323,8 @@ fn one() -> impl Strategy<Value = Action> {
         JOG_CANCEL,
         JOG_CANCEL,
         STOP,
+        SINGLE_BLOCK,
+        SINGLE_BLOCK,
     ];
     let pins = PINS.map(|(pin, ..)| pin).to_vec();
     prop_oneof![
@@ -265,6 +335,7 @@ fn one() -> impl Strategy<Value = Action> {
         2 => any::<bool>().prop_map(|on| Action::Pin(Pin::Door, on)),
         8 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Pass),
         2 => prop::sample::select(PASSES.to_vec()).prop_map(Action::Absent),
+        1 => prop::sample::select(PASSES.to_vec()).prop_map(Action::SlowSpindle),
     ]
 }
 
@@ -329,6 +400,80 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
+/// A fault of an input in a job, of which the spindle may have been stopped, and what comes while the machine brakes.
+fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
+    let before = prop::sample::select(vec![
+        vec![],
+        vec![DOOR],
+        vec![HOLD],
+        vec![HOLD, SPINDLE_STOP],
+        vec![HOLD, SPINDLE_STOP, START],
+        vec![STOP],
+    ]);
+    let pin = || prop::sample::select(PINS.map(|(pin, ..)| pin).to_vec()).prop_map(|pin| Action::Pin(pin, true));
+    let inputs = vec![Pin::Limit(0), Pin::Limit(1), Pin::EmergencyStop, Pin::DriverFault];
+    let stop = prop_oneof![
+        4 => prop::sample::select(inputs).prop_map(|pin| Action::Pin(pin, true)),
+        1 => prop::sample::select(vec![0.1601, 0.1799]).prop_map(Action::SlowSpindle),
+    ];
+    let meanwhile = prop_oneof![
+        3 => pin(),
+        2 => prop::sample::select(vec![HOLD, START, DOOR, STOP, RESET, JOG_CANCEL]).prop_map(Action::Byte),
+        1 => Just(Action::Absent(PASSES[1])),
+        1 => prop::sample::select(PASSES[1..4].to_vec()).prop_map(Action::SlowSpindle),
+        1 => Just(Action::Pass(PASSES[3])),
+    ];
+    let moves = prop::sample::select(vec![Line::Move(2, -15, true), Line::Move(0, -15, false), Line::Jog(1, -3)]);
+    (moves, before, stop, meanwhile, any::<[bool; 2]>()).prop_map(|(line, before, stop, meanwhile, [rests, later])| {
+        let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Line(line), Action::Pass(PASSES[2])];
+        for byte in before {
+            actions.push(Action::Byte(byte));
+            actions.extend(rests.then_some(Action::Pass(PASSES[2])));
+        }
+        actions.push(stop);
+        actions.extend(later.then_some(Action::Pass(PASSES[0])));
+        actions.extend([meanwhile, Action::Pass(PASSES[3])]);
+        actions
+    })
+}
+
+/// A job whose spindle loses its speed once and again, and what may give it time to come up.
+fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
+    let slow =
+        || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
+    let between = || {
+        prop_oneof![
+            2 => prop::sample::select(vec![SPINDLE_UP, SPINDLE_DOWN, FEED_UP, HOLD]).prop_map(Action::Byte),
+            1 => prop::sample::select(PASSES[..4].to_vec()).prop_map(Action::Pass),
+        ]
+    };
+    (between(), slow(), between(), slow()).prop_map(|(before, first, between, second)| {
+        let mut actions = vec![Action::Line(Line::Spindle(true)), Action::Pass(PASSES[3])];
+        actions.extend([Action::Line(Line::Move(2, -15, true)), before, first, between, second]);
+        actions.push(Action::Pass(PASSES[2]));
+        actions
+    })
+}
+
+/// Tools that are selected, put in, or not, and what is said of them.
+fn tools() -> impl Strategy<Value = Vec<Action>> {
+    let tool = || {
+        prop_oneof![
+            (0..3_u8).prop_map(Line::Select),
+            (1..3_u8, any::<bool>()).prop_map(|(tool, spindle)| Line::Tool(tool, spindle)),
+            Just(Line::Change),
+        ]
+    };
+    let ends = prop_oneof![
+        3 => prop::sample::select(vec![START, START, RESET, STOP, DOOR]).prop_map(Action::Byte),
+        1 => any::<bool>().prop_map(|on| Action::Line(Line::Spindle(on))),
+    ];
+    (tool(), ends, tool()).prop_map(|(first, end, second)| {
+        let told = Action::Line(Line::ParserState);
+        vec![Action::Line(first), end, told.clone(), Action::Line(second), Action::Byte(START), told]
+    })
+}
+
 fn some() -> impl Strategy<Value = Vec<Action>> {
     prop_oneof![
         40 => one().prop_map(|action| vec![action]),
@@ -337,6 +482,9 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         // Jogs that meet what ends jogs, and lines that wait.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
+        1 => job_with_a_fault().prop_flat_map(sequence),
+        1 => tools().prop_flat_map(sequence),
+        1 => job_with_a_slow_spindle().prop_flat_map(sequence),
         // Part of a homing cycle.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]
@@ -344,11 +492,19 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
 
 /// A conversation: how the machine is set up, and what is done with it.
 pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
-    let setup = any::<[bool; 4]>().prop_map(|[grbl, hard_limits, homing, soft_limits]| Setup {
-        grbl,
-        hard_limits,
-        homing,
-        soft_limits: soft_limits && homing,
+    let reactions = prop_oneof![3 => Just(None), 4 => (0..6_u8).prop_map(Some)];
+    let setup = (any::<[bool; 7]>(), reactions).prop_map(|(switches, reactions)| {
+        let [grbl, hard_limits, homing, soft_limits, tool_changes, watch, at_speed] = switches;
+        Setup {
+            grbl,
+            hard_limits,
+            homing,
+            soft_limits: soft_limits && homing,
+            tool_changes,
+            watch,
+            at_speed,
+            reactions,
+        }
     });
     let actions = prop::collection::vec(some(), 1..30).prop_map(|parts| parts.concat());
     (setup, actions)

@@ -61,7 +61,7 @@ fn the_controller_answers_as_the_reference_does() {
 /// The shortest conversation with a machine that is set up otherwise than the reference is told.
 fn found(told: impl Fn(Setup) -> Setup) -> String {
     let fault = search(1000, 1, told).expect_err("a difference that shows");
-    assert!(fault.matches("=> ?").count() <= 5, "not the shortest: {fault}");
+    assert!(fault.matches("=> ?").count() <= 8, "not the shortest: {fault}");
     fault
 }
 
@@ -76,4 +76,13 @@ fn a_difference_is_found_and_shrunk() {
     );
     let without_homing = found(|setup| Setup { homing: false, ..setup });
     assert!(without_homing.contains("error:5"), "{without_homing}");
+    let without_tool_changes = found(|setup| Setup { tool_changes: false, ..setup });
+    assert!(without_tool_changes.contains("[MSG:Tool change T"), "{without_tool_changes}");
+    let without_watch = found(|setup| Setup { watch: false, ..setup });
+    assert!(without_watch.contains("[MSG:The host is silent]"), "{without_watch}");
+    let without_speed = found(|setup| Setup { at_speed: false, ..setup });
+    assert!(without_speed.contains("[MSG:The spindle has lost its speed]"), "{without_speed}");
+    let without_reactions = found(|setup| Setup { reactions: None, ..setup });
+    let faults = ["pin limit", "pin estop", "pin fault", "host goes", "The host is silent"];
+    assert!(faults.iter().any(|fault| without_reactions.contains(fault)), "{without_reactions}");
 }

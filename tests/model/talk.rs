@@ -45,6 +45,8 @@ impl Talk {
         let mut talk = Talk { mill, text: String::new() };
         let greeting = talk.mill.take_output();
         talk.note_answers(&greeting);
+        assert_eq!(talk.mill.pin_line("at_speed 1"), "ok");
+        talk.text.push_str("pin at_speed 1\n");
         for line in setup.settings() {
             writeln!(talk.text, "-> {line}").expect("text");
             talk.mill.send(format!("{line}\n"));
@@ -76,6 +78,11 @@ impl Talk {
                 self.mill.run_for(Duration::from_secs_f64(*seconds));
                 self.mill.take_output();
                 self.mill.connect();
+            }
+            Action::SlowSpindle(seconds) => {
+                assert_eq!(self.mill.pin_line("at_speed 0"), "ok");
+                self.mill.run_for(Duration::from_secs_f64(*seconds));
+                assert_eq!(self.mill.pin_line("at_speed 1"), "ok");
             }
         }
         let said = self.mill.take_output();
@@ -137,7 +144,7 @@ impl Seen {
     }
 }
 
-/// Whether lines are those of a list of patterns in which `*` at the end is any text, and [`MANY`] any lines that are no
+/// Whether lines are those of a list of patterns in which `*` is any text, and [`MANY`] any lines that are no
 /// answer.
 fn is_said(patterns: &[String], lines: &[String]) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
@@ -146,7 +153,16 @@ fn is_said(patterns: &[String], lines: &[String]) -> bool {
         return is_said(rest, &lines[end..]);
     }
     let Some((line, others)) = lines.split_first() else { return false };
-    pattern.strip_suffix('*').map_or(line == pattern, |head| line.starts_with(head)) && is_said(rest, others)
+    is_line(pattern, line) && is_said(rest, others)
+}
+
+fn is_line(pattern: &str, line: &str) -> bool {
+    match pattern.split_once('*') {
+        None => line == pattern,
+        Some((head, rest)) => line.strip_prefix(head).is_some_and(|line| {
+            line.char_indices().map(|(at, _)| at).chain([line.len()]).any(|at| is_line(rest, &line[at..]))
+        }),
+    }
 }
 
 /// How often each state has been reported after an action.

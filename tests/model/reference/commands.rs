@@ -25,9 +25,28 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
+            // Oxmill: at any time, and to Grbl's dialect it is nothing.
+            action::SINGLE_BLOCK if !self.setup.grbl => self.toggle_single_block(also),
             action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
             // Oxmill: also in an alarm that only a reset ends.
             _ => self.override_speed(byte),
+        }
+    }
+
+    /// A line that has not ended when it is switched off is answered as if it had never been on.
+    pub(super) fn toggle_single_block(&mut self, also: &mut Vec<Model>) {
+        self.single_block = !self.single_block;
+        self.say(if self.single_block { "[MSG:Single block on]" } else { "[MSG:Single block off]" });
+        if self.mode == Mode::Free {
+            self.end_single_block();
+            self.read(also);
+        }
+    }
+
+    pub(super) fn end_single_block(&mut self) {
+        if !self.single_block && self.work == Some(Work::SingleBlock) {
+            self.work = None;
+            self.say("ok");
         }
     }
 
@@ -102,37 +121,15 @@ impl Model {
             Pin::Reset => self.reset(also),
             Pin::Hold => self.hold(),
             Pin::Start => self.start(also),
-            Pin::EmergencyStop => self.emergency(101, "Emergency stop", also),
-            Pin::DriverFault => self.emergency(102, "Driver fault", also),
+            Pin::EmergencyStop => self.fault(101, also),
+            Pin::DriverFault => self.fault(102, also),
             Pin::Limit(axis) => {
                 if matches!(self.mode, Mode::Home(_)) {
                     self.switch_touched(axis);
                 } else if self.setup.hard_limits && !matches!(self.mode, Mode::Alarm | Mode::Critical) {
-                    self.emergency(1, "Limit switch", also);
+                    self.fault(1, also);
                 }
             }
         }
-    }
-
-    /// An input stops everything at once.
-    pub(super) fn emergency(&mut self, alarm: u8, text: &str, also: &mut Vec<Model>) {
-        if let Some(mut unmoved) = self.unmoved() {
-            unmoved.emergency(alarm, text, also);
-            also.push(unmoved);
-        }
-        self.trusted &= alarm != 102;
-        self.stop_dead();
-        self.say(format!("ALARM:{alarm}"));
-        // Oxmill: a homing cycle is answered at once, any other line when the reset comes.
-        if self.work == Some(Work::Homing) {
-            self.work = None;
-            self.say("ok");
-        }
-        // Oxmill: it says which input and where, if not in Grbl's dialect.
-        if !self.setup.grbl {
-            self.say(format!("[MSG:{text}*"));
-        }
-        self.say("[MSG:Reset to continue]");
-        self.wait_for_reset();
     }
 }

@@ -6,7 +6,14 @@ use super::{MANY, Mode, Model, Motion, Places, SLACK, Span, Work};
 impl Model {
     /// Looks at the lines that have come, as long as nothing keeps them waiting.
     pub(super) fn read(&mut self, also: &mut Vec<Model>) {
-        while self.reads() {
+        while self.reads() && !self.waiting.is_empty() {
+            if self.next_silence().is_some_and(|span| span.from <= self.now.to) {
+                // That may be noticed first.
+                let mut silent = self.clone();
+                silent.host_is_silent(also);
+                silent.read(also);
+                also.push(silent);
+            }
             let Some(line) = self.waiting.pop_front() else { return };
             let is_jog = matches!(line, Line::Jog(..) | Line::JogOutside | Line::WrongJog(..));
             let is_before = self.cancelled > 0;
@@ -40,7 +47,7 @@ impl Model {
             Line::TooLong if self.setup.grbl => self.refuse(11),
             Line::Empty => self.say("ok"),
             Line::Help => self.answer(&["[HLP:*"]),
-            Line::ParserState => self.answer(&["[GC:*"]),
+            Line::ParserState => self.tell_modal_state(),
             Line::Listing if runs => self.refuse(8),
             Line::Listing => self.answer(&[MANY]),
             Line::Unlock => self.unlock(),
@@ -99,6 +106,12 @@ impl Model {
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),
+            // Oxmill: Grbl knows no M6, and every T.
+            Line::Tool(..) | Line::Change if self.setup.grbl => self.refuse(20),
+            Line::Select(tool) => {
+                self.selected = tool;
+                self.say("ok");
+            }
             _ if self.mode == Mode::Check => self.check(line),
             _ if self.motion.is_some() && self.waits_for_rest(line) => self.work = Some(Work::Drain(line)),
             _ => self.carry_out(line),
@@ -118,8 +131,11 @@ impl Model {
 
     /// A line in check mode that is not refused.
     pub(super) fn check(&mut self, line: Line) {
-        if line == Line::ProgramEnd {
-            self.say("[MSG:Pgm End]");
+        self.forget_selected();
+        match line {
+            Line::ProgramEnd => self.say("[MSG:Pgm End]"),
+            Line::Tool(tool, _) => self.selected = tool,
+            _ => {}
         }
         self.say("ok");
     }
@@ -129,12 +145,49 @@ impl Model {
         match line {
             Line::Spindle(on) => self.spindle != on,
             Line::Flood(on) => self.flood != on,
+            Line::Change => self.changes_tool(self.selected),
+            Line::Tool(tool, spindle) => self.changes_tool(tool) || spindle && !self.spindle,
             _ => true,
         }
     }
 
+    /// Whether the program stops until somebody has put this tool into the spindle.
+    pub(super) fn changes_tool(&self, tool: u8) -> bool {
+        self.setup.tool_changes && tool != self.tool
+    }
+
+    /// T and M6, the motion before them has ended. `spindle`: and M3.
+    pub(super) fn change_tool(&mut self, tool: u8, spindle: bool) {
+        if self.changes_tool(tool) {
+            self.spindle = false;
+            self.given = None;
+            self.say(format!("[MSG:Tool change T{tool}]"));
+            self.work = Some(Work::Tool { tool, spindle });
+            self.mode = Mode::Hold;
+        } else {
+            (self.selected, self.tool) = (tool, tool);
+            self.spindle |= spindle;
+            self.say("ok");
+        }
+    }
+
+    /// To Grbl a line without T is one with T0.
+    pub(super) fn forget_selected(&mut self) {
+        if self.setup.grbl {
+            self.selected = 0;
+        }
+    }
+
+    /// Modal words of spindle, coolant and tool; those of a program that is only checked but for its tool are left open.
+    pub(super) fn tell_modal_state(&mut self) {
+        let words = format!("M{} M{} ", if self.spindle { 3 } else { 5 }, if self.flood { 8 } else { 9 });
+        let words = if self.mode == Mode::Check { "*" } else { &words };
+        self.answer(&[&format!("[GC:* {words}T{} *]", self.selected)]);
+    }
+
     /// A line for which the machine is at rest.
     pub(super) fn carry_out(&mut self, line: Line) {
+        self.forget_selected();
         match line {
             Line::Dwell => {
                 let time = self.now.plus(Span::length(action::DWELL, 0.02));
@@ -151,7 +204,12 @@ impl Model {
                 self.overrides = [100; 3];
                 self.say("[MSG:Pgm End]");
             }
-            Line::Spindle(on) => self.spindle = on,
+            Line::Change => return self.change_tool(self.selected, false),
+            Line::Tool(tool, spindle) => return self.change_tool(tool, spindle),
+            Line::Spindle(on) => {
+                self.spindle = on;
+                self.given = self.given.filter(|_| on);
+            }
             Line::Flood(on) => self.flood = on,
             _ => {}
         }
@@ -227,13 +285,27 @@ impl Model {
                 // It may have come to rest just there.
                 let mut there = self.clone();
                 there.place[axis] = Some(to);
-                there.say("ok");
+                there.end_move();
                 there.read(also);
                 also.push(there);
             }
             self.queue(axis, Some(to), None, rate / 60.0);
+            return self.end_move();
         }
+        self.forget_selected();
         self.say("ok");
+    }
+
+    /// A move is queued, or leads to where the machine is. Oxmill: in single block it is answered when the pause behind it ends.
+    pub(super) fn end_move(&mut self) {
+        self.forget_selected();
+        if !self.single_block {
+            self.say("ok");
+        } else if self.motion.is_some() {
+            self.work = Some(Work::SingleBlock);
+        } else {
+            self.carry_out(Line::Pause);
+        }
     }
 
     pub(super) fn jog(&mut self, axis: usize, by: f64, also: &mut Vec<Model>) {

@@ -7,10 +7,12 @@
 //! open about nothing else but this:
 //! * how far a motion got that was stopped: the place is taken from the report;
 //! * whether a motion of which no step has been seen yet is one to a reset, an emergency and a hold;
+//! * whether a silence of the host or a line that waits comes first, of two in the same moment;
 //! * whether a target is within the soft limits while it is not known where a motion came to rest;
 //! * numbers within messages and listings (`*`), and how many lines a listing has ([`MANY`]).
 
 mod commands;
+mod faults;
 mod homing;
 mod lines;
 mod stops;
@@ -73,6 +75,10 @@ enum Work {
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
+    /// Oxmill: the motion of the line, behind which single block pauses.
+    SingleBlock,
+    /// Oxmill: M6 asks for this tool, until the next cycle start. `spindle`: its line turns the spindle on then.
+    Tool { tool: u8, spindle: bool },
     /// A jog behind one that 0x85 has ended.
     LaterJog(Line),
     /// A target that is forbidden: locks where the machine has come to rest, and a hold or a door is over.
@@ -89,6 +95,11 @@ enum Mode {
     Free,
     Jog,
     Hold,
+    /// Oxmill: brakes for a fault, whose alarm follows at rest, and with it the name of another limit switch that closed `later`.
+    Fault {
+        alarm: u8,
+        later: bool,
+    },
     /// 0x19 brakes; then everything is forgotten. Oxmill: Grbl has no such command.
     Stop,
     Door {
@@ -112,6 +123,15 @@ pub struct Model {
     braking: Option<Span>,
     /// No host is there.
     absent: bool,
+    /// When the host was heard last, or there was nothing yet to watch it for.
+    heard: Span,
+    /// Since when the spindle has been below its speed.
+    slow: Option<Span>,
+    /// The override of a spindle that turns, as it was looked at last while lines could be carried out, and until when
+    /// that speed is given time.
+    given: Option<(u32, Span)>,
+    /// Oxmill: a door that stands for a host that has gone leaves the outputs on.
+    keeps_outputs: bool,
     /// What it has not carried out at rest behind a door will not be carried out.
     forgets: bool,
     work: Option<Work>,
@@ -131,6 +151,11 @@ pub struct Model {
     /// The operator has stopped the spindle in a hold.
     spindle_stopped: bool,
     flood: bool,
+    /// Oxmill: 0x89, a pause behind each line that moves.
+    single_block: bool,
+    /// The tools of T and M6.
+    selected: u8,
+    tool: u8,
     /// Door, sleep and alarms switch both off.
     outputs_off: bool,
     /// Feed, rapid, spindle; percent.
@@ -152,6 +177,10 @@ impl Model {
             motion: None,
             braking: None,
             absent: false,
+            heard: Span::at(0.0),
+            slow: None,
+            given: None,
+            keeps_outputs: false,
             forgets: false,
             work: None,
             waiting: VecDeque::new(),
@@ -165,6 +194,9 @@ impl Model {
             spindle: false,
             spindle_stopped: false,
             flood: false,
+            single_block: false,
+            selected: 0,
+            tool: 0,
             outputs_off: false,
             overrides: [100; 3],
             said: Vec::new(),
@@ -185,7 +217,7 @@ impl Model {
             Mode::Jog => "Jog",
             Mode::Hold if braking => "Hold:1",
             Mode::Hold => "Hold:0",
-            Mode::Stop => "Hold:1",
+            Mode::Stop | Mode::Fault { .. } => "Hold:1",
             Mode::Door { restoring: Some(_) } => "Door:3",
             Mode::Door { .. } if braking => "Door:2",
             Mode::Door { .. } if self.on(Pin::Door) => "Door:1",
@@ -214,7 +246,7 @@ impl Model {
 
     /// Spindle and flood coolant, as a report has them.
     pub fn accessories(&self) -> String {
-        let flood = self.flood && !self.outputs_off && !self.restores_spindle();
+        let flood = self.flood && !self.outputs_off && (self.keeps_outputs || !self.restores_spindle());
         [(self.turns(), 'S'), (flood, 'F')].into_iter().filter(|(on, _)| *on).map(|(_, letter)| letter).collect()
     }
 
@@ -269,6 +301,11 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
+            // Lines that turn it on, and delays of doors, would wait for it.
+            Action::SlowSpindle(_) => {
+                let waits = !self.waiting.is_empty() || !matches!(self.work, None | Some(Work::SingleBlock));
+                self.mode == Mode::Free && self.motion.is_some() && !waits
+            }
             // What would be answered meanwhile is answered to nobody.
             Action::Absent(_) => self.waiting.is_empty() && self.work.is_none(),
         }
@@ -276,7 +313,8 @@ impl Model {
 
     /// What may come of an action.
     pub fn act(&self, action: &Action) -> Vec<Model> {
-        let mut model = Model { said: Vec::new(), may_step: self.moves(), must_step: false, ..self.clone() };
+        let mut model =
+            Model { said: Vec::new(), may_step: self.moves(), must_step: false, heard: self.now, ..self.clone() };
         let mut also = Vec::new();
         let mut end = self.now.from;
         match action {
@@ -293,16 +331,29 @@ impl Model {
             }
             Action::Absent(seconds) => {
                 end += seconds;
-                model.host_goes();
+                model.host_goes(&mut also);
+            }
+            Action::SlowSpindle(seconds) => {
+                end += seconds;
+                model.slow = Some(self.now);
             }
         }
         also.push(model);
         let mut all = Vec::new();
-        for model in also {
+        for mut model in also {
+            model.look_at_spindle();
             model.advance(end, &mut all);
         }
         if matches!(action, Action::Absent(_)) {
             all.iter_mut().for_each(Model::host_comes);
+        }
+        for model in &mut all {
+            if model.slow.take().is_some()
+                && let Some((_, given)) = &mut model.given
+            {
+                // It has told that it is up to speed.
+                *given = model.now;
+            }
         }
         all
     }
@@ -310,26 +361,33 @@ impl Model {
     /// Whatever happens until then.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
-        match self.next_end() {
-            Some(span) if span.from <= end => {
-                if span.to > end {
-                    let mut later = self.clone();
-                    later.end_no_sooner(end);
-                    later.now = Span::at(end);
-                    all.push(later);
-                }
-                let span = Span { from: span.from.max(self.now.from), to: span.to.min(end) };
-                self.now = span;
-                let mut also = Vec::new();
-                self.happen(&mut also);
-                also.push(self);
-                for model in also {
-                    model.advance(end, all);
-                }
+        let ends = [self.next_end(), self.next_silence(), self.next_slowness()];
+        let last = ends.iter().flatten().fold(end, |last, span| last.min(span.to)).max(self.now.from);
+        if ends.iter().flatten().all(|span| span.to > end) {
+            let mut later = self.clone();
+            later.end_no_sooner(end);
+            later.now = Span::at(end);
+            all.push(later);
+        }
+        for (index, span) in ends.into_iter().enumerate() {
+            let Some(span) = span.filter(|span| span.from <= last) else { continue };
+            let mut model = self.clone();
+            model.now = Span { from: span.from.max(self.now.from), to: last };
+            model.end_no_sooner(model.now.from);
+            let watched = model.watched().is_some();
+            let mut also = Vec::new();
+            match index {
+                0 => model.happen(&mut also),
+                1 => model.host_is_silent(&mut also),
+                _ => model.spindle_is_slow(&mut also),
             }
-            _ => {
-                self.now = Span::at(end);
-                all.push(self);
+            also.push(model);
+            for mut model in also {
+                if !watched {
+                    model.heard = model.now;
+                }
+                model.look_at_spindle();
+                model.advance(end, all);
             }
         }
     }
@@ -352,9 +410,60 @@ impl Model {
         self.timer().map(|span| *span)
     }
 
+    /// Oxmill: how long the host may be silent now, s: in mid-job and during a jog.
+    fn watched(&self) -> Option<f64> {
+        match self.mode {
+            Mode::Free if self.setup.watch && self.is_at_work() => Some(action::JOB_SILENCE),
+            Mode::Jog if self.setup.watch && self.braking.is_none() => Some(action::JOG_SILENCE),
+            _ => None,
+        }
+    }
+
+    /// Oxmill: after another direction or override a spindle has some time to come up to speed.
+    fn look_at_spindle(&mut self) {
+        if !self.turns() {
+            self.given = None;
+        } else if self.mode == Mode::Free && self.given.is_none_or(|(percent, _)| percent != self.overrides[2]) {
+            self.given =
+                Some((self.overrides[2], self.now.plus(Span { from: action::SPIN_UP, to: action::SPIN_UP + 0.003 })));
+        }
+    }
+
+    fn is_at_work(&self) -> bool {
+        self.motion.is_some() || self.work.is_some()
+    }
+
+    /// Oxmill: a spindle may be below its speed for so long in mid-job.
+    fn next_slowness(&self) -> Option<Span> {
+        let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
+        let slow = self.slow.filter(|_| needs_speed)?;
+        let (_, given) = self.given?;
+        let slow = slow.plus(Span::at(action::SLOW_FOR));
+        Some(Span { from: slow.from.max(given.from), to: slow.to.max(given.to) + 0.003 })
+    }
+
+    fn next_silence(&self) -> Option<Span> {
+        self.watched().map(|longest| self.heard.plus(Span { from: longest, to: longest + 0.003 }))
+    }
+
     fn end_no_sooner(&mut self, than: f64) {
         if let Some(span) = self.timer() {
             span.from = span.from.max(than);
+        }
+        if let Some(slow) = &mut self.slow {
+            slow.from = slow.from.max(than - action::SLOW_FOR - 0.003);
+        }
+        if let Some(longest) = self.watched() {
+            self.heard.from = self.heard.from.max(than - longest - 0.003);
+        }
+    }
+
+    /// A line that waits for that is carried out.
+    fn motion_has_ended(&mut self) {
+        match self.work.take() {
+            Some(Work::Drain(line)) => self.carry_out(line),
+            Some(Work::SingleBlock) => self.carry_out(Line::Pause),
+            _ => {}
         }
     }
 
@@ -371,9 +480,7 @@ impl Model {
             if self.mode == Mode::Jog {
                 self.mode = Mode::Free;
             }
-            if let Some(Work::Drain(line)) = self.work.take() {
-                self.carry_out(line);
-            }
+            self.motion_has_ended();
             self.read(also);
         } else if let Some(Work::Dwell { .. }) = self.work.take() {
             self.say("ok");

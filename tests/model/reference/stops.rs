@@ -34,6 +34,9 @@ impl Model {
 
     /// A motion that was stopped has come to rest.
     pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
+        if let Mode::Fault { alarm, later } = self.mode {
+            return self.rest_for(alarm, later);
+        }
         if self.work == Some(Work::Forbidden) {
             self.forget_motion();
             if self.mode == Mode::Free {
@@ -58,8 +61,8 @@ impl Model {
                 if self.forgets {
                     self.forget_motion();
                 }
-                self.outputs_off = true;
-                self.spindle_stopped = false;
+                self.outputs_off = !self.keeps_outputs;
+                self.spindle_stopped &= self.keeps_outputs;
             }
             _ => {}
         }
@@ -73,10 +76,11 @@ impl Model {
             let mut ended = self.clone();
             ended.place = ended.target();
             ended.motion = None;
-            if let Some(Work::Drain(line)) = ended.work.take_if(|work| matches!(work, Work::Drain(_))) {
+            if matches!(ended.work, Some(Work::Drain(_) | Work::SingleBlock)) {
                 ended.mode = Mode::Free;
                 ended.outputs_off = false;
-                ended.carry_out(line);
+                ended.end_single_block();
+                ended.motion_has_ended();
                 ended.read(also);
             } else {
                 ended.go_on(also);
@@ -90,6 +94,7 @@ impl Model {
             motion.stepped = false;
             motion.time = now.plus(motion.time);
         }
+        self.end_single_block();
         match &mut self.work {
             Some(Work::Forbidden) => return self.lock_for(2),
             Some(Work::Dwell { time, held }) => {
@@ -97,6 +102,13 @@ impl Model {
                 *time = now.plus(*time);
             }
             Some(Work::Pause) => {
+                self.work = None;
+                self.say("ok");
+            }
+            Some(Work::Tool { tool, spindle }) => {
+                self.tool = *tool;
+                self.selected = *tool;
+                self.spindle = *spindle;
                 self.work = None;
                 self.say("ok");
             }
@@ -108,16 +120,16 @@ impl Model {
             _ => {}
         }
         if self.absent && self.motion.is_some() {
-            self.hold();
+            self.host_fails(also);
         }
         self.read(also);
     }
 
     /// Oxmill: a job is held whose host has gone, or goes while a door resumes it; a jog ends.
-    pub(super) fn host_goes(&mut self) {
+    pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
-        if self.motion.is_some() {
-            self.hold();
+        if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
+            self.host_fails(also);
         }
     }
 
@@ -159,6 +171,7 @@ impl Model {
     }
 
     pub(super) fn switch_off(&mut self) {
+        self.given = None;
         self.spindle = false;
         self.spindle_stopped = false;
         self.flood = false;
@@ -213,6 +226,8 @@ impl Model {
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];
+        self.single_block = false;
+        self.selected = self.tool;
         self.mode = Mode::Free;
         self.checked = None;
         self.say("");
@@ -280,10 +295,13 @@ impl Model {
                 }
             }
             Mode::Door { .. } => {}
+            // Oxmill: no spindle that a fault has left on turns at an open door.
+            Mode::Fault { .. } | Mode::Critical => return self.switch_off(),
             Mode::Home(_) => return self.fail_homing(7, also),
-            Mode::Alarm | Mode::Critical | Mode::Check | Mode::Sleep => return,
+            Mode::Alarm | Mode::Check | Mode::Sleep => return,
         }
         self.mode = Mode::Door { restoring: None };
+        self.keeps_outputs = false;
         self.outputs_off |= self.braking.is_none();
         self.spindle_stopped &= self.braking.is_some();
         self.say("[MSG:Check Door]");
@@ -296,6 +314,7 @@ impl Model {
                 self.go_on(also);
             }
             Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
+                // Oxmill: also where a fault has left them on.
                 let seconds =
                     RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
                 self.outputs_off = false;
