@@ -514,7 +514,7 @@ fn what_is_no_fault_in_a_state_changes_nothing() {
 fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     let homed = homed();
     for reaction in Fault::Spindle.reactions() {
-        let mut case = Case::run(&homed, Fault::Spindle, reaction, State::DoorReturning);
+        let case = Case::run(&homed, Fault::Spindle, reaction, State::DoorReturning);
         let (x, _) = case.after_fault();
         let name = case.name();
         assert!(case.said.contains("ALARM:14") && x < 1.0, "X {x}: {name}");
