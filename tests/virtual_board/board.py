@@ -78,6 +78,10 @@ UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
 """A part's number, as one of them had it."""
 
 
+def _due(peripheral):
+    return peripheral.due
+
+
 class Board:
     """One board. Time is `now`, in core cycles since power-up; `seconds` makes seconds of it."""
 
@@ -325,7 +329,8 @@ class Board:
         address = 0x4000_0000 + offset
         peripheral = self._at(address)
         if offset < 0x2_0000:
-            self.state.wait += 2 * (self.rcc.hclk // (self.rcc.pclk1 if offset < 0x1_0000 else self.rcc.pclk2))
+            rcc = self.rcc
+            self.state.wait += 2 * (rcc.hclk // (rcc.pclk1 if offset < 0x1_0000 else rcc.pclk2))
         value = peripheral.read(address & 0x3FC)
         return value >> 8 * (address & 3) & (1 << 8 * size) - 1
 
@@ -431,7 +436,7 @@ class Board:
                 return True
             if stop is not None and clocks != len(self.clocks):
                 clocks, end = len(self.clocks), self.now + self.cycles(stop - self.seconds())
-            if self.now >= end:
+            if state.now >= end:
                 return until is None
             self._slice(end)
             if self.failure:
@@ -491,7 +496,10 @@ class Board:
             now = self.state.now
             if self._next_due > now:
                 return
-            for peripheral in sorted((p for p in self._timed if p.due <= now), key=lambda p: p.due):
+            due = [p for p in self._timed if p.due <= now]
+            if len(due) > 1:
+                due.sort(key=_due)
+            for peripheral in due:
                 peripheral.advance(now)
             self._next_due = None
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
+from .usb import SHORT_S, UsbHost
 
 
 class Bench:
@@ -811,6 +812,25 @@ class NvicTraces(unittest.TestCase):
         self.assertEqual(model.pending, set())
         bench.until(model, 200)
         self.assertEqual(model.pending, {nvic.SYSTICK})
+
+
+class TestUsbHost(unittest.TestCase):
+    def test_polls_that_are_not_played_keep_their_moments(self):
+        bench = Bench()
+        bench.usart, bench.otg = SimpleNamespace(wire=None), otg.OtgFs("OTG_FS", bench)
+        host, period = UsbHost(bench), bench.cycles(SHORT_S)
+        host._work, host.due = iter([None, None, SHORT_S]), 1000
+        self.assertEqual(host.step(1000), NEVER)
+        for moment, poll in ((1000 + 2 * period + 1, 1000 + 3 * period), (1000 + 4 * period, 1000 + 5 * period)):
+            bench.now = moment
+            host.send(b"?")
+            self.assertEqual((host.due, bench.otg.due), (poll, poll))
+            bench.now += 1
+            host.order("open")
+            self.assertEqual(host.due, poll, "once is enough")
+            bench.now = poll
+            wait = host.step(poll)
+        self.assertEqual(wait, poll + period, "and then each is played")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """A host at the USB port: enumerates the device as a CDC-ACM serial port does it, and moves bytes.
 
 Transactions follow each other like on a real bus with nothing else on it: 60 us for one of 64 bytes or a NAK of one, 10 us for a short one. The
-host polls the IN endpoint all the time while the port is open. Packets of the control endpoint are taken to have up to 64 bytes, as the device says.
+host polls the IN endpoint all the time while the port is open; polls that can only be answered by NAK, as nothing has changed since the last one,
+are not played. Packets of the control endpoint are taken to have up to 64 bytes, as the device says.
 """
 
 from collections import deque
@@ -32,6 +33,8 @@ class UsbHost(Host):
         """How often the device has put off a packet for longer than it takes to fetch one; NAKs in a row."""
         self._work = None
         self._orders = deque()
+        self._idle_since = None
+        """Cycle of the last poll, while each would be answered like it."""
 
     # The bus.
 
@@ -45,18 +48,32 @@ class UsbHost(Host):
     def step(self, now):
         if self._work is None or self.due > now:
             return self.due
-        self.due = now + self.board.cycles(next(self._work))
+        wait = next(self._work)
+        if wait is None:
+            self._idle_since, self.due = now, NEVER
+        else:
+            self.due = now + self.board.cycles(wait)
         return self.due
+
+    def wake(self):
+        """The device or the host may have something to say: at the next of the polls that were not played."""
+        if self._idle_since is not None:
+            period = self.board.cycles(SHORT_S)
+            self.due = self._idle_since + ((self.board.now - self._idle_since) // period + 1) * period
+            self._idle_since = None
+            self.otg.plan(self.due)
 
     def send(self, data, at=None):
         for begin in range(0, len(data), 64):
             self.packets.append(bytes(data[begin : begin + 64] if isinstance(data, bytes) else data[begin : begin + 64].encode()))
         self.bytes_sent += len(data)
+        self.wake()
         return self.board.now
 
     def order(self, what):
         """`open`, `close`, `unplug`, `plug`: done when what runs now is done."""
         self._orders.append(what)
+        self.wake()
 
     def _until(self, transaction, *arguments, tries=3000):
         for _ in range(tries):
@@ -125,18 +142,17 @@ class UsbHost(Host):
                 elif order == "unplug":
                     self.otg.flag(USBSUSP)
                     self.open = self.is_set_up = False
-                    while not self._orders:
-                        yield 1e-3
                 elif order == "plug":
                     self.otg.flag(WKUPINT)
                     yield from self._enumerate()
-            wait = SHORT_S
+            wait = SHORT_S if self.packets or self._orders else None
             if self.open:
                 data = self.otg.in_(2)
                 if data:
                     for byte in data:
                         self.sent(byte, self.board.now)
                     yield LONG_S
+                    wait = SHORT_S
             if self.packets and self.is_set_up:
                 if self.otg.out(1, self.packets[0]):
                     self.packets.popleft()
@@ -145,5 +161,4 @@ class UsbHost(Host):
                     self._naks += 1
                     self.waits += self._naks == WAITING
                 wait = LONG_S
-            # Nothing to do: a look now and then is enough, and costs the emulation less.
-            yield wait if self.packets or self.open else 1e-3
+            yield wait

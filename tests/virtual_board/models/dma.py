@@ -52,6 +52,11 @@ class Dma(Peripheral):
 
     def __init__(self, name, board, bit):
         self.CLOCK = (0x30, bit)
+        self.streams = {}
+        """Those that a request may go to."""
+        for (controller, stream, _), who in REQUESTS.items():
+            if controller == name:
+                self.streams.setdefault(who, []).append(stream)
         super().__init__(name, board)
 
     def reset(self):
@@ -170,7 +175,7 @@ class Dma(Peripheral):
 
     def ask(self, who, at, pulse=None):
         """A compare event asks for a transfer, at this cycle, unless its pulse has been cut by then."""
-        streams = [stream for (name, stream, _), asks in REQUESTS.items() if name == self.name and asks == who]
+        streams = self.streams.get(who)
         if streams:
             self.under_way[who] = self.under_way.get(who, 0) + 1
             self._later(at, lambda at: self._serve(who, streams, at, pulse))

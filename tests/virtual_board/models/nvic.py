@@ -73,6 +73,8 @@ class Nvic(Peripheral):
 
     def takeable(self, primask, basepri):
         """The exception to take now, if any; and whether a mask alone keeps one back."""
+        if not self.pending:
+            return None, False
         best = self.best()
         if best is None:
             return None, False

@@ -115,6 +115,8 @@ class OtgFs(Peripheral):
                 raise Misuse(f"OTG_FS: a word for IN endpoint {number} that no transfer asks for")
             self.sending[number] += value.to_bytes(4, "little")
             del self.sending[number][need:]
+            if self.host and len(self.sending[number]) == need:
+                self.host.wake()
             return
         if offset == GINTSTS:
             self.flags &= ~value
@@ -137,6 +139,8 @@ class OtgFs(Peripheral):
                 self.host.look()
         else:
             self._write_endpoint(*self._endpoint(offset), value)
+            if self.host:
+                self.host.wake()
         self.call()
 
     def _write_endpoint(self, side, number, register, value):
