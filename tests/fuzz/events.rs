@@ -272,12 +272,13 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    for _ in 0..2 {
+    // A startup line may move for long: a reset in mid-motion locks the machine, and then it is not carried out.
+    for time in [20_000, 20_000, 200_000] {
         board.command(Realtime::Reset);
-        board.pass(200_000, false);
+        board.pass(time, false);
     }
     // The first is the end of a line that was begun.
-    for line in ["", "$X", "$RST=*"] {
+    for line in ["", "$RST=*"] {
         board.ask(line);
     }
     board.command(Realtime::Reset);

@@ -5,6 +5,7 @@
 //! stored or nothing; with its inputs released, its settings restored and a reset it is idle, and a jog makes just its
 //! steps and moves the reported position by them.
 
+use super::board::shows;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::messages::{Record, STORE_DAMAGED};
 use oxmill_simulator::{Fittings, Options, Simulator, Store};
@@ -42,7 +43,7 @@ fn power_up(store: Store) -> Simulator {
     Simulator::new(Options { keep_steps: true, store, fittings, ..Options::default() })
 }
 
-#[derive(Arbitrary)]
+#[derive(Arbitrary, Debug)]
 enum Action<'a> {
     Text(&'a str),
     Line(Line),
@@ -59,7 +60,7 @@ enum Action<'a> {
 }
 
 /// Lines that chance does not find soon.
-#[derive(Arbitrary)]
+#[derive(Arbitrary, Debug)]
 enum Line {
     Move { motion: u8, axes: [i16; 3], feed: u8 },
     Jog { axes: [i8; 3], feed: u8 },
@@ -129,7 +130,10 @@ pub fn run(data: &[u8]) {
         }
         let Ok(action) = input.arbitrary() else { break };
         act(&mut mill, &action);
-        status(&mut mill);
+        let report = status(&mut mill);
+        if shows() {
+            println!("{action:?}\n    {report}");
+        }
     }
     back_to_idle(&mut mill, "");
 }
@@ -224,12 +228,13 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The first line is the end of one that a reset has cut off at its head. Where a power cut has looked like damage, a
-    // second `$X` confirms it.
+    // The first line is the end of one that a reset has cut off at its head. Where a power cut has looked like damage, `$X`
+    // confirms it once the settings have been listed for a while.
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));
     if mill.take_output().contains("settings were damaged") {
+        ask_all(mill, ["$$"]);
         mill.run_for(Duration::from_secs(3));
         ask_all(mill, ["$X"]);
     }
