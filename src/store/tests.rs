@@ -168,6 +168,31 @@ fn a_full_log_says_so_and_keeps_what_it_has() {
 }
 
 #[test]
+fn a_sector_is_used_to_its_last_word() {
+    let mut log = Log::open(Mock::new()).unwrap();
+    let mut stored = BTreeMap::new();
+    for key in 0.. {
+        // A record has two words beside its value.
+        let left = (SIZE - log.end) as usize;
+        let length = if left > 100 { 40 } else { left - 8 };
+        let record = put(key, &vec![key as u8; length]);
+        change(&mut log, &record).unwrap();
+        apply(&mut stored, &record);
+        if left <= 100 {
+            // All of it goes to the other sector, and this record instead of that.
+            let record = put(key, &vec![0xAA; length]);
+            assert_eq!(log.end, SIZE);
+            change(&mut log, &record).unwrap();
+            apply(&mut stored, &record);
+            break;
+        }
+    }
+    assert_eq!(log.end, SIZE);
+    let mut log = Log::open(log.flash).unwrap();
+    assert_eq!(contents(&mut log), stored);
+}
+
+#[test]
 fn what_stands_there_already_is_not_written_again() {
     let mut log = Log::open(Mock::new()).unwrap();
     change(&mut log, &put(100, &[1, 2, 3, 4])).unwrap();

@@ -595,8 +595,11 @@ mod tests {
     fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
         let mut both = Both::<16>::new(8, 100);
         both.usb(b"G0X1\nG1 X");
+        assert!(!both.arbiter.owes_cut());
         assert!(both.usb.went(&mut both.arbiter));
+        assert!(both.arbiter.owes_cut());
         both.usb(b"G4P0\n");
+        assert!(!both.arbiter.owes_cut());
         assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
         // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
         let cuts = |both: &Both<16>| {
