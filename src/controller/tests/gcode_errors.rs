@@ -52,6 +52,20 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
+/// By 0.005 mm always, by 0.1 % of the radius beyond, by 0.5 mm at most; in the dialect `seed` by any length.
+#[test]
+fn an_arc_may_end_at_another_radius_within_limits() {
+    for dialect in [Dialect::Grbl, Dialect::Oxmill] {
+        let program = ready(dialect);
+        for line in ["G2 X2.0049 I1", "G2 X20.009 I10", "G2 X800.39 I400", "G2 X2000.49 I1000"] {
+            assert_eq!(program.error(line), 0, "{line} in {dialect:?}");
+        }
+        for line in ["G2 X2.0051 I1", "G2 X20.011 I10", "G2 X800.41 I400", "G2 X2000.51 I1000"] {
+            assert_eq!(program.error(line), 33, "{line} in {dialect:?}");
+        }
+    }
+}
+
 #[test]
 fn every_error() {
     for dialect in DIALECTS {

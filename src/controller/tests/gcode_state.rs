@@ -309,3 +309,32 @@ fn grbl_knows_none_of_them() {
         assert_eq!(program.error(line), 20, "{line}");
     }
 }
+
+/// What a recording can begin with: [`Interpreter::is_plain`].
+#[test]
+fn a_state_is_plain_while_no_line_has_left_anything_behind() {
+    let lines: &[(bool, &str, &str)] = &[
+        (true, "G92 X1", "G92.1"),
+        (true, "G43.1 Z2", "G49"),
+        (cfg!(feature = "extended-gcode"), "T3", "M6"),
+        (cfg!(feature = "extended-gcode"), "M70", ""),
+        (cfg!(feature = "rotation"), "G68 X0 Y0 R30", "G69"),
+        (cfg!(feature = "rotation"), "G51 X0 Y0 P2", "G50"),
+        (cfg!(feature = "expressions"), "#1=5", ""),
+    ];
+    for (_, left, ended) in lines.iter().filter(|(known, ..)| *known) {
+        let mut program = Program::new(Dialect::Oxmill);
+        let is_plain = |program: &Program| program.interpreter.is_plain(program.interpreter.position());
+        assert!(is_plain(&program));
+        program.run(left);
+        assert!(!is_plain(&program), "{left}");
+        if !ended.is_empty() {
+            program.run(ended);
+            assert!(is_plain(&program), "{left} {ended}");
+        }
+    }
+    let mut program = Program::new(Dialect::Oxmill);
+    let start = *program.interpreter.position();
+    program.run("G0 X1");
+    assert!(!program.interpreter.is_plain(&start));
+}

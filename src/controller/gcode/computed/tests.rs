@@ -167,6 +167,8 @@ fn errors() {
         ("[-2**0.5]", Error::ArgumentOutOfRange),
         ("EXP[200]", Error::InvalidResult),
         ("[10**60]", Error::InvalidResult),
+        // The power is too small for a number, and what it divides would be too great.
+        ("[0.1**-200]", Error::InvalidResult),
         ("[", Error::ExpressionSyntax),
         ("[]", Error::ExpressionSyntax),
         ("[1", Error::ExpressionSyntax),
