@@ -12,6 +12,9 @@
 //! need no repair of the queue. A new block changes the entries behind it only as far as they were limited by the old end
 //! of the queue; the walk stops at the first that stays.
 //!
+//! The walk is put off until an entry is asked for that it could change. An entry at its cap cannot rise, and neither can what
+//! has been planned before it: it is settled, whatever is appended. So in a long queue many blocks share one walk.
+//!
 //! With a jerk limit a ramp, not a block, is the unit: its acceleration is zero at its two ends only, and it may span
 //! hundreds of blocks. The reverse pass then looks for anchors, the entries where a ramp ends:
 //!
@@ -150,8 +153,12 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
     len: usize,
     /// The first block is running, or the machine comes to it with a speed: it stays as it is.
     entered: bool,
-    /// Limits have changed from this place on.
+    /// Limits have changed from this place on, and the entries have not been brought into line with it.
     changed: usize,
+    /// Entries up to this place are what they will be, whatever is appended: 0 if none is known to be. Without a jerk limit only.
+    settled: usize,
+    /// Behind this place no block is steep ([`Block::is_steep`]).
+    steep: usize,
     /// Of the groups that are in the queue as a whole; with a jerk limit only.
     groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
@@ -172,7 +179,9 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
             first: 0,
             len: 0,
             entered: false,
-            changed: 0,
+            changed: usize::MAX,
+            settled: 0,
+            steep: 0,
             groups,
             jerk_limited: false,
             raised: false,
@@ -184,12 +193,14 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
 // Not derived: what may be unsized cannot be cloned.
 impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
     fn clone(&self) -> Self {
-        let Self { first, len, entered, changed, groups, jerk_limited, raised, blocks } = self;
+        let Self { first, len, entered, changed, settled, steep, groups, jerk_limited, raised, blocks } = self;
         Self {
             first: *first,
             len: *len,
             entered: *entered,
             changed: *changed,
+            settled: *settled,
+            steep: *steep,
             groups: *groups,
             jerk_limited: *jerk_limited,
             raised: *raised,
@@ -247,6 +258,9 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.first = 0;
         self.len = 0;
         self.entered = false;
+        self.changed = usize::MAX;
+        self.settled = 0;
+        self.steep = 0;
     }
 
     /// The first block, which runs from now on.
@@ -262,6 +276,11 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         if self.len > 0 {
             self.first = self.slot(1);
             self.len -= 1;
+            self.settled = self.settled.saturating_sub(1);
+            self.steep = self.steep.saturating_sub(1);
+            if self.changed != usize::MAX {
+                self.changed = self.changed.saturating_sub(1);
+            }
         }
         self.entered = moving;
     }
@@ -279,6 +298,10 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// Removes the last block, which must not be running; another one has to follow.
     pub(super) fn take_back(&mut self) {
         self.len = self.len.saturating_sub(1);
+        // Without an entry it came after the last walk, which does not count on it.
+        if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {
+            self.settled = 0;
+        }
     }
 
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
@@ -292,11 +315,16 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         };
         let nominal = lesser(block.nominal(overrides), previous);
         block.max_entry2 = lesser(block.corner2, nominal * nominal);
+        block.entry2 = 0.0;
+        let steep = block.is_steep();
         let slot = self.slot(self.len);
         if let Some(place) = self.blocks.get_mut(slot) {
             *place = block;
             self.changed = self.changed.min(self.len);
             self.len += 1;
+            if steep {
+                self.steep = self.len;
+            }
         }
         true
     }
@@ -314,29 +342,70 @@ impl<const N: usize> Planner<N, [Block<N>]> {
                 return;
             }
         }
-        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
-        for place in blocks {
-            let slot = self.slot(place);
-            let Some(block) = self.blocks.get_mut(slot) else { return };
-            let curve = block.curve.tighter(bend.curve);
-            block.corner2 = lesser(block.corner2, bend.speed2);
-            if bend.speed2 < block.max_entry2 || curve != block.curve {
-                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
-                block.curve = curve;
-                self.changed = self.changed.min(place);
-            }
+        let from = newest.saturating_sub(bend.farthest).max(1);
+        let count = self.len.saturating_sub(bend.nearest).saturating_sub(from);
+        let slot = self.slot(from);
+        let before_wrap = count.min(self.blocks.len() - slot);
+        let mut lowered = Lowered::default();
+        if let Some(blocks) = self.blocks.get_mut(slot..slot + before_wrap) {
+            lowered.lower(blocks, from, bend);
+        }
+        if let Some(blocks) = self.blocks.get_mut(..count - before_wrap) {
+            lowered.lower(blocks, from + before_wrap, bend);
+        }
+        if let Some(first) = lowered.first {
+            self.changed = self.changed.min(first);
+            self.lower_settled(first, &lowered);
         }
     }
 
-    /// Brings the entries into line with what has been appended and limited.
+    /// What is settled counts on the entries of the last walk, which may only rise: where one of them is lowered, those before
+    /// it are, too, as far as they change.
+    fn lower_settled(&mut self, first: usize, lowered: &Lowered) {
+        self.steep = self.steep.max(lowered.steep_end);
+        if self.settled == 0 || self.jerk_limited {
+            return;
+        }
+        if self.settled < self.steep {
+            self.settled = 0;
+            return;
+        }
+        let mut exit2 = self.block(lowered.planned_end).map_or(0.0, |next| next.entry2);
+        for place in (1..lowered.planned_end).rev() {
+            let slot = self.slot(place);
+            let Some(block) = self.blocks.get_mut(slot) else { return };
+            let entry2 = block.entry_before(exit2);
+            if place < first && entry2 == block.entry2 {
+                return;
+            }
+            if place <= self.settled {
+                self.settled = 0;
+                self.changed = self.changed.min(place);
+                return;
+            }
+            block.entry2 = entry2;
+            exit2 = entry2;
+        }
+    }
+
+    /// What has been appended and limited is to be planned: now with a jerk limit, else once it is asked for.
     pub(super) fn plan(&mut self) {
         if self.jerk_limited {
             let changed = self.reverse_pass_to_anchors();
             self.sum_up(changed);
-        } else {
-            self.reverse_pass();
+            self.changed = usize::MAX;
+        } else if self.changed <= self.settled {
+            self.settled = 0;
         }
-        self.changed = usize::MAX;
+    }
+
+    /// Brings the exit of the first block into line with what has been appended and limited.
+    #[inline]
+    pub(super) fn settle(&mut self) {
+        if self.settled == 0 && self.changed != usize::MAX {
+            self.reverse_pass();
+            self.changed = usize::MAX;
+        }
     }
 
     /// Applies new overrides of feed and rapids to all blocks, the first of which is left in this state after `left` mm.
@@ -365,16 +434,22 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.plan();
     }
 
-    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
+    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change. Finds the
+    /// last entry that is settled.
+    #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
         let upper = self.len - wrapped;
         let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
         // Without the first block, which may be running.
         let (Some(low), Some(high)) = (low.get_mut(..wrapped), high.get_mut(1..upper)) else { return };
-        if let Some(exit2) = walk_back(low, 0.0, self.changed.saturating_sub(upper)) {
-            walk_back(high, exit2, self.changed.saturating_sub(1));
+        let walked = walk_back(low, 0.0, self.changed.saturating_sub(upper));
+        let mut capped = walked.capped.map(|place| place + upper);
+        if let Some(exit2) = walked.entry2 {
+            let walked = walk_back(high, exit2, self.changed.saturating_sub(1));
+            capped = capped.or(walked.capped.map(|place| place + 1));
         }
+        self.settled = capped.filter(|place| *place >= self.steep).unwrap_or(0);
     }
 
     /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
@@ -555,24 +630,94 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 }
 
-/// Brings the entries of some blocks in a row into line, from the last of them to the first; the last one is left at a speed².
-/// The speed² at which the first is entered; `None` if the entries before it stay as they are, because one stays in front of the
-/// place from which limits have `changed`.
-#[inline(never)]
-fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: usize) -> Option<f32> {
-    let (same, changed) = blocks.split_at_mut(changed.min(blocks.len()));
-    for block in changed.iter_mut().rev() {
-        exit2 = block.entry_before(exit2);
-        block.entry2 = exit2;
+/// What [`walk_back`] has found.
+struct Walked {
+    /// The speed² at which the first block is entered; `None` if the entries before stay as they are, because one stays.
+    entry2: Option<f32>,
+    /// The last of the entries it has come to that is at its cap.
+    capped: Option<usize>,
+}
+
+/// What a bend has lowered.
+#[derive(Default)]
+struct Lowered {
+    /// The first place.
+    first: Option<usize>,
+    /// Behind the last one that has been walked over, 0 if none has.
+    planned_end: usize,
+    /// Behind the last one that is steep now, 0 if none is.
+    steep_end: usize,
+}
+
+impl Lowered {
+    /// Lowers blocks in a row, the first of which is at a place.
+    #[inline]
+    fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
+        for (place, block) in (from..).zip(blocks) {
+            block.corner2 = lesser(block.corner2, bend.speed2);
+            if bend.speed2 < block.max_entry2 || bend.curve.is_tighter(block.curve) {
+                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
+                block.curve = block.curve.tighter(bend.curve);
+                self.first.get_or_insert(place);
+                // A block that came after the last walk has no entry.
+                if block.entry2 > 0.0 {
+                    self.planned_end = place + 1;
+                }
+                if block.is_steep() {
+                    self.steep_end = place + 1;
+                }
+            }
+        }
     }
-    for block in same.iter_mut().rev() {
-        exit2 = block.entry_before(exit2);
-        if block.entry2 == exit2 {
-            return None;
+}
+
+/// Brings the entries of some blocks in a row into line, from the last of them to the first; the last one is left at a speed².
+/// Ends at one that stays, in front of the place from which limits have `changed`.
+#[inline(never)]
+fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: usize) -> Walked {
+    let (same, changed) = blocks.split_at_mut(changed.min(blocks.len()));
+    let mut capped = None;
+    let mut newest = changed.iter_mut().enumerate().rev();
+    for (place, block) in newest.by_ref() {
+        exit2 = block.braking_entry2(exit2);
+        if exit2 >= block.max_entry2 {
+            exit2 = block.max_entry2;
+            block.entry2 = exit2;
+            capped = Some(same.len() + place);
+            break;
         }
         block.entry2 = exit2;
     }
-    Some(exit2)
+    // From here on the last one at its cap is known, or all have been looked at.
+    for (_, block) in newest {
+        exit2 = block.entry_before(exit2);
+        block.entry2 = exit2;
+    }
+    let mut oldest = same.iter_mut().enumerate().rev();
+    if capped.is_none() {
+        for (place, block) in oldest.by_ref() {
+            exit2 = block.braking_entry2(exit2);
+            if exit2 >= block.max_entry2 {
+                exit2 = block.max_entry2;
+                capped = Some(place);
+            }
+            if block.entry2 == exit2 {
+                return Walked { entry2: None, capped };
+            }
+            block.entry2 = exit2;
+            if capped.is_some() {
+                break;
+            }
+        }
+    }
+    for (_, block) in oldest {
+        exit2 = block.entry_before(exit2);
+        if block.entry2 == exit2 {
+            return Walked { entry2: None, capped };
+        }
+        block.entry2 = exit2;
+    }
+    Walked { entry2: Some(exit2), capped }
 }
 
 /// The next anchor, seen from a place before it.
@@ -611,16 +756,27 @@ impl Target {
 
 #[cfg(test)]
 impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
-    /// Asserts that what has been planned step by step is what is planned at once, and what the groups say of it.
+    /// Asserts that what is asked for next is what it is when all is planned at once, and so is all that is settled; with a
+    /// jerk limit everything, and what the groups say of it.
     pub(super) fn assert_consistent(&self) {
-        let own: &Planner<N, [Block<N>]> = self;
+        let mut settled = self.clone();
+        let own: &mut Planner<N, [Block<N>]> = &mut settled;
         let mut copy = self.clone();
         let fresh: &mut Planner<N, [Block<N>]> = &mut copy;
+        own.settle();
         fresh.changed = 0;
+        fresh.settled = 0;
         fresh.plan();
+        fresh.settle();
+        assert_eq!(own.exit2(), fresh.exit2(), "the exit of the first of {}", own.len);
         for place in 1..own.len {
             let (block, other) = (own.block(place).unwrap(), fresh.block(place).unwrap());
-            assert_eq!((block.entry2, block.ramp), (other.entry2, other.ramp), "entry {place} of {}", own.len);
+            if own.jerk_limited || place <= own.settled {
+                assert_eq!((block.entry2, block.ramp), (other.entry2, other.ramp), "entry {place} of {}", own.len);
+            }
+            if !own.jerk_limited {
+                continue;
+            }
             let (stretch, blocks) = own.stretch(place, f32::INFINITY).unwrap();
             let single = (place..place + blocks).map(|at| own.block(at).unwrap());
             assert_eq!(stretch, single.fold(Stretch::NONE, Stretch::and), "{blocks} blocks at {place}");

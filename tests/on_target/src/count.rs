@@ -428,17 +428,29 @@ fn planning(motion: &mut Planner) {
     observed.step_idle = true;
     motion.observe(&observed);
 
-    // Blocks so short that each one changes the entries of all before it.
+    // Blocks so short that each one changes the entries of all before it, which is found out with the next segment.
     let far = 400_000;
-    for k in 0..140 {
-        match k {
-            40 => row_walk_near(),
-            41 => row_none(),
-            120 => row_walk_far(),
-            121 => row_none(),
-            _ => {}
+    let mut segment = |motion: &mut Planner| {
+        while !matches!(black_box(unit_prepare(motion, black_box(&observed))), None | Some(ToStep::Segment(_))) {}
+        observed.segments_begun += 1;
+        observed.step_idle = false;
+    };
+    for k in 0..=120 {
+        let measured = k == 40 || k == 120;
+        if measured {
+            segment(motion);
         }
         black_box(unit_plan(motion, black_box(&line_to(far + 100 * (k + 1), 0, 160.0))));
+        match k {
+            0 => motion.start(),
+            40 => row_walk_near(),
+            120 => row_walk_far(),
+            _ => {}
+        }
+        if measured {
+            segment(motion);
+            row_none();
+        }
     }
 }
 
@@ -547,7 +559,7 @@ fn text_and_arcs() {
     }
 }
 
-type Whole = Controller<3, 64>;
+type Whole = Controller<3, 256>;
 
 /// Segments that wait in the step task all the time: some 13 ms, as on a machine that keeps up.
 const WAITING: u32 = 13;
@@ -596,17 +608,17 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
     for line in [b"$120=500\n".as_slice(), b"$121=500\n", b"$110=10000\n", b"$111=10000\n", b"G1F6000\n"] {
         feed(controller, line);
     }
-    for k in 1..=160_u32 {
+    for k in 1..=400_u32 {
         text.clear();
         // A gentle curve, in three decimals as post-processors write them.
         let (x, y) = (k * 98, k * k / 10);
         let _ =
             core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
-        if k < 60 {
+        if k < 240 {
             feed(controller, text.as_bytes());
             continue;
         }
-        if k == 100 {
+        if k == 300 {
             row_line();
         }
         begun += unit_line(controller, black_box(text.as_bytes()), begun);
