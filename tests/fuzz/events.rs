@@ -272,15 +272,17 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A startup line may move for long: a reset in mid-motion locks the machine, and then it is not carried out.
-    for time in [20_000, 20_000, 200_000] {
-        board.command(Realtime::Reset);
-        board.pass(time, false);
-    }
-    // The first is the end of a line that was begun.
-    for line in ["", "$RST=*"] {
-        board.ask(line);
-    }
+    // A startup line may move for long, after a dwell even: a reset in mid-motion locks the machine, and then it is not carried out.
+    let is_restored = (0..4).any(|_| {
+        for time in [20_000, 200_000] {
+            board.command(Realtime::Reset);
+            board.pass(time, false);
+        }
+        // The first is the end of a line that was begun.
+        board.ask("");
+        board.ask("$RST=*").lines().any(|said| said == "ok")
+    });
+    assert!(is_restored || !board.has_time(), "settings cannot be restored");
     board.command(Realtime::Reset);
     board.pass(200_000, false);
     board.ask("$X");

@@ -89,14 +89,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !job.jog
             && matches!(self.mode, Mode::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
-        if progressed && !only_moved {
+        // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
+        let ordered = self.stops.has_order();
+        if ordered || progressed && !only_moved {
             self.pins.disturb();
         }
         match job.stage {
             Stage::Done if progressed => self.finish(job.answer),
             _ => self.task = Task::Job(job),
         }
-        progressed
+        progressed || ordered
     }
 
     /// The same for all that is no such line.

@@ -127,6 +127,12 @@ impl Stops {
         self.wait_for(reason);
     }
 
+    /// Whether the step task is still to be told to stop.
+    #[inline]
+    pub fn has_order(&self) -> bool {
+        self.ordered
+    }
+
     /// Whether the step task has to be told to stop now.
     #[inline]
     pub fn take_order(&mut self) -> bool {
