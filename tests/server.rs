@@ -268,7 +268,12 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         drop(server);
         let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
         let said = String::from_utf8_lossy(&replay.stderr).into_owned();
-        assert!(replay.status.code() != Some(3), "{pin}: {said}{}", std::fs::read_to_string(&file).unwrap());
+        // An alarm, or none, and the same steps.
+        assert!(
+            matches!(replay.status.code(), Some(0 | 1)),
+            "{pin}: {said}{}",
+            std::fs::read_to_string(&file).unwrap()
+        );
     }
     std::fs::remove_dir_all(&folder).expect("it is there");
 }

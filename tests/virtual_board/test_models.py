@@ -814,7 +814,7 @@ class NvicTraces(unittest.TestCase):
         self.assertEqual(model.pending, {nvic.SYSTICK})
 
 
-class TestUsbHost(unittest.TestCase):
+class UsbHostPolls(unittest.TestCase):
     def test_polls_that_are_not_played_keep_their_moments(self):
         bench = Bench()
         bench.usart, bench.otg = SimpleNamespace(wire=None), otg.OtgFs("OTG_FS", bench)
