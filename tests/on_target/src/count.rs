@@ -547,7 +547,8 @@ fn text_and_arcs() {
     }
 }
 
-type Whole = Controller<3, 64>;
+/// With the look-ahead of the smallest board.
+type Whole = Controller<3, 256>;
 
 /// Segments that wait in the step task all the time: some 13 ms, as on a machine that keeps up.
 const WAITING: u32 = 13;
@@ -596,17 +597,17 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
     for line in [b"$120=500\n".as_slice(), b"$121=500\n", b"$110=10000\n", b"$111=10000\n", b"G1F6000\n"] {
         feed(controller, line);
     }
-    for k in 1..=160_u32 {
+    for k in 1..=400_u32 {
         text.clear();
         // A gentle curve, in three decimals as post-processors write them.
         let (x, y) = (k * 98, k * k / 10);
         let _ =
             core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
-        if k < 60 {
+        if k < 240 {
             feed(controller, text.as_bytes());
             continue;
         }
-        if k == 100 {
+        if k == 300 {
             row_line();
         }
         begun += unit_line(controller, black_box(text.as_bytes()), begun);
