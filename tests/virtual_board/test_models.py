@@ -825,9 +825,9 @@ class UsbHostPolls(unittest.TestCase):
             bench.now = moment
             host.send(b"?")
             self.assertEqual((host.due, bench.otg.due), (poll, poll))
-            bench.now += 1
+            bench.now = poll + 1
             host.order("open")
-            self.assertEqual(host.due, poll, "once is enough")
+            self.assertEqual(host.due, poll, "it is put off no further")
             bench.now = poll
             wait = host.step(poll)
         self.assertEqual(wait, poll + period, "and then each is played")
