@@ -257,7 +257,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 
     /// Lets time pass until something holds, in small steps from a little before a moment to a little after it. Whether it did.
-    fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&Simulator) -> bool) -> bool {
+    fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&mut Simulator) -> bool) -> bool {
         let slack = self.hz() / SLACK_PARTS;
         self.advance(time.saturating_sub(slack));
         while !holds(self.simulator) {
@@ -292,11 +292,12 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let wanted: Vec<i32> =
             counters.iter().zip(&self.offset).map(|(board, offset)| board.wrapping_sub(*offset)).collect();
         let step = self.hz() / 1_000_000;
-        let is_there = |simulator: &Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
+        let is_there =
+            |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
         // At its own time, if it can be: motion may not have left a place, or have come to it long ago.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);
-        if is_there(&ahead) {
+        if is_there(&mut ahead) {
             self.advance(time);
             return true;
         }
@@ -432,7 +433,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 
     fn rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
-        self.meet(time, self.hz() / 10_000, Simulator::is_idle);
+        self.meet(time, self.hz() / 10_000, |simulator| simulator.is_idle());
         self.advance(time);
         self.compare(time, counters)?;
         if self.simulator.recorded_blocks() == blocks {
@@ -442,7 +443,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 
     fn compare_state(&mut self, time: u64, standing: &Standing) -> Result<(), String> {
-        self.meet(time, self.hz() / 10_000, Simulator::is_idle);
+        self.meet(time, self.hz() / 10_000, |simulator| simulator.is_idle());
         self.advance(time);
         let Some(mut here) = self.simulator.controller().standing() else {
             return Err(format!("{} the board was at rest in a plain state; here it is not", self.seconds(time)));
@@ -464,13 +465,16 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         line: u32,
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
-        let is_there = |simulator: &Simulator| {
+        let is_there = |simulator: &mut Simulator| {
+            // The board tells the end of a segment, which begins anywhere between two events here. Nothing comes after this
+            // that looking could shift.
+            simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();
             // As the board keeps it: whole micrometres towards zero.
             controller.line_number() == line && here.iter().zip(place).all(|(here, there)| here.0 / 10_000 == *there)
         };
-        if self.meet(time, self.hz() / 20_000, is_there) {
+        if self.meet(time, self.hz() / 100_000, is_there) {
             let late = self.simulator.clock().now() as f64 - time as f64;
             let milliseconds = late / self.hz() as f64 * 1e3;
             notes.push(format!(

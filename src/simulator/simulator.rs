@@ -297,6 +297,12 @@ impl Simulator {
         }
     }
 
+    /// The controller looks how far the step task is, as a board's does whenever anything wakes it. How often it does may shift
+    /// the wake-ups that follow, so a run that is to be the same as another must look as often.
+    pub fn look(&mut self) {
+        self.turn();
+    }
+
     /// Advances to the next event, at most to `limit`. `false` if nothing will happen by itself.
     pub fn advance_once(&mut self, limit: u64) -> bool {
         if self.power_is_gone() {
