@@ -5,6 +5,7 @@
 //! to an end of its work, no wake-up is past, nothing is sent to the step task or stepped in an alarm, and each line is
 //! answered once.
 
+use super::work;
 use oxmill_controller::messages::{
     Event, HOST_CHANGED, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH, Realtime,
     Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
@@ -21,6 +22,8 @@ const BLOCKS: usize = 16;
 const MOST_QUIET_OUTPUTS: usize = 8;
 /// Rounds without time in between. A program can loop without moving: it is left to it then.
 const MOST_ROUNDS: usize = 3_000;
+/// Edges of the control-flow graph in a round; 24,963 were the most when it was chosen.
+const MOST_WORK: u64 = 100_000;
 /// Ticks and wake-ups that a session has: beyond, time stands still.
 const MOST_MOMENTS: u32 = 60_000;
 
@@ -394,7 +397,7 @@ impl Board {
         for _ in 0..self.most_rounds {
             self.round_replies = 0;
             let begun = self.stepper.segments_begun();
-            if !round(self) {
+            if !work::at_most(MOST_WORK, || round(self)) {
                 if self.controller.is_idle() && self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle() {
                     self.recorder.at_rest(self.now(), &self.controller);
                 }

@@ -110,6 +110,8 @@ const LINES: [&str; 33] = [
 /// Settings that change what the machine does and not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
+/// The one of them that gives places other names: the directions.
+const RENAMING: &str = "$3=";
 /// What the machine watches, and what it does for a fault: none of it gives places other names. Chosen by numbers from here.
 const WATCHES_FROM: u8 = 240;
 const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
@@ -232,7 +234,7 @@ impl Account {
     fn before(&mut self, action: &Action) {
         let renames = match action {
             Action::Text(text) => text.contains('$'),
-            Action::Line(Line::Setting { number, .. }) => *number < WATCHES_FROM,
+            Action::Line(line @ Line::Setting { .. }) => line.text().starts_with(RENAMING),
             Action::Line(line) => matches!(line.text().as_str(), "$H\n" | "$RST=*\n"),
             Action::Lie(_) => true,
             _ => false,

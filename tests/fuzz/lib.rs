@@ -13,6 +13,7 @@ pub mod settings;
 pub mod steps;
 pub mod stored;
 pub mod usb;
+pub mod work;
 
 /// A target: its name, and what it does with its bytes.
 pub type Target = (&'static str, fn(&[u8]));

@@ -4,6 +4,7 @@
 //! Promises: a refused line changes nothing; every position stays within reach; what a line gives is a number; text that
 //! is held comes to an end or goes on in bounded steps.
 
+use super::work::at_most;
 use oxmill_controller::gcode::{
     AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
@@ -11,6 +12,8 @@ use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
 
 /// X, Y, Z and A, of which the first byte may leave A out.
 const AXES: usize = 4;
+/// Edges of the control-flow graph in a call; 1,064 were the most when it was chosen.
+const MOST_WORK: u64 = 5_000;
 /// Lines that a program may execute: a loop has no end of its own.
 const MOST_LINES: usize = 2_000;
 
@@ -73,7 +76,7 @@ impl Program {
                 let _ = self.interpreter.tape_mark();
                 return;
             }
-            _ => self.interpreter.direct(text, remark, self.lines as u32),
+            _ => at_most(MOST_WORK, || self.interpreter.direct(text, remark, self.lines as u32)),
         };
         match direction {
             Ok(Direction::Check) => {
@@ -89,7 +92,7 @@ impl Program {
         let mut held = HeldLine::new();
         while self.lines <= MOST_LINES {
             self.lines += 1;
-            match self.interpreter.next_held(&mut held) {
+            match at_most(MOST_WORK, || self.interpreter.next_held(&mut held)) {
                 Ok(Held::Line) => {
                     let line = held.clone();
                     let (words, remark) = split_remark(&line);
@@ -114,7 +117,7 @@ impl Program {
 
     fn jog(&mut self, text: &[u8]) {
         let before = (*self.interpreter.modal(), *self.interpreter.position());
-        let checked = self.interpreter.check_jog_into(text, self.dialect, &mut self.checked);
+        let checked = at_most(MOST_WORK, || self.interpreter.check_jog_into(text, self.dialect, &mut self.checked));
         assert!(before == (*self.interpreter.modal(), *self.interpreter.position()), "a check changes nothing");
         if checked.is_ok() {
             self.interpreter.commit(&self.checked);
@@ -125,7 +128,7 @@ impl Program {
 
     fn carry_out(&mut self, text: &[u8]) -> bool {
         let before = (*self.interpreter.modal(), *self.interpreter.position());
-        let result = self.interpreter.check_into(text, self.dialect, &mut self.checked);
+        let result = at_most(MOST_WORK, || self.interpreter.check_into(text, self.dialect, &mut self.checked));
         assert!(before == (*self.interpreter.modal(), *self.interpreter.position()), "a check changes nothing");
         if result.is_err() {
             return false;

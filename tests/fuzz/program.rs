@@ -13,7 +13,10 @@ fn chosen() -> fn(&[u8]) {
 static CHOSEN: std::sync::LazyLock<fn(&[u8])> = std::sync::LazyLock::new(chosen);
 
 #[cfg(feature = "libfuzzer")]
-libfuzzer_sys::fuzz_target!(|data: &[u8]| CHOSEN(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    CHOSEN(data);
+    assert!(oxmill_fuzz::work::is_counted(), "the work of a call is not counted");
+});
 
 #[cfg(not(feature = "libfuzzer"))]
 fn main() {

@@ -1,11 +1,15 @@
 //! Programs on a homed machine with soft limits, each line through the whole controller to the pulses: every dialect, lines,
-//! arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect.
+//! arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect. A realtime command within a
+//! line (hold, door, override, end of a jog, reset) comes when the line has been given and some time has passed, later the
+//! further behind it stands.
 //!
-//! Promises: no pulse lies outside of the travel; each line is answered once, after a bounded number of rounds; nothing
-//! moves in an alarm; at rest the reported position is that of the pulses.
+//! Promises: no pulse lies outside of the travel as long as the position is trusted, whatever is held, overridden or reset;
+//! each line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position is
+//! that of the pulses.
 
 use super::board::{AXES, Board, shows};
 use oxmill_controller::messages::Realtime;
+use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
 /// Steps in a millimetre: few, so that a program is short. An execution is of as many lines as its input has.
@@ -23,6 +27,8 @@ const MOST_ROUNDS: usize = 600;
 const MOST_UNENDED: usize = 2;
 /// Lines of an input.
 const MOST_LINES: usize = 48;
+/// Time before a realtime command, for each place that it stands behind the beginning of its line or behind the one before it.
+const TIME_A_PLACE: u64 = 3_000;
 
 thread_local! {
     /// Homed, in each dialect: a copy is cheaper than another homing.
@@ -65,31 +71,50 @@ pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let mut board = HOMED.with(|boards| boards[usize::from(*first % 3)].clone());
     for line in text.split(|byte| matches!(byte, b'\n' | b'\r')).take(MOST_LINES) {
-        // Commands and settings may say that the travel is another; jogs may not. What a link takes for a command of its own
-        // is in no line.
-        let is_command = line.contains(&b'$') && !line.starts_with(b"$J=");
-        if is_command || line.iter().any(|byte| matches!(byte, b'!' | b'?' | b'~' | 0x18 | 0x80..)) {
+        // Commands and settings may say that the travel is another; jogs may not.
+        let text: Vec<u8> = line.iter().copied().filter(|byte| !is_realtime(*byte)).collect();
+        if text.contains(&b'$') && !text.starts_with(b"$J=") {
             continue;
         }
-        if !board.has_time() || !carry_out(&mut board, line) {
+        if !board.has_time() || !carry_out(&mut board, &text, line) {
             break;
         }
     }
     end(board);
 }
 
-/// Sends a line and waits for its answer; false if there is none, as in a loop without end.
-fn carry_out(board: &mut Board, line: &[u8]) -> bool {
-    if !board.has_room(line.len() + 1) {
+/// Whether a link takes it for a command of its own: it is in no line.
+fn is_realtime(byte: u8) -> bool {
+    matches!(byte, b'!' | b'?' | b'~' | 0x18 | 0x80..)
+}
+
+/// Gives the realtime commands of a line, each in its time.
+fn interrupt(board: &mut Board, line: &[u8]) {
+    let mut given = 0;
+    for (place, byte) in line.iter().enumerate() {
+        if let Some(command) = realtime::command(*byte).filter(|_| is_realtime(*byte)) {
+            board.pass((place - given) as u64 * TIME_A_PLACE, false);
+            given = place;
+            board.command(command);
+            board.settle();
+        }
+    }
+}
+
+/// Sends a text and gives the realtime commands of its line, and waits for the answer; false if there is none, as in a loop
+/// without end.
+fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
+    if !board.has_room(text.len() + 1) {
         return false;
     }
-    board.send(line);
+    board.send(text);
     board.send(b"\n");
     board.settle();
+    interrupt(board, line);
     for wait in 0..MOST_WAITS {
         if board.is_read() {
             if shows() {
-                println!("{:?} {:?} {:?}", String::from_utf8_lossy(line), board.take_said(), board.motors);
+                println!("{:?} {:?} {:?}", line.escape_ascii().to_string(), board.take_said(), board.motors);
             }
             if board.controller.alarm().is_some() {
                 // Where the machine has been stopped at speed it is not trusted any more, and nothing holds it.
@@ -120,6 +145,8 @@ fn end(mut board: Board) {
             break;
         }
         board.pass(200_000, false);
+        // Of a hold.
+        board.command(Realtime::CycleStart);
     }
     let Some(travel) = board.travel.filter(|_| board.controller.is_idle()) else { return };
     let places = board.controller.machine_position();

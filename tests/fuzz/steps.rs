@@ -4,6 +4,7 @@
 //! Promises: no axis makes more than a step in a tick; the position that it reports is that of the steps it has made; a
 //! block that is run to its end makes just its steps; after a stop or an underrun nothing moves until it is resumed.
 
+use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_controller::Stepper;
 use oxmill_controller::messages::{AxisSteps, Segment, StepEvent, ToStep, UNITS_PER_STEP};
@@ -32,6 +33,9 @@ struct Cut {
     wait: bool,
     last: bool,
 }
+
+/// Edges of the control-flow graph in a tick; 8 were the most when it was chosen.
+const MOST_WORK: u64 = 32;
 
 struct Run {
     stepper: Stepper<AXES>,
@@ -148,7 +152,7 @@ impl Run {
     fn tick(&mut self) {
         self.ticks += 1;
         let directions = self.stepper.directions();
-        let tick = self.stepper.tick();
+        let tick = at_most(MOST_WORK, || self.stepper.tick());
         assert!(tick.steps < 1 << AXES, "steps of axes that are not there");
         assert!(self.shut.is_none() || tick.steps == 0, "a step before the machine is resumed");
         for axis in 0..AXES {

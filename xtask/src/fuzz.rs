@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-/// What libFuzzer needs of the compiler: a pass that counts edges.
+/// What libFuzzer needs of the compiler: a pass that counts edges; and a call at each, by which a target counts its work.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
-    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table -Ccodegen-units=1";
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+    -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
 /// What it can use besides: the two sides of each comparison. They show it values that chance does not find, and take two
 /// thirds of the time.
 const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
