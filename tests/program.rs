@@ -154,7 +154,7 @@ fn the_manual_has_the_options_of_each_command() {
         ("check", &["--json", "--board"]),
         ("plot", &["--output"]),
         ("serve", &["--web", "--page", "--pins", "--reset-on-connect"]),
-        ("replay", &["--json"]),
+        ("replay", &["--json", "--trace"]),
         ("man", &["--out"]),
         ("completions", &["SHELL"]),
     ] {

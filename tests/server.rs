@@ -121,12 +121,28 @@ fn a_web_page_moves_nothing_on_a_port_of_lines() {
 
 #[test]
 fn a_web_page_moves_no_pin() {
-    let (_server, said) = Server::with_words(&["serve", "--tcp", "127.0.0.1:0", "--pins", "127.0.0.1:0"], 1);
-    let pins = said[0].strip_prefix("pins on ").expect("an address");
-    assert_eq!(answer_to(pins, b"door 1\n"), "ok\n");
-    assert_eq!(answer_to(pins, format!("{REQUEST}door 0\n").as_bytes()), "");
-    // A line without an end is no line.
-    assert_eq!(answer_to(pins, &[b'x'; 1 << 16]), "");
+    let (_server, pins) = Server::with_pins();
+    assert_eq!(answer_to(&pins, b"door 1\n"), "ok\n");
+    assert_eq!(answer_to(&pins, format!("{REQUEST}door 0\n").as_bytes()), "");
+}
+
+/// Also behind lines that have one, and as the first of a client.
+#[test]
+fn a_line_without_an_end_moves_no_pin_and_is_refused() {
+    let (_server, pins) = Server::with_pins();
+    for before in ["", "door 1\n"] {
+        let mut client = Client::of(&pins);
+        client.send(before);
+        client.send([b'x'; 257]);
+        let answer = if before.is_empty() { String::new() } else { client.line() };
+        assert_eq!(answer, before.replace("door 1\n", "ok"));
+        let mut rest = String::new();
+        client.lines.read_to_string(&mut rest).expect("it is closed");
+        assert_eq!(rest, "[MSG:The line has no end]\r\n");
+    }
+    // The longest line that is read.
+    let mut client = Client::of(&pins);
+    assert_eq!(client.ask(&format!("{:255}", "door 1")), "ok");
 }
 
 #[test]
@@ -143,23 +159,36 @@ fn held(program: &Child) -> [usize; 2] {
     [count("task"), count("fd")]
 }
 
+/// The timers that run for a connection on the side of the server, by number: 2 is the one that keeps it alive.
+#[cfg(target_os = "linux")]
+fn timers(client: &Client) -> Vec<String> {
+    let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
+    let (here, there) = (client.stream.peer_addr().expect("a socket"), client.stream.local_addr().expect("a socket"));
+    let sockets = std::fs::read_to_string("/proc/net/tcp").expect("Linux");
+    // sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..
+    sockets
+        .lines()
+        .map(|line| line.split_whitespace().collect::<Vec<_>>())
+        .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
+        .map(|words| words[5].split(':').next().unwrap_or_default().to_owned())
+        .collect()
+}
+
 /// A client whose cable has been pulled is not seen by who waits for its bytes: the kernel asks for signs of life.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
     let server = Server::new(&[]);
-    let client = server.served();
-    let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
-    let (here, there) = (client.stream.peer_addr().expect("a socket"), client.stream.local_addr().expect("a socket"));
-    let sockets = std::fs::read_to_string("/proc/net/tcp").expect("Linux");
-    // sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..; timer 2 is the one that keeps a connection alive.
-    let timers: Vec<&str> = sockets
-        .lines()
-        .map(|line| line.split_whitespace().collect::<Vec<_>>())
-        .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
-        .map(|words| words[5].split(':').next().unwrap_or_default())
-        .collect();
-    assert_eq!(timers, ["02"], "{sockets}");
+    assert_eq!(timers(&server.served()), ["02"]);
+    let (_server, pins) = Server::with_pins();
+    let mut client = Client::of(&pins);
+    assert_eq!(client.ask("door 1"), "ok");
+    // What acknowledges the answer may still be on its way.
+    let end = Instant::now() + PATIENCE;
+    while timers(&client) != ["02"] {
+        assert!(Instant::now() < end, "{:?}", timers(&client));
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 #[cfg(target_os = "linux")]
@@ -168,8 +197,10 @@ fn thousands_of_connections_leave_nothing_behind() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("many.html");
     std::fs::write(&page, "<meta charset=\"utf-8\"><meta content=\"connect-src 'none'\">").expect("a file");
     let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
-    for server in [Server::new(&[]), Server::started(&web, "web http://")] {
-        let address = server.address.trim_end_matches('/');
+    let (tcp, page, (pinned, pins)) = (Server::new(&[]), Server::started(&web, "web http://"), Server::with_pins());
+    let (tcp_address, page_address) = (tcp.address.clone(), page.address.trim_end_matches('/').to_owned());
+    for (server, address, line) in [(tcp, tcp_address, ""), (page, page_address, ""), (pinned, pins, "steps\n")] {
+        let address = address.as_str();
         // With all threads that it has for itself: those begin with the first connection at the latest.
         answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
         std::thread::sleep(Duration::from_millis(500));
@@ -180,15 +211,60 @@ fn thousands_of_connections_leave_nothing_behind() {
         let during = held(&server.program);
         assert!(during[0] < before[0] + 64 + 8, "{before:?} {during:?}");
         drop(idle);
-        for _ in 0..3000 {
-            drop(TcpStream::connect(address).expect("it listens"));
+        let memory = resident(&server.program);
+        for number in 0..3000 {
+            let mut stream = TcpStream::connect(address).expect("it listens");
+            // Some leave at once, some while their line is carried out; one that finds no place may be gone already.
+            if number % 3 > 0 {
+                let _ = stream.write_all(line.as_bytes());
+            }
         }
         let end = Instant::now() + PATIENCE;
         while held(&server.program).iter().zip(&before).any(|(now, before)| now > before) {
             assert!(Instant::now() < end, "{before:?} {:?}", held(&server.program));
             std::thread::sleep(Duration::from_millis(50));
         }
+        // 64 bytes for each connection would be 190 KiB; stacks of threads that come and go take more than that.
+        assert!(resident(&server.program) < memory + 4096, "{memory} {}", resident(&server.program));
     }
+}
+
+/// Clients of the pin port that never read their answers leave their places to others, and nothing grows meanwhile.
+#[cfg(target_os = "linux")]
+#[test]
+fn clients_that_do_not_read_hold_no_place() {
+    let (server, pins) = Server::with_pins();
+    let mut before = Client::of(&pins);
+    assert_eq!(before.ask("door 0"), "ok");
+    let memory = resident(&server.program);
+    let question = b"lamp 1\n".repeat(10_000);
+    let mut deaf: Vec<TcpStream> = (0..63).map(|_| TcpStream::connect(&pins).expect("it listens")).collect();
+    for stream in &mut deaf {
+        stream.set_nonblocking(true).expect("a socket");
+    }
+    // Each sends as much as is taken of it. The last that are read are so until their answers find no room.
+    let (mut is_full, end) = (false, Instant::now() + PATIENCE);
+    loop {
+        for stream in &mut deaf {
+            let _ = stream.write(&question);
+        }
+        // One that reads is served all the time.
+        assert_eq!(before.ask("door 0"), "ok");
+        assert!(resident(&server.program) < memory + 8192, "{memory} {}", resident(&server.program));
+        let mut new = Client::of(&pins);
+        // One that is refused may find its connection closed.
+        let _ = new.stream.write_all(b"door 1\n");
+        let mut said = String::new();
+        match new.lines.read_line(&mut said) {
+            Ok(_) if said == "ok\n" => break,
+            Ok(_) => assert_eq!(said, "[MSG:Too many connections]\r\n"),
+            Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
+        }
+        is_full = true;
+        assert!(Instant::now() < end, "places are left");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(is_full, "no place was left meanwhile");
 }
 
 /// Memory of a program that is in RAM, KiB.
@@ -339,10 +415,15 @@ impl Server {
         (Server { program, address: String::new() }, said)
     }
 
+    /// Started, with the address of its pin port.
+    fn with_pins() -> (Server, String) {
+        let (server, said) = Server::with_words(&["serve", "--tcp", "127.0.0.1:0", "--pins", "127.0.0.1:0"], 1);
+        let pins = said[0].strip_prefix("pins on ").expect("an address").to_owned();
+        (server, pins)
+    }
+
     fn connect(&self) -> Client {
-        let stream = TcpStream::connect(&self.address).expect("it listens");
-        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
-        Client { lines: BufReader::new(stream.try_clone().expect("a socket")), stream }
+        Client::of(&self.address)
     }
 
     /// A client that has read the welcome.
@@ -382,6 +463,12 @@ struct Client {
 }
 
 impl Client {
+    fn of(address: &str) -> Client {
+        let stream = TcpStream::connect(address).expect("it listens");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        Client { lines: BufReader::new(stream.try_clone().expect("a socket")), stream }
+    }
+
     fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.stream.write_all(bytes.as_ref()).expect("it is read");
     }

@@ -142,6 +142,9 @@ pub struct Replay {
     /// The summary as one JSON object on standard output, as `run --json` prints it.
     #[arg(long)]
     pub json: bool,
+    /// Writes a row for each step event.
+    #[arg(long, value_name = "FILE.csv")]
+    pub trace: Option<PathBuf>,
 }
 
 /// Exactly one of the links.
@@ -304,8 +307,9 @@ mod tests {
         assert_eq!(run.record, Some(PathBuf::from("a.rec")));
         let Command::Serve(serve) = parse("oxmill serve --stdio --record a.rec").unwrap() else { panic!() };
         assert_eq!(serve.record, Some(PathBuf::from("a.rec")));
-        let Command::Replay(replay) = parse("oxmill replay a.rec --json").unwrap() else { panic!() };
+        let Command::Replay(replay) = parse("oxmill replay a.rec --json --trace a.csv").unwrap() else { panic!() };
         assert_eq!((replay.recording, replay.json), (PathBuf::from("a.rec"), true));
+        assert_eq!(replay.trace, Some(PathBuf::from("a.csv")));
     }
 
     #[test]

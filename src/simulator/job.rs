@@ -167,16 +167,24 @@ pub fn run(options: &Run) -> Result<Ending> {
 pub fn replay(options: &Replay) -> Result<Ending> {
     let started = Instant::now();
     let path = options.recording.display();
+    let files = [(&options.recording, "the recording", false)].into_iter();
+    let files = files.chain(options.trace.iter().map(|path| (path, "--trace", true)));
+    files::check_apart(&files.map(|(path, name, written)| Role { path, name, written }).collect::<Vec<_>>())?;
+    let trace = options.trace.as_deref().map(|path| output(path, "trace")).transpose()?;
     let text = files::read(&options.recording, RECORDING)
         .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
         .with_context(|| format!("cannot read the recording {path}"))?;
     let recording = Recording::parse(&text).map_err(|why| anyhow!("{path}, {why}"))?;
-    let simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
+    let mut simulator = recording.power_up().map_err(|why| anyhow!("{path}: {why}"))?;
+    if let Some(trace) = trace {
+        begin_trace(&mut simulator, trace)?;
+    }
     let mut notes = Vec::new();
     let length = recording.job().map_or_else(|| recording.length(), |job| job.len() as u64);
     let progress = progress_bar(Some(length), "the recording");
-    let (check, same) = play(&recording, simulator, &progress, &mut notes);
+    let (mut check, same) = play(&recording, simulator, &progress, &mut notes);
     progress.finish_and_clear();
+    let traced = check.simulator_mut().trace_mut().finish().context("cannot write the trace to its end");
     let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
     print(&summary, if options.json { Form::Json } else { Form::Whole })?;
     if !options.json {
@@ -187,6 +195,7 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     if let Err(why) = &same {
         eprintln!("oxmill: {path}: {why}");
     }
+    traced?;
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
 }
 
@@ -234,6 +243,16 @@ pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) ->
     written.with_context(|| format!("cannot write the recording {path}"))
 }
 
+/// Empties the file and writes a row for each step event into it from here on.
+fn begin_trace(simulator: &mut Simulator, file: Output) -> Result<()> {
+    let path = file.path().display().to_string();
+    let (axes, origin) = (simulator.controller().settings().axes_in_use(), simulator.clock().now());
+    let csv = file.begin().and_then(|file| Csv::new(file, simulator.board().step_clock_hz, origin, axes));
+    let csv = csv.with_context(|| format!("cannot write the trace {path}"))?;
+    simulator.trace_mut().write_csv(csv);
+    Ok(())
+}
+
 fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let started = Instant::now();
     for path in &options.plot {
@@ -253,11 +272,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     begin_recording(&mut recorder, record)?;
     let origin = simulator.clock().now();
     if let Some(trace) = trace {
-        let path = trace.path().display().to_string();
-        let axes = simulator.controller().settings().axes_in_use();
-        let csv = trace.begin().and_then(|file| Csv::new(file, simulator.board().step_clock_hz, origin, axes));
-        let csv = csv.with_context(|| format!("cannot write the trace {path}"))?;
-        simulator.trace_mut().write_csv(csv);
+        begin_trace(&mut simulator, trace)?;
     }
     if !options.plot.is_empty() {
         let start = simulator.meter().millimetres(simulator.machine().motors());

@@ -75,11 +75,11 @@ pub(crate) struct Incoming {
 const SILENCE: Duration = Duration::from_secs(20);
 const QUESTIONS: Duration = Duration::from_secs(5);
 
-fn set_up(stream: &TcpStream) -> io::Result<()> {
+/// A client that does not read holds its writer for that time at most.
+fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
     // Answers are short and each is waited for.
     stream.set_nodelay(true)?;
-    // A client that does not read holds its writer for so long at a time.
-    stream.set_write_timeout(Some(LOOK))?;
+    stream.set_write_timeout(Some(unread))?;
     SockRef::from(stream).set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
 }
 
@@ -114,6 +114,10 @@ const CONNECTIONS: usize = 64;
 const PIN_LINE: u64 = 256;
 /// How long a client of that protocol may take for its first line.
 const FIRST_LINE: Duration = Duration::from_secs(60);
+/// How long it may leave answers unread when there is no room for another one.
+const UNREAD: Duration = Duration::from_secs(5);
+/// Room of the system for the lines of such a client, and for its answers, bytes.
+const PIN_BUFFER: usize = 1 << 14;
 
 /// Carries out `serve`. Returns when standard input ends; the other links never end.
 pub fn serve(options: &Serve) -> Result<()> {
@@ -465,7 +469,7 @@ impl Device {
 
     fn admit(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
         let stream = incoming.stream();
-        let set_up = set_up(stream);
+        let set_up = set_up(stream, LOOK);
         let (Ok(()), Ok(back), Ok(watched)) = (set_up, stream.try_clone(), stream.try_clone()) else { return };
         let inbox = Arc::new(Inbox::default());
         let Incoming { link, place } = incoming;
@@ -641,7 +645,9 @@ fn turn_away(mut stream: &TcpStream, why: &[u8]) {
 /// Tells one for whom there is no place, without waiting for it.
 pub(crate) fn refuse(mut stream: &TcpStream) {
     let told = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
-    let _ = told.and_then(|()| stream.shutdown(Shutdown::Write));
+    let told = told.and_then(|()| stream.shutdown(Shutdown::Write));
+    // A socket closed with unread bytes in it would take the line back.
+    let _ = told.and_then(|()| stream.read(&mut [0; PIECE]));
 }
 
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
@@ -686,6 +692,10 @@ fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
 }
 
 fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
+    // One whose cable has been pulled, or that does not read, holds its place for a short time only, and little memory.
+    set_up(stream, UNREAD)?;
+    SockRef::from(stream).set_send_buffer_size(PIN_BUFFER)?;
+    SockRef::from(stream).set_recv_buffer_size(PIN_BUFFER)?;
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));
@@ -695,6 +705,9 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
         let mut line = String::new();
         reader.by_ref().take(PIN_LINE).read_line(&mut line)?;
         if !line.ends_with('\n') {
+            if line.len() as u64 == PIN_LINE {
+                turn_away(stream, ENDLESS);
+            }
             return Ok(());
         }
         stream.set_read_timeout(None)?;

@@ -1,21 +1,33 @@
 #!/usr/bin/env python3
-"""Streams jobs in checked lines to the simulator over a link that damages bytes, and compares the steps.
+"""Streams jobs in checked lines to the simulator over a link that damages bytes, and compares what is carried out.
 
     cargo build --release
     python3 tests/senders/checked.py [--rate N] [--plain] [--seed N] [JOB.nc ...]
 
 Between the sender (`examples/checked_sender.py`) and the machine one byte in N (1,000), both ways, has one bit flipped, is
-dropped, is doubled or comes late. Passes if each job ends where it does over a clean link, each motor with as many pulses. Whether
-also their order is the same is only told: a machine that has to wait for lines joins short moves in other places. `--plain` also
-sends each job a line at a time without checks, to show what is lost then; that cannot fail.
+dropped, is doubled or comes late. A job passes if
+
+ * the machine has taken each line once and in its order, by the answers that it gave,
+ * each motor makes the steps that it makes over a clean link, in their order, forwards and backwards; and whenever a motor makes
+   one, each other motor has come as far as over the clean link, or is one step off,
+ * spindle, coolant and the outputs of the program change in the same order, with each motor as far as over the clean link.
+
+Steps are those of a recording (`serve --record`, `replay --trace`), which has to play to the steps of the run. Each line gets an
+N word if it has none: lines with different ones are not joined to one move, so the machine makes the same moves however long it has
+to wait for a line. One step off is what the speed of a move changes in the order of two motors (`motion::dda`).
+
+`--plain` also sends each job a line at a time without checks, to show what is lost then; that cannot fail.
 """
 
 import argparse
 import random
 import socket
+import subprocess
 import sys
+import tempfile
 import threading
 import time
+from array import array
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,6 +40,8 @@ JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "j
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
 # Long enough that a late byte is seen, short enough that nobody waits.
 LATE = 0.02
+# Steps by which the order of two motors may differ.
+ORDER = 1
 
 
 class Line:
@@ -37,6 +51,8 @@ class Line:
         self.rate = rate
         self.faults = {"flipped": 0, "dropped": 0, "doubled": 0, "late": 0}
         host, port = address.rsplit(":", 1)
+        # What the machine has said, before anything is damaged.
+        self.said = bytearray()
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
         self.machine = socket.create_connection((host, int(port)))
@@ -53,6 +69,8 @@ class Line:
     def pass_on(self, source, sink, chance):
         try:
             while data := source.recv(256):
+                if source is self.machine:
+                    self.said += data
                 out = bytearray()
                 for byte in data:
                     fault = chance.choice(list(self.faults)) if self.rate and chance.randrange(self.rate) == 0 else None
@@ -99,21 +117,127 @@ def plain(link, lines):
     return f"{errors} errors, {late} answers lost"
 
 
-def run(options, lines, send, rate, seed):
-    """The steps of a job, what its sender says, and the faults of the link."""
-    with machine.Machine(options.program, "--tcp", "127.0.0.1:0", "--speed", "max") as mill:
+def numbered(lines):
+    """The lines, each with an N word if it may have one and has none."""
+    return [(n, text if text[0] in "N%/$" else f"N{n}{text}") for n, text in lines]
+
+
+def taken_once(said, count):
+    """What is wrong with the answers of the machine if not each line was taken once and in its order; else nothing."""
+    taken = None
+    for line in said.decode("ascii", "replace").split("\n"):
+        answer = checked_sender.answer_in(line.strip("\r"))
+        if answer == (0, "ok") and not taken:
+            # $LC=ON, perhaps again.
+            taken = 0
+        elif answer and answer[1] == "ok":
+            if taken is None or answer[0] != (taken + 1) % checked_sender.NUMBERS:
+                return f"`ok` with the number {answer[0]} behind {taken} lines"
+            taken += 1
+        elif answer and answer[1] not in ("known", "error:129"):
+            return f"`{answer[1]}` behind {taken} lines"
+    return None if taken == count else f"{taken} lines taken of {count}"
+
+
+def alike(one, other):
+    """How many of the first elements of two sequences are the same."""
+    pairs = enumerate(zip(one, other, strict=False))
+    return next((n for n, (a, b) in pairs if a != b), min(len(one), len(other)))
+
+
+class Trail:
+    """What motors and outputs have done, from a trace."""
+
+    def __init__(self, file):
+        names = file.readline().strip().split(",")
+        motors = range(len(names) - 5)
+        # Of each motor: the direction of each step, and how many steps each motor has made by then.
+        self.steps = [array("b") for _ in motors]
+        self.others = [[array("l") for _ in motors] for _ in motors]
+        self.outputs = []
+        place, made = [0 for _ in motors], [0 for _ in motors]
+        for row in file:
+            words = row.rstrip("\n").split(",")
+            if words[-4]:
+                self.outputs.append((tuple(made), words[-4:]))
+            now = [int(word) for word in words[1:-4]]
+            moved = [motor for motor in motors if now[motor] != place[motor]]
+            for motor in moved:
+                made[motor] += 1
+            for motor in moved:
+                self.steps[motor].append(now[motor] - place[motor])
+                for other in motors:
+                    self.others[motor][other].append(made[other])
+            place = now
+
+    def differs(self, wanted):
+        """How it differs from another one; nothing if not, but for the order of steps within `ORDER`."""
+        for motor, (steps, wanted_steps) in enumerate(zip(self.steps, wanted.steps, strict=True)):
+            if steps != wanted_steps:
+                same = alike(steps, wanted_steps)
+                return f"motor {motor}: {len(steps)} steps, {len(wanted_steps)} over a clean link, the first {same} alike"
+        if self.order(wanted) > ORDER:
+            return f"order of the motors: {self.order(wanted)} steps off"
+        if self.outputs != wanted.outputs:
+            same = alike(self.outputs, wanted.outputs)
+            return f"outputs: {self.outputs[same:][:1]}, {wanted.outputs[same:][:1]} over a clean link"
+        return None
+
+    def order(self, wanted):
+        """Steps by which the order of two motors differs from that of another one with the same steps."""
+        pairs = [pair for mine, its in zip(self.others, wanted.others, strict=True) for pair in zip(mine, its, strict=True)]
+        return max((max(map(abs, map(int.__sub__, mine, its)), default=0) for mine, its in pairs), default=0)
+
+
+def trail(program, recording):
+    """What a recording makes; it has to play to the steps of the run."""
+    trace = f"{recording}.csv"
+    played = subprocess.run([program, "replay", recording, "--trace", trace], capture_output=True, text=True, check=False)
+    if played.returncode == 3 or not Path(trace).exists():
+        raise machine.Failed(f"the recording plays to other steps: {played.stderr}")
+    with open(trace) as file:
+        return Trail(file)
+
+
+class Run:
+    """A job that has been sent: what its sender says, what is wrong with the answers, the faults of the link, and the steps."""
+
+    def __init__(self, options, lines, send, rate, seed):
+        with tempfile.TemporaryDirectory() as folder:
+            recording = f"{folder}/job.rec"
+            with machine.Machine(
+                options.program, "--tcp", "127.0.0.1:0", "--speed", "max", "--record", recording
+            ) as mill:
+                self.send(mill, lines, send, rate, seed)
+            self.trail = trail(options.program, recording)
+
+    def send(self, mill, lines, send, rate, seed):
         line = Line(mill.address, rate, seed)
         link = checked_sender.Tcp(line.address)
         begin = time.monotonic()
+        self.stopped = None
         try:
-            said = send(link, lines)
+            self.told = send(link, lines)
         except checked_sender.Stopped as why:
-            said = f"stopped: {why}"
-        seconds = time.monotonic() - begin
-        steps = mill.rest().split(" order ")
+            self.told = self.stopped = f"stopped: {why}"
+        self.rate = len(lines) / (time.monotonic() - begin)
+        self.motors = mill.rest().split(" order ")[0]
+        self.wrong = self.stopped or taken_once(bytes(line.said), len(lines))
+        self.faults = line.faults
         link.socket.close()
         line.close()
-        return steps, said, line.faults, seconds
+
+    def motor_positions(self):
+        return [int(word) for word in self.motors.split()[1:4]]
+
+
+def plain_outcome(run, clean):
+    """What a job without checks has lost: how far each motor is from its place, and its steps from those that it should make."""
+    off = [a - b for a, b in zip(run.motor_positions(), clean.motor_positions(), strict=True)]
+    pulses = [len(a) - len(b) for a, b in zip(run.trail.steps, clean.trail.steps, strict=True)]
+    if run.trail.differs(clean.trail) is None:
+        return "the same steps"
+    return f"OTHER STEPS, ends {off} steps off, {pulses} steps more or less"
 
 
 def main():
@@ -127,25 +251,24 @@ def main():
     failed = []
     all_faults = 0
     for n, job in enumerate(options.jobs):
-        name, lines = str(Path(job).resolve()).removeprefix(f"{ROOT}/"), checked_sender.program(job)
-        wanted, said, _, clean = run(options, lines, checked, 0, 0)
-        if "stopped" in said:
-            sys.exit(f"{name} over a clean link: {said}")
-        steps, said, faults, seconds = run(options, lines, checked, options.rate, options.seed + 2 * n)
-        is_same = steps[0] == wanted[0] and "stopped" not in said
-        all_faults += sum(faults.values())
-        order = "same" if steps == wanted else "other"
-        outcome = f"ok, {order} order" if is_same else f"FAILED\n  {wanted[0]}\n  {steps[0]}"
-        rates = f"{len(lines) / seconds:.0f} lines/s ({len(lines) / clean:.0f} over a clean link)"
-        print(f"{name}: {len(lines)} lines, {rates} ... {outcome}")
-        print(f"  {', '.join(f'{count} {fault}' for fault, count in faults.items())}; {said}", flush=True)
-        if not is_same:
+        name, lines = str(Path(job).resolve()).removeprefix(f"{ROOT}/"), numbered(checked_sender.program(job))
+        clean = Run(options, lines, checked, 0, 0)
+        if clean.wrong:
+            sys.exit(f"{name} over a clean link: {clean.wrong}")
+        run = Run(options, lines, checked, options.rate, options.seed + 2 * n)
+        wrong = run.wrong or run.trail.differs(clean.trail)
+        all_faults += sum(run.faults.values())
+        order = run.trail.order(clean.trail) if not wrong else 0
+        outcome = f"FAILED: {wrong}" if wrong else "ok" + (f", order of motors within {order} step" if order else "")
+        steps = sum(len(steps) for steps in run.trail.steps)
+        print(f"{name}: {len(lines)} lines, {steps} steps, {run.rate:.0f} lines/s ({clean.rate:.0f} over a clean link) ... {outcome}")
+        print(f"  {', '.join(f'{count} {fault}' for fault, count in run.faults.items())}; {run.told}", flush=True)
+        if wrong:
             failed.append(name)
         if options.plain:
-            steps, said, faults, seconds = run(options, lines, plain, options.rate, options.seed + 2 * n)
-            outcome = "the same steps" if steps[0] == wanted[0] else "OTHER STEPS"
-            print(f"  without checks: {outcome}, {len(lines) / seconds:.0f} lines/s; {said}", flush=True)
-    print(f"checked lines: {len(options.jobs) - len(failed)} of {len(options.jobs)} jobs made the same steps")
+            run = Run(options, lines, plain, options.rate, options.seed + 2 * n)
+            print(f"  without checks: {plain_outcome(run, clean)}, {run.rate:.0f} lines/s; {run.told}", flush=True)
+    print(f"checked lines: {len(options.jobs) - len(failed)} of {len(options.jobs)} jobs were carried out as over a clean link")
     if all_faults == 0:
         sys.exit("the link had no fault: nothing was tested")
     return 1 if failed else 0
