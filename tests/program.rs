@@ -538,6 +538,20 @@ fn exit_statuses_are_explained() {
     assert!(String::from_utf8_lossy(&said).contains("Exit status"));
 }
 
+#[test]
+fn a_replay_writes_the_trace_of_the_run() {
+    let job = file("traced.nc", "G91 G1 X1 Y0.5 F600\nM3 S500\nG2 X2 I1\nM8\nG0 Z-1\n");
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("traced.rec");
+    let (of_run, of_replay) = (file("of_run.csv", ""), file("of_replay.csv", ""));
+    let ran = run(&["run", text(&job), "--record", text(&recording), "--trace", text(&of_run)]);
+    assert_eq!(ran.status.code(), Some(0), "{ran:?}");
+    let played = run(&["replay", text(&recording), "--trace", text(&of_replay)]);
+    assert_eq!(played.status.code(), Some(0), "{played:?}");
+    let [of_run, of_replay] = [of_run, of_replay].map(|path| fs::read_to_string(path).expect("text"));
+    assert!(of_run.lines().count() > 500, "{of_run}");
+    assert_eq!(of_run, of_replay);
+}
+
 /// What acts at power-up only would not have acted yet when the settings were made.
 #[test]
 fn settings_are_part_of_a_recording() {

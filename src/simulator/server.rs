@@ -116,6 +116,9 @@ const PIN_LINE: u64 = 256;
 const FIRST_LINE: Duration = Duration::from_secs(60);
 /// How long it may leave answers unread when there is no room for another one.
 const UNREAD: Duration = Duration::from_secs(5);
+/// How long its system may leave an answer unacknowledged.
+#[cfg(target_os = "linux")]
+const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 /// Room of the system for the lines of such a client, and for its answers, bytes.
 const PIN_BUFFER: usize = 1 << 14;
 
@@ -694,8 +697,12 @@ fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
 fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
     // One whose cable has been pulled, or that does not read, holds its place for a short time only, and little memory.
     set_up(stream, UNREAD)?;
-    SockRef::from(stream).set_send_buffer_size(PIN_BUFFER)?;
-    SockRef::from(stream).set_recv_buffer_size(PIN_BUFFER)?;
+    let socket = SockRef::from(stream);
+    socket.set_send_buffer_size(PIN_BUFFER)?;
+    socket.set_recv_buffer_size(PIN_BUFFER)?;
+    // While an answer is under way no sign of life is asked for, and the system would repeat it for a quarter of an hour.
+    #[cfg(target_os = "linux")]
+    socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));

@@ -12,12 +12,13 @@ use std::thread;
 const BOARDS: [(&str, &[&str]); 5] = [
     ("blackpill_f411", &[]),
     ("nucleo_f446re", &[]),
-    ("blackpill_f401", &[]),
+    ("blackpill_f401", SIBLING),
     ("nucleo_f411re", SIBLING),
     ("nucleo_f401re", SIBLING),
 ];
 
-/// What may differ between boards whose parts and pins have been tried already on others: clocks, rates, memory.
+/// What may differ between boards whose parts and pins have been tried already on others: clocks, rates, memory. A board that is
+/// named has all cases.
 const SIBLING: &[&str] = &[
     "boot",
     "stream axes.nc",
@@ -48,9 +49,11 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     run(cargo().args(["build", "--quiet", "--locked", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
     let mut runs = Vec::new();
+    let board_is_named = board.is_some();
     for (board, own) in &boards {
         let mut command = module(&python, "virtual_board");
         command.arg(board).arg(image::build(board)?.path).arg(root().join("target/debug/oxmill"));
+        let own = if board_is_named { &[] } else { *own };
         command.args(if cases.is_empty() { own } else { cases });
         runs.push((*board, command));
     }

@@ -175,14 +175,16 @@ pub(super) fn ends_program(line: &[u8]) -> bool {
     let mut in_name = false;
     let mut rest = line;
     while let Some((byte, behind)) = rest.split_first() {
+        rest = behind;
         in_name = *byte == b'<' || in_name && *byte != b'>';
+        if *byte != b'M' || in_name {
+            continue;
+        }
         let (number, after) = behind.split_at_checked(digits(behind)).unwrap_or_default();
         let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-        let is_end = matches!(number.get(zeros..), Some(b"2" | b"30"));
-        if *byte == b'M' && !in_name && is_end && after.first() != Some(&b'.') {
+        if matches!(number.get(zeros..), Some(b"2" | b"30")) && after.first() != Some(&b'.') {
             return true;
         }
-        rest = behind;
     }
     false
 }
