@@ -466,8 +466,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The board tells the end of a segment, which begins anywhere between two events here. Nothing comes after this
-            // that looking could shift.
+            // The board tells the end of a segment, which begins anywhere between two events here. Looking may
+            // shift the wake-ups of these last milliseconds, and not what is handed to the step task.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();

@@ -74,13 +74,20 @@ pub(crate) struct Incoming {
 /// such questions: one whose cable has been pulled leaves the machine to others after a minute or two.
 const SILENCE: Duration = Duration::from_secs(20);
 const QUESTIONS: Duration = Duration::from_secs(5);
+/// How long its system may leave an answer unacknowledged, or have no room for it.
+#[cfg(target_os = "linux")]
+const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 
 /// A client that does not read holds its writer for that time at most.
 fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
     // Answers are short and each is waited for.
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(unread))?;
-    SockRef::from(stream).set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
+    let socket = SockRef::from(stream);
+    // While an answer is under way no sign of life is asked for, and the system would repeat it for a quarter of an hour.
+    #[cfg(target_os = "linux")]
+    socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
+    socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
 }
 
 /// How a client is connected.
@@ -116,9 +123,6 @@ const PIN_LINE: u64 = 256;
 const FIRST_LINE: Duration = Duration::from_secs(60);
 /// How long it may leave answers unread when there is no room for another one.
 const UNREAD: Duration = Duration::from_secs(5);
-/// How long its system may leave an answer unacknowledged.
-#[cfg(target_os = "linux")]
-const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 /// Room of the system for the lines of such a client, and for its answers, bytes.
 const PIN_BUFFER: usize = 1 << 14;
 
@@ -700,9 +704,6 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
     let socket = SockRef::from(stream);
     socket.set_send_buffer_size(PIN_BUFFER)?;
     socket.set_recv_buffer_size(PIN_BUFFER)?;
-    // While an answer is under way no sign of life is asked for, and the system would repeat it for a quarter of an hour.
-    #[cfg(target_os = "linux")]
-    socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));

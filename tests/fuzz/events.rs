@@ -240,7 +240,7 @@ impl Account {
             _ => false,
         };
         if renames {
-            // For good: a setting may say that a step is another length, or that there is play.
+            // For good: a text may say that a step is another length, or that there is play.
             self.miscounted = true;
         }
     }

@@ -4,10 +4,11 @@
 #[cfg(feature = "libfuzzer")]
 fn done() -> u64 {
     unsafe extern "C" {
-        static oxmill_fuzz_work: u64;
+        static mut oxmill_fuzz_work: u64;
     }
-    // SAFETY: unsafe because another language defines it; safe because it is a plain number, and a target runs in one thread.
-    unsafe { oxmill_fuzz_work }
+    // SAFETY: unsafe because another language defines and changes it; safe because it is a plain number, libFuzzer runs a target
+    // in one thread, and a volatile read is made each time.
+    unsafe { (&raw const oxmill_fuzz_work).read_volatile() }
 }
 
 #[cfg(not(feature = "libfuzzer"))]
