@@ -40,6 +40,8 @@ JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "j
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
 # Long enough that a late byte is seen, short enough that nobody waits.
 LATE = 0.02
+# Answers in a row that a sender without checks waits for in vain, 2 s each.
+GIVEN_UP = 20
 # Steps by which the order of two motors may differ.
 ORDER = 1
 
@@ -104,16 +106,22 @@ def plain(link, lines):
     """Sends a job as a patient sender without checks does: a line, its answer, the next line."""
     received, late = b"", 0
     errors = 0
-    for _, text in [(0, "")] + lines:
+    unanswered = 0
+    for number, text in [(0, "")] + lines:
         link.send(text.encode("ascii") + b"\n")
         until = time.monotonic() + 2
         while time.monotonic() < until:
             *answers, received = (received + link.receive(0.05)).split(b"\n")
             errors += sum(answer.startswith(b"error") for answer in answers)
             if any(answer.startswith((b"ok", b"error")) for answer in answers):
+                unanswered = 0
                 break
         else:
             late += 1
+            unanswered += 1
+            if unanswered == GIVEN_UP:
+                # A damaged byte has become a hold, say.
+                return f"{errors} errors, {late} answers lost; no answers any more at line {number}"
     return f"{errors} errors, {late} answers lost"
 
 
