@@ -239,15 +239,16 @@ fn clients_that_do_not_read_hold_no_place() {
     let mut before = Client::of(&pins);
     assert_eq!(before.ask("door 0"), "ok");
     let memory = resident(&server.program);
+    // It is refused, with a long text: answers of three bytes would take longer to fill the buffers.
     let question = b"lamp 1\n".repeat(10_000);
-    let mut deaf: Vec<TcpStream> = (0..63).map(|_| TcpStream::connect(&pins).expect("it listens")).collect();
-    for stream in &mut deaf {
+    let mut unread: Vec<TcpStream> = (0..63).map(|_| TcpStream::connect(&pins).expect("it listens")).collect();
+    for stream in &mut unread {
         stream.set_nonblocking(true).expect("a socket");
     }
     // Each sends as much as is taken of it. The last that are read are so until their answers find no room.
     let (mut is_full, end) = (false, Instant::now() + PATIENCE);
     loop {
-        for stream in &mut deaf {
+        for stream in &mut unread {
             let _ = stream.write(&question);
         }
         // One that reads is served all the time.

@@ -153,7 +153,7 @@ def alike(one, other):
     return next((n for n, (a, b) in pairs if a != b), min(len(one), len(other)))
 
 
-class Trail:
+class StepTrace:
     """What motors and outputs have done, from a trace."""
 
     def __init__(self, file):
@@ -198,7 +198,7 @@ class Trail:
         return max((max(map(abs, map(int.__sub__, mine, its)), default=0) for mine, its in pairs), default=0)
 
 
-def trail(program, recording):
+def read_trace(program, recording):
     """What a recording makes; it has to play to the steps of the run."""
     trace = f"{recording}.csv"
     played = subprocess.run([program, "replay", recording, "--trace", trace], capture_output=True, text=True, check=False)
@@ -206,7 +206,7 @@ def trail(program, recording):
     if played.returncode not in (0, 1):
         raise machine.Failed(f"the recording does not play to the steps of the run: {played.stderr}")
     with open(trace) as file:
-        return Trail(file)
+        return StepTrace(file)
 
 
 class Run:
@@ -219,10 +219,10 @@ class Run:
                 options.program, "--tcp", "127.0.0.1:0", "--speed", "max", "--record", recording
             ) as mill:
                 self.send(mill, lines, send, rate, seed)
-            self.trail = trail(options.program, recording)
+            self.trace = read_trace(options.program, recording)
         self.wrong = self.stopped or taken_once(self.said, self.count)
-        if not self.wrong and self.trail.ends_at[:3] != self.motor_positions():
-            self.wrong = f"the recording ends at {self.trail.ends_at}, the run at {self.motor_positions()}"
+        if not self.wrong and self.trace.ends_at[:3] != self.motor_positions():
+            self.wrong = f"the recording ends at {self.trace.ends_at}, the run at {self.motor_positions()}"
 
     def send(self, mill, lines, send, rate, seed):
         line = Line(mill.address, rate, seed)
@@ -248,8 +248,8 @@ class Run:
 def plain_outcome(run, clean):
     """What a job without checks has lost: how far each motor is from its place, and its steps from those that it should make."""
     off = [a - b for a, b in zip(run.motor_positions(), clean.motor_positions(), strict=True)]
-    pulses = [len(a) - len(b) for a, b in zip(run.trail.steps, clean.trail.steps, strict=True)]
-    if run.trail.differs(clean.trail) is None:
+    pulses = [len(a) - len(b) for a, b in zip(run.trace.steps, clean.trace.steps, strict=True)]
+    if run.trace.differs(clean.trace) is None:
         return "the same steps"
     return f"OTHER STEPS, ends {off} steps off, {pulses} steps more or less"
 
@@ -270,11 +270,11 @@ def main():
         if clean.wrong:
             sys.exit(f"{name} over a clean link: {clean.wrong}")
         run = Run(options, lines, checked, options.rate, options.seed + 2 * n)
-        wrong = run.wrong or run.trail.differs(clean.trail)
+        wrong = run.wrong or run.trace.differs(clean.trace)
         all_faults += sum(run.faults.values())
-        order = run.trail.order(clean.trail) if not wrong else 0
+        order = run.trace.order(clean.trace) if not wrong else 0
         outcome = f"FAILED: {wrong}" if wrong else "ok" + (f", order of motors within {order} step" if order else "")
-        steps = sum(len(steps) for steps in run.trail.steps)
+        steps = sum(len(steps) for steps in run.trace.steps)
         print(f"{name}: {len(lines)} lines, {steps} steps, {run.rate:.0f} lines/s ({clean.rate:.0f} over a clean link) ... {outcome}")
         print(f"  {', '.join(f'{count} {fault}' for fault, count in run.faults.items())}; {run.told}", flush=True)
         if wrong:

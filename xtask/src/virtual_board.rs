@@ -49,12 +49,11 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     run(cargo().args(["build", "--quiet", "--locked", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
     let mut runs = Vec::new();
-    let board_is_named = board.is_some();
+    let is_named = board.is_some();
     for (board, own) in &boards {
         let mut command = module(&python, "virtual_board");
         command.arg(board).arg(image::build(board)?.path).arg(root().join("target/debug/oxmill"));
-        let own = if board_is_named { &[] } else { *own };
-        command.args(if cases.is_empty() { own } else { cases });
+        command.args(if cases.is_empty() && !is_named { own } else { cases });
         runs.push((*board, command));
     }
     let has_loopback = |board: &&str| cases.is_empty() && boards.iter().any(|(name, _)| name == board);
