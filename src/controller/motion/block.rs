@@ -80,6 +80,10 @@ pub(super) struct CurveLoad {
 /// Least share of the acceleration that a bend leaves: both together exceed it by 3 %, and the machine can always brake.
 const LEAST_SHARE: f32 = 0.25;
 
+/// Share of a speed² that rounding leaves for certain: in a bend, a bit may be lost where the exit rises, and in each of the
+/// blocks behind.
+const SURELY: f32 = 0.999;
+
 /// Share of the greatest speed² at which a ramp with bounded jerk still has all of its acceleration.
 const RAMP_SHARE: f32 = 0.9;
 
@@ -106,10 +110,16 @@ impl CurveLoad {
         of_upper(self.acceleration)
     }
 
-    /// The tighter one of two. Positive numbers are ordered as their bits are.
+    /// The tighter one of two.
     #[inline]
     pub(super) fn tighter(self, other: Self) -> Self {
-        if other.speed2 < self.speed2 { other } else { self }
+        if other.is_tighter(self) { other } else { self }
+    }
+
+    /// Positive numbers are ordered as their bits are.
+    #[inline]
+    pub(super) fn is_tighter(self, other: Self) -> bool {
+        self.speed2 < other.speed2
     }
 
     /// One that leaves no more than either: the lower speed² and the lesser acceleration, which may be those of different
@@ -223,12 +233,32 @@ impl<const N: usize> Block<N> {
         self.curve.left(self.acceleration, speed2)
     }
 
-    /// Greatest entry speed² from which it can be braked to an exit speed².
-    #[inline]
-    pub(super) fn entry_before(&self, exit2: f32) -> f32 {
+    /// Greatest entry speed² from which it can be braked to an exit speed², whatever else bounds it.
+    #[inline(always)]
+    pub(super) fn braking_entry2(&self, exit2: f32) -> f32 {
         let along = self.acceleration;
         let left = if self.curve.is_none() { along } else { self.curve.left_of(along, exit2) };
-        lesser(self.max_entry2, exit2 + 2.0 * left * self.length)
+        exit2 + 2.0 * left * self.length
+    }
+
+    /// The same within its cap.
+    #[inline]
+    pub(super) fn entry_before(&self, exit2: f32) -> f32 {
+        lesser(self.max_entry2, self.braking_entry2(exit2))
+    }
+
+    /// Whether its entry, from which it could be braked at a speed², stays at its cap where the exit rises.
+    #[inline]
+    pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
+        SURELY * reach2 >= self.max_entry2
+    }
+
+    /// Whether a higher exit may let it be entered less fast, because a bend then leaves so much less to brake with: not while the
+    /// greatest slope of [`CurveLoad::left`], at its least share, takes no more than the exit adds.
+    #[inline]
+    pub(super) fn is_steep(&self) -> bool {
+        let acceleration = greater(self.acceleration, self.curve.acceleration());
+        !self.curve.is_none() && 2.0 / LEAST_SHARE * acceleration * self.length > self.curve.speed2()
     }
 
     /// What bounds changes of speed in the block.

@@ -12,6 +12,9 @@
 //! need no repair of the queue. A new block changes the entries behind it only as far as they were limited by the old end
 //! of the queue; the walk stops at the first that stays.
 //!
+//! The walk is put off until an entry is asked for that it could change. An entry at its cap cannot rise, and neither can what
+//! has been planned before it: it is settled, whatever is appended. So in a long queue many blocks share one walk.
+//!
 //! With a jerk limit a ramp, not a block, is the unit: its acceleration is zero at its two ends only, and it may span
 //! hundreds of blocks. The reverse pass then looks for anchors, the entries where a ramp ends:
 //!
@@ -150,8 +153,10 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
     len: usize,
     /// The first block is running, or the machine comes to it with a speed: it stays as it is.
     entered: bool,
-    /// Limits have changed from this place on.
+    /// Limits have changed from this place on, and the entries have not been brought into line with it.
     changed: usize,
+    /// Entries up to this place are what they will be, whatever is appended: 0 if none is known to be. Without a jerk limit only.
+    settled: usize,
     /// Of the groups that are in the queue as a whole; with a jerk limit only.
     groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
@@ -172,7 +177,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
             first: 0,
             len: 0,
             entered: false,
-            changed: 0,
+            changed: usize::MAX,
+            settled: 0,
             groups,
             jerk_limited: false,
             raised: false,
@@ -184,12 +190,13 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
 // Not derived: what may be unsized cannot be cloned.
 impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
     fn clone(&self) -> Self {
-        let Self { first, len, entered, changed, groups, jerk_limited, raised, blocks } = self;
+        let Self { first, len, entered, changed, settled, groups, jerk_limited, raised, blocks } = self;
         Self {
             first: *first,
             len: *len,
             entered: *entered,
             changed: *changed,
+            settled: *settled,
             groups: *groups,
             jerk_limited: *jerk_limited,
             raised: *raised,
@@ -243,6 +250,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         next.entry2
     }
 
+    /// The first block that is appended then makes all be planned, whatever has been settled.
     pub(super) fn clear(&mut self) {
         self.first = 0;
         self.len = 0;
@@ -262,6 +270,10 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         if self.len > 0 {
             self.first = self.slot(1);
             self.len -= 1;
+            self.settled = self.settled.saturating_sub(1);
+            if self.changed != usize::MAX {
+                self.changed = self.changed.saturating_sub(1);
+            }
         }
         self.entered = moving;
     }
@@ -279,6 +291,10 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// Removes the last block, which must not be running; another one has to follow.
     pub(super) fn take_back(&mut self) {
         self.len = self.len.saturating_sub(1);
+        // Without an entry it came after the last walk, which does not count on it.
+        if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {
+            self.settled = 0;
+        }
     }
 
     /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
@@ -314,29 +330,66 @@ impl<const N: usize> Planner<N, [Block<N>]> {
                 return;
             }
         }
-        let blocks = newest.saturating_sub(bend.farthest).max(1)..self.len.saturating_sub(bend.nearest);
-        for place in blocks {
-            let slot = self.slot(place);
-            let Some(block) = self.blocks.get_mut(slot) else { return };
-            let curve = block.curve.tighter(bend.curve);
-            block.corner2 = lesser(block.corner2, bend.speed2);
-            if bend.speed2 < block.max_entry2 || curve != block.curve {
-                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
-                block.curve = curve;
-                self.changed = self.changed.min(place);
-            }
+        let from = newest.saturating_sub(bend.farthest).max(1);
+        let count = self.len.saturating_sub(bend.nearest).saturating_sub(from);
+        let slot = self.slot(from);
+        let before_wrap = count.min(self.blocks.len() - slot);
+        let mut lowered = Lowered::default();
+        if let Some(blocks) = self.blocks.get_mut(slot..slot + before_wrap) {
+            lowered.lower(blocks, from, bend);
+        }
+        if let Some(blocks) = self.blocks.get_mut(..count - before_wrap) {
+            lowered.lower(blocks, from + before_wrap, bend);
+        }
+        if let Some(first) = lowered.first {
+            self.lower_settled(first, lowered.planned_end);
+            self.changed = self.changed.min(first);
         }
     }
 
-    /// Brings the entries into line with what has been appended and limited.
+    /// What is settled counts on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
+    /// lowered since, the entries before are, too, as far as they change. If that takes the settled one from its cap, or a block
+    /// is steep now, nothing is settled any more.
+    fn lower_settled(&mut self, first: usize, end: usize) {
+        if self.settled == 0 {
+            return;
+        }
+        let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
+        for place in (self.settled..end).rev() {
+            let slot = self.slot(place);
+            let Some(block) = self.blocks.get_mut(slot) else { return };
+            let reach2 = block.braking_entry2(exit2);
+            if block.is_steep() || (place == self.settled && !block.is_surely_capped(reach2)) {
+                self.settled = 0;
+                self.changed = self.changed.min(place);
+                return;
+            }
+            exit2 = lesser(block.max_entry2, reach2);
+            // Of the lowered ones the last may stay and one before it not.
+            if place < first && block.entry2 == exit2 {
+                return;
+            }
+            block.entry2 = exit2;
+        }
+    }
+
+    /// What has been appended and limited is to be planned: now with a jerk limit, else once it is asked for.
     pub(super) fn plan(&mut self) {
         if self.jerk_limited {
             let changed = self.reverse_pass_to_anchors();
             self.sum_up(changed);
-        } else {
-            self.reverse_pass();
+            self.changed = usize::MAX;
         }
-        self.changed = usize::MAX;
+    }
+
+    /// Brings the exit of the first block into line with what has been appended and limited, and all entries up to the first
+    /// one at its cap that may be counted on. Without a jerk limit only.
+    #[inline]
+    pub(super) fn settle(&mut self) {
+        if self.changed != usize::MAX && (self.settled == 0 || self.changed <= self.settled) {
+            self.reverse_pass();
+            self.changed = usize::MAX;
+        }
     }
 
     /// Applies new overrides of feed and rapids to all blocks, the first of which is left in this state after `left` mm.
@@ -365,16 +418,20 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.plan();
     }
 
-    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change.
+    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change. Finds the
+    /// last entry that is settled.
+    #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
         let upper = self.len - wrapped;
         let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
         // Without the first block, which may be running.
         let (Some(low), Some(high)) = (low.get_mut(..wrapped), high.get_mut(1..upper)) else { return };
-        if let Some(exit2) = walk_back(low, 0.0, self.changed.saturating_sub(upper)) {
-            walk_back(high, exit2, self.changed.saturating_sub(1));
+        let mut walk = Walk { exit2: 0.0, searching: true, settled: 0 };
+        if walk.back(low, upper, self.changed) {
+            walk.back(high, 1, self.changed);
         }
+        self.settled = walk.settled;
     }
 
     /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
@@ -555,24 +612,82 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     }
 }
 
-/// Brings the entries of some blocks in a row into line, from the last of them to the first; the last one is left at a speed².
-/// The speed² at which the first is entered; `None` if the entries before it stay as they are, because one stays in front of the
-/// place from which limits have `changed`.
-#[inline(never)]
-fn walk_back<const N: usize>(blocks: &mut [Block<N>], mut exit2: f32, changed: usize) -> Option<f32> {
-    let (same, changed) = blocks.split_at_mut(changed.min(blocks.len()));
-    for block in changed.iter_mut().rev() {
-        exit2 = block.entry_before(exit2);
-        block.entry2 = exit2;
-    }
-    for block in same.iter_mut().rev() {
-        exit2 = block.entry_before(exit2);
-        if block.entry2 == exit2 {
-            return None;
+/// A reverse pass on its way.
+struct Walk {
+    /// The speed² at which the last block before what has been walked over is left.
+    exit2: f32,
+    /// Whether it looks for an entry that is settled.
+    searching: bool,
+    /// That entry; 0: none.
+    settled: usize,
+}
+
+impl Walk {
+    /// Brings the entries of some blocks in a row, the first of which is at a place, into line, from the last of them to the
+    /// first. Ends with `false` at one that stays, in front of the place from which limits have `changed`.
+    #[inline(never)]
+    fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
+        let changed = changed.saturating_sub(from);
+        let mut exit2 = self.exit2;
+        let mut places = blocks.iter_mut().enumerate().rev();
+        if self.searching {
+            for (place, block) in places.by_ref() {
+                let reach2 = block.braking_entry2(exit2);
+                exit2 = lesser(block.max_entry2, reach2);
+                if place < changed && block.entry2 == exit2 {
+                    return false;
+                }
+                block.entry2 = exit2;
+                // What is before a steep block may get slower by what is appended.
+                if block.is_steep() {
+                    self.searching = false;
+                    break;
+                }
+                if block.is_surely_capped(reach2) {
+                    self.searching = false;
+                    self.settled = from + place;
+                    break;
+                }
+            }
         }
-        block.entry2 = exit2;
+        for (place, block) in places {
+            exit2 = block.entry_before(exit2);
+            if place < changed && block.entry2 == exit2 {
+                return false;
+            }
+            block.entry2 = exit2;
+        }
+        self.exit2 = exit2;
+        true
     }
-    Some(exit2)
+}
+
+/// What a bend has lowered.
+#[derive(Default)]
+struct Lowered {
+    /// The first place.
+    first: Option<usize>,
+    /// Behind the last one that has been walked over, 0 if none has.
+    planned_end: usize,
+}
+
+impl Lowered {
+    /// Lowers blocks in a row, the first of which is at a place.
+    #[inline]
+    fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
+        for (place, block) in (from..).zip(blocks) {
+            block.corner2 = lesser(block.corner2, bend.speed2);
+            if bend.speed2 < block.max_entry2 || bend.curve.is_tighter(block.curve) {
+                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
+                block.curve = block.curve.tighter(bend.curve);
+                self.first.get_or_insert(place);
+                // A block that came after the last walk has no entry.
+                if block.entry2 > 0.0 {
+                    self.planned_end = place + 1;
+                }
+            }
+        }
+    }
 }
 
 /// The next anchor, seen from a place before it.
@@ -611,13 +726,30 @@ impl Target {
 
 #[cfg(test)]
 impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
-    /// Asserts that what has been planned step by step is what is planned at once, and what the groups say of it.
+    /// Asserts that what is asked for next is what one pass over all blocks gives, and so is all that is settled; with a jerk
+    /// limit, that everything is what is planned at once, and what the groups say of it.
     pub(super) fn assert_consistent(&self) {
-        let own: &Planner<N, [Block<N>]> = self;
         let mut copy = self.clone();
-        let fresh: &mut Planner<N, [Block<N>]> = &mut copy;
-        fresh.changed = 0;
-        fresh.plan();
+        let copy: &mut Planner<N, [Block<N>]> = &mut copy;
+        if self.jerk_limited {
+            copy.changed = 0;
+            copy.plan();
+            self.assert_anchors(copy);
+            return;
+        }
+        copy.settle();
+        let mut entry2 = 0.0;
+        for place in (1..copy.len).rev() {
+            let block = copy.block(place).unwrap();
+            entry2 = block.entry_before(entry2);
+            if place == 1 || place <= copy.settled {
+                assert_eq!(block.entry2.to_bits(), entry2.to_bits(), "entry {place} of {}", copy.len);
+            }
+        }
+    }
+
+    fn assert_anchors(&self, fresh: &Planner<N, [Block<N>]>) {
+        let own: &Planner<N, [Block<N>]> = self;
         for place in 1..own.len {
             let (block, other) = (own.block(place).unwrap(), fresh.block(place).unwrap());
             assert_eq!((block.entry2, block.ramp), (other.entry2, other.ramp), "entry {place} of {}", own.len);

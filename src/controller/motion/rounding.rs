@@ -104,7 +104,10 @@ impl<const N: usize> AnyQueue<N> {
     }
 
     /// Whether the speed of the first block may depend on what is held back.
-    fn is_end_near(&self) -> bool {
+    fn is_end_near(&mut self) -> bool {
+        if !self.planner.jerk_limited {
+            self.planner.settle();
+        }
         for place in 1..MOST_ENTRIES {
             let Some(block) = self.planner.block(place) else { return true };
             if block.ramp.distance == 0.0 && block.entry2 >= FULL * block.max_entry2 {

@@ -331,10 +331,11 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The next piece of the running block; `None` for a stop at this very position.
     #[inline]
-    fn next_cut(&mut self, braking: bool, planner: &Planner<N, [Block<N>]>) -> Option<Cut> {
+    fn next_cut(&mut self, braking: bool, planner: &mut Planner<N, [Block<N>]>) -> Option<Cut> {
         if planner.jerk_limited {
             return jerk_segment::next_cut(&self.running, &mut self.motion, braking, planner);
         }
+        planner.settle();
         let (run, pace) = (&self.running, self.motion.pace);
         run.trapezoid(pace, braking, planner).map(|(curve, left)| segment::cut(&curve, run.done, left, pace))
     }

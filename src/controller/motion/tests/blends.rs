@@ -1,6 +1,6 @@
 //! Moves that are held back within a tolerance: what is queued of them, and when.
 
-use super::super::{Move, Speed, Tolerance};
+use super::super::{Move, Observed, Speed, Tolerance};
 use super::rig::{Rig, settings, to};
 
 fn within(path: f32, target: [f64; 3], speed: Speed) -> Move<3> {
@@ -68,4 +68,20 @@ fn what_is_held_back_is_part_of_the_queue() {
     motion.discard();
     assert!(motion.is_idle() && motion.free_blocks() == 64);
     assert_eq!(motion.planned_position(), to([0.0; 3], FEED).target);
+}
+
+/// The corner behind them can still be cut off.
+#[test]
+fn what_is_held_back_waits_while_the_queue_is_long_enough() {
+    let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
+    let motion = &mut rig.motion;
+    for number in 1..=5_u32 {
+        let target = [10.0 * f64::from(number), 0.0, 0.0];
+        assert!(motion.line(&Move { line_number: number, ..within(0.05, target, FEED) }));
+    }
+    let queued = motion.queued_blocks();
+    assert!(queued > 1);
+    motion.start();
+    assert!(motion.next(&Observed::default()).is_some());
+    assert_eq!(motion.queued_blocks(), queued);
 }

@@ -8,6 +8,7 @@ mod blends;
 mod bounds;
 mod jobs;
 mod joins;
+mod put_off;
 mod ramps;
 mod rig;
 #[cfg(feature = "splines")]
