@@ -72,7 +72,7 @@ const ROWS: [Row; 20] = [
         .beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (2_180, 3_820))
         .beside("723 / 1210", "727 / 1200"),
-    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (20, 28))
+    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_220, 2_400)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_930, 5_160)),

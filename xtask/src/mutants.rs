@@ -45,8 +45,28 @@ const MUTANTS: &[Mutant] = &[
         name: "no-reverse-pass",
         edits: &[Edit {
             file: "src/controller/motion/block.rs",
-            find: "lesser(self.max_entry2, exit2 + 2.0 * left * self.length)",
-            replace: "lesser(self.max_entry2, left + f32::INFINITY)",
+            find: "exit2 + 2.0 * left * self.length",
+            replace: "exit2 + left + f32::INFINITY",
+        }],
+    },
+    Mutant {
+        name: "settled-before-a-steep-bend",
+        edits: &[Edit { file: PLANNER, find: "let is_steep = block.is_steep();", replace: "let is_steep = false;" }],
+    },
+    Mutant {
+        name: "settled-while-lowered",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "self.lower_settled(first, lowered.planned_end);",
+            replace: "let _ = (Self::lower_settled, lowered.planned_end);",
+        }],
+    },
+    Mutant {
+        name: "walk-put-off-for-good",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "(self.settled == 0 || self.changed <= self.settled)",
+            replace: "self.settled == 0",
         }],
     },
     Mutant {

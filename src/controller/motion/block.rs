@@ -242,7 +242,7 @@ impl<const N: usize> Block<N> {
     }
 
     /// The same within its cap.
-    #[inline]
+    #[cfg(test)]
     pub(super) fn entry_before(&self, exit2: f32) -> f32 {
         lesser(self.max_entry2, self.braking_entry2(exit2))
     }

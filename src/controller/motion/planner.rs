@@ -335,11 +335,10 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         let slot = self.slot(from);
         let before_wrap = count.min(self.blocks.len() - slot);
         let mut lowered = Lowered::default();
-        if let Some(blocks) = self.blocks.get_mut(slot..slot + before_wrap) {
-            lowered.lower(blocks, from, bend);
-        }
-        if let Some(blocks) = self.blocks.get_mut(..count - before_wrap) {
-            lowered.lower(blocks, from + before_wrap, bend);
+        for (from, slots) in [(from, slot..slot + before_wrap), (from + before_wrap, 0..count - before_wrap)] {
+            if let Some(blocks) = self.blocks.get_mut(slots) {
+                lowered.lower(blocks, from, bend);
+            }
         }
         if let Some(first) = lowered.first {
             self.lower_settled(first, lowered.planned_end);
@@ -350,6 +349,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// What is settled counts on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
     /// lowered since, the entries before are, too, as far as they change. If that takes the settled one from its cap, or a block
     /// is steep now, nothing is settled any more.
+    #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         if self.settled == 0 {
             return;
@@ -627,37 +627,28 @@ impl Walk {
     /// first. Ends with `false` at one that stays, in front of the place from which limits have `changed`.
     #[inline(never)]
     fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
-        let changed = changed.saturating_sub(from);
-        let mut exit2 = self.exit2;
-        let mut places = blocks.iter_mut().enumerate().rev();
-        if self.searching {
-            for (place, block) in places.by_ref() {
-                let reach2 = block.braking_entry2(exit2);
-                exit2 = lesser(block.max_entry2, reach2);
-                if place < changed && block.entry2 == exit2 {
-                    return false;
-                }
-                block.entry2 = exit2;
-                // What is before a steep block may get slower by what is appended.
-                if block.is_steep() {
-                    self.searching = false;
-                    break;
-                }
-                if block.is_surely_capped(reach2) {
-                    self.searching = false;
-                    self.settled = from + place;
-                    break;
-                }
-            }
-        }
-        for (place, block) in places {
-            exit2 = block.entry_before(exit2);
+        let Self { mut exit2, mut searching, mut settled } = *self;
+        let mut place = from + blocks.len();
+        for block in blocks.iter_mut().rev() {
+            place -= 1;
+            let reach2 = block.braking_entry2(exit2);
+            let is_capped = reach2 >= block.max_entry2;
+            exit2 = if is_capped { block.max_entry2 } else { reach2 };
             if place < changed && block.entry2 == exit2 {
+                self.settled = settled;
                 return false;
             }
             block.entry2 = exit2;
+            if searching {
+                // What is before a steep block may get slower by what is appended.
+                let is_steep = block.is_steep();
+                if is_steep || is_capped && block.is_surely_capped(reach2) {
+                    searching = false;
+                    settled = if is_steep { 0 } else { place };
+                }
+            }
         }
-        self.exit2 = exit2;
+        *self = Self { exit2, searching, settled };
         true
     }
 }
@@ -673,7 +664,7 @@ struct Lowered {
 
 impl Lowered {
     /// Lowers blocks in a row, the first of which is at a place.
-    #[inline]
+    #[inline(never)]
     fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
         for (place, block) in (from..).zip(blocks) {
             block.corner2 = lesser(block.corner2, bend.speed2);

@@ -422,24 +422,35 @@ fn planning(motion: &mut Planner) {
         }
     }
     row_none();
-    while let Some(message) = motion.next(&observed) {
+    run_out(motion, &mut observed);
+
+    // Blocks so short that each one changes the entries of all before it: the first segment waits for the walk over them.
+    for (from, blocks, row) in [(400_000, 40, row_walk_near as extern "C" fn()), (500_000, 120, row_walk_far)] {
+        motion.line(&line_to(from, 0, 160.0));
+        motion.start();
+        run_out(motion, &mut observed);
+        for k in 0..blocks {
+            motion.line(&line_to(from + 100 * (k + 1), 0, 160.0));
+        }
+        motion.start();
+        // The block itself.
+        motion.next(&observed);
+        row();
+        let segment = unit_prepare(motion, black_box(&observed));
+        row_none();
+        observed.segments_begun += u32::from(segment.is_some());
+        run_out(motion, &mut observed);
+    }
+}
+
+/// Hands all that is queued over.
+fn run_out(motion: &mut Planner, observed: &mut Observed) {
+    while let Some(message) = motion.next(observed) {
         observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
     }
     observed.step_idle = true;
-    motion.observe(&observed);
-
-    // Blocks so short that each one changes the entries of all before it.
-    let far = 400_000;
-    for k in 0..140 {
-        match k {
-            40 => row_walk_near(),
-            41 => row_none(),
-            120 => row_walk_far(),
-            121 => row_none(),
-            _ => {}
-        }
-        black_box(unit_plan(motion, black_box(&line_to(far + 100 * (k + 1), 0, 160.0))));
-    }
+    motion.observe(observed);
+    observed.step_idle = false;
 }
 
 /// A look-ahead as on the large boards.
