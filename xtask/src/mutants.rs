@@ -62,6 +62,34 @@ const MUTANTS: &[Mutant] = &[
         }],
     },
     Mutant {
+        name: "settled-place-not-moved",
+        edits: &[Edit { file: PLANNER, find: "self.settled = self.settled.saturating_sub(1);", replace: "" }],
+    },
+    Mutant {
+        name: "settled-by-a-block-taken-back",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {",
+            replace: "if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 < 0.0) {",
+        }],
+    },
+    Mutant {
+        name: "settled-by-rounding",
+        edits: &[Edit {
+            file: "src/controller/motion/block.rs",
+            find: "SURELY * reach2 >= self.max_entry2",
+            replace: "SURELY.max(1.0) * reach2 >= self.max_entry2",
+        }],
+    },
+    Mutant {
+        name: "settled-with-a-jerk-limit",
+        edits: &[Edit {
+            file: PLANNER,
+            find: "        self.changed = usize::MAX;\n        self.settled = 0;\n",
+            replace: "        self.changed = usize::MAX;\n",
+        }],
+    },
+    Mutant {
         name: "walk-put-off-for-good",
         edits: &[Edit {
             file: PLANNER,
@@ -335,6 +363,7 @@ fn motion(tree: &Path) -> Result<bool, Failure> {
                 "oxmill-controller",
                 "--lib",
                 "--",
+                "motion::tests::put_off",
                 "motion::tests::joins",
                 "motion::tests::stops",
                 "motion::tests::ramps",

@@ -250,10 +250,11 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         next.entry2
     }
 
-    /// The first block that is appended then makes all be planned, whatever has been settled.
     pub(super) fn clear(&mut self) {
         self.first = 0;
         self.len = 0;
+        self.changed = usize::MAX;
+        self.settled = 0;
         self.entered = false;
     }
 
@@ -341,7 +342,10 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             }
         }
         if let Some(first) = lowered.first {
-            self.lower_settled(first, lowered.planned_end);
+            // A walk that comes to what is settled finds it anew anyway. With a jerk limit nothing is.
+            if self.settled < self.changed && self.settled > 0 {
+                self.lower_settled(first, lowered.planned_end);
+            }
             self.changed = self.changed.min(first);
         }
     }
@@ -351,9 +355,6 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// is steep now, nothing is settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
-        if self.settled == 0 {
-            return;
-        }
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
         for place in (self.settled..end).rev() {
             let slot = self.slot(place);

@@ -30,6 +30,8 @@ enum Change {
     /// At a speed of the machine.
     Overrides(f32, f32),
     Clear,
+    /// With a jerk limit, or without one, from now on.
+    Configure(bool),
 }
 
 /// What a path is made of.
@@ -73,6 +75,7 @@ fn block(path: Path) -> impl Strategy<Value = Block<3>> {
         length,
         acceleration,
         programmed: 50.0,
+        jerk: 1000.0,
         limit,
         corner2,
         curve,
@@ -92,12 +95,20 @@ fn change(path: Path) -> impl Strategy<Value = Change> {
         4 => (0.5_f32..2.0, prop_oneof![Just(0.0), 0.0_f32..60.0])
             .prop_map(|(feed, speed)| Change::Overrides(feed, speed)),
         1 => Just(Change::Clear),
+        2 => prop::bool::ANY.prop_map(Change::Configure),
     ]
 }
 
 fn changes() -> impl Strategy<Value = Vec<Change>> {
     prop_oneof![Just(Path::Straight), Just(Path::Gentle), Just(Path::Turning), Just(Path::Any)]
         .prop_flat_map(|path| prop::collection::vec(change(path), 1..150))
+}
+
+/// With a jerk limit nothing is put off.
+fn settle(queue: &mut Queue) {
+    if !queue.jerk_limited {
+        queue.settle();
+    }
 }
 
 fn append(queue: &mut Queue, block: Block<3>, overrides: OverrideFactors) {
@@ -112,7 +123,7 @@ fn limit(queue: &mut Queue, nearest: usize, farthest: usize, speed2: f32, curve:
 
 fn run(queue: &mut Queue) {
     queue.begin();
-    queue.settle();
+    settle(queue);
     queue.pop(true);
 }
 
@@ -138,11 +149,14 @@ proptest! {
                     queue.replan(overrides, PathState { speed, acceleration: 0.0 }, 0.05);
                 }
                 Change::Clear => queue.clear(),
+                Change::Configure(jerk_limited) => {
+                    queue.jerk_limited = jerk_limited;
+                    queue.clear();
+                }
             }
             // Not after each: the more has come since the last walk, the more it may have missed.
             if number % seldom == 0 {
-                let queue: &mut Queue = &mut *ring;
-                queue.settle();
+                settle(&mut *ring);
             }
             ring.assert_consistent();
         }
@@ -220,4 +234,25 @@ fn what_counts_on_a_lowered_entry_is_lowered() {
     limit(queue, 0, 1, 30.0, CurveLoad::NONE);
     queue.settle();
     assert_eq!(queue.exit2(), 80.0);
+}
+
+/// What was settled before a jerk limit came is nothing to it.
+#[test]
+fn with_a_jerk_limit_nothing_is_settled() {
+    let mut ring = Box::new(Ring::new());
+    let queue: &mut Queue = &mut *ring;
+    append(queue, straight(100.0), AS_PROGRAMMED);
+    append(queue, Block { corner2: 50.0, ..straight(100.0) }, AS_PROGRAMMED);
+    append(queue, straight(100.0), AS_PROGRAMMED);
+    queue.settle();
+    queue.jerk_limited = true;
+    queue.clear();
+    let blocks = [(1.0, 0.0), (0.45, 400.0), (0.45, 49.0), (0.13, 42.25), (0.4, 400.0), (0.5, 1.0)];
+    for (length, corner2) in blocks {
+        append(queue, Block { length, corner2, acceleration: 1000.0, jerk: 1000.0, ..straight(1.0) }, AS_PROGRAMMED);
+    }
+    limit(queue, 1, 1, 36.0, CurveLoad::NONE);
+    ring.assert_consistent();
+    let queue: &Queue = &*ring;
+    assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
