@@ -2,7 +2,7 @@
 //! target may hold back, starve or have lie. It follows [`oxmill_controller::pump`], as every board does.
 //!
 //! It watches what must hold whatever comes: a round makes a bounded number of outputs, a controller that wants lines comes
-//! to an end of its work, no wake-up is past, nothing is sent to the step task or stepped in an alarm, and each line is
+//! to an end of its work, no wake-up is past, nothing is sent to the step task or stepped in a lock, and each line is
 //! answered once.
 
 use super::work;
@@ -333,11 +333,16 @@ impl Board {
         }
     }
 
+    fn assert_may_move(&self, what: &str) {
+        let Self { controller, .. } = self;
+        assert!(!controller.is_locked() && controller.alarm().is_none(), "{what} in a lock, {:?}", controller.alarm());
+    }
+
     /// A tick; whether the controller should look.
     fn tick(&mut self) -> bool {
         let tick = self.stepper.tick();
         if tick.steps != 0 && self.is_true && self.reports.is_empty() {
-            assert!(self.controller.alarm().is_none(), "a step in {:?}", self.controller.alarm());
+            self.assert_may_move("a step");
         }
         for (axis, motor) in self.motors.iter_mut().enumerate() {
             if tick.steps >> axis & 1 != 0 {
@@ -540,7 +545,7 @@ impl Pump<AXES, BLOCKS> for Board {
         match output {
             Output::Step(message) => {
                 if matches!(message, ToStep::Segment(_)) {
-                    assert!(self.controller.alarm().is_none(), "a segment in {:?}", self.controller.alarm());
+                    self.assert_may_move("a segment");
                 }
                 self.recorder.handed(&message);
                 self.queue.push_back(message);

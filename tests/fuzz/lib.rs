@@ -1,7 +1,8 @@
 //! What reads what others have written, each as a function of some bytes that must hold for all of them.
 //!
 //! A target panics when a promise is broken. `cargo xtask fuzz` lets libFuzzer look for such bytes, led by the code that
-//! they reach; `corpus/` has a small set that reaches most of it (an input a line, escaped). `cargo test` runs all of it.
+//! they reach; `corpus/` has a small set that reaches most of it (an input a line, escaped), `finds/` what has shown a fault that
+//! was mended. `cargo test` runs all of it.
 
 mod board;
 pub mod events;
@@ -41,11 +42,11 @@ mod tests {
     /// The inputs of the tree, which once reached something that no other does.
     fn replay(name: &str) {
         let run = super::target(name).expect("a target");
-        let path = format!("{}/corpus/{name}.txt", env!("CARGO_MANIFEST_DIR"));
-        let text = std::fs::read_to_string(&path).unwrap_or_else(|why| panic!("{path}: {why}"));
-        let inputs = oxmill_test_support::unpack(&text);
+        let text = |folder| std::fs::read_to_string(format!("{}/{folder}/{name}.txt", env!("CARGO_MANIFEST_DIR")));
+        let inputs = oxmill_test_support::unpack(&text("corpus").expect("a corpus"));
         assert!(inputs.len() > 10, "{name}: {} inputs", inputs.len());
-        inputs.iter().for_each(|input| run(input));
+        let finds = text("finds").unwrap_or_default();
+        inputs.iter().chain(&oxmill_test_support::unpack(&finds)).for_each(|input| run(input));
     }
 
     /// A test for each, so that they run side by side.
@@ -55,15 +56,18 @@ mod tests {
 
             #[test]
             fn every_target_has_its_corpus() {
-                let mut files: Vec<_> = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/corpus"))
-                    .expect("a folder")
-                    .map(|file| file.expect("a file").file_name().into_string().expect("a name"))
-                    .collect();
-                files.sort();
+                let names_in = |folder| {
+                    let files = std::fs::read_dir(format!("{}/{folder}", env!("CARGO_MANIFEST_DIR"))).expect("a folder");
+                    let name = |file: std::io::Result<std::fs::DirEntry>| file.expect("a file").file_name().into_string();
+                    let mut names: Vec<_> = files.map(|file| name(file).expect("a name")).collect();
+                    names.sort();
+                    names
+                };
                 let mut names = vec![$(concat!(stringify!($name), ".txt")),*];
                 names.sort();
-                assert_eq!(files, names);
-                assert_eq!(files.len(), super::TARGETS.len());
+                assert_eq!(names_in("corpus"), names);
+                assert_eq!(names.len(), super::TARGETS.len());
+                assert!(names_in("finds").iter().all(|find| names.contains(&find.as_str())));
             }
         };
     }

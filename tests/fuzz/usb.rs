@@ -7,6 +7,8 @@
 //! end a host that opens the port is heard.
 
 use super::board::shows;
+use super::hosts::MOST_WORK;
+use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_boards::usb_host::{LATE_BYTES_US, UsbHost};
 use oxmill_controller::messages::{HOST_CHANGED, LineByte, Realtime};
@@ -269,7 +271,7 @@ impl Board {
                 continue;
             }
             let Some(byte) = self.packet.pop_front() else { break };
-            self.usb.take(byte, &mut self.arbiter, &mut self.uart, &mut self.queues);
+            at_most(MOST_WORK, || self.usb.take(byte, &mut self.arbiter, &mut self.uart, &mut self.queues));
         }
         self.usb.refuse(|_| true);
         self.uart.refuse(|_| true);

@@ -105,8 +105,16 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// What was found before is still there until it is mended.
+/// The inputs of the tree, whole, with their work counted: a search cuts the long ones. Then what was found before: it is still
+/// there until it is mended.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
+    let mut inputs = files(&seeds(target)?)?;
+    inputs.extend(files(&finds(target)?)?);
+    let output = Command::new(program).env("OXMILL_FUZZ_TARGET", target).arg("-timeout=20").args(&inputs).output();
+    let output = output.map_err(|error| error.to_string())?;
+    if !output.status.success() {
+        return Err(format!("{target} fails on inputs of the tree:\n{}", String::from_utf8_lossy(&output.stderr)));
+    }
     for path in files(&folder("found", target)?)? {
         let output = Command::new(program).env("OXMILL_FUZZ_TARGET", target).arg("-timeout=20").arg(&path).output();
         let output = output.map_err(|error| error.to_string())?;
@@ -224,9 +232,20 @@ fn host() -> Result<String, Failure> {
 
 /// The corpus of the tree as files.
 fn seeds(target: &str) -> Result<PathBuf, Failure> {
-    let folder = emptied("seeds", target)?;
     let text = fs::read_to_string(kept(target)).map_err(|error| format!("{}: {error}", kept(target).display()))?;
-    for (number, input) in unpack(&text).iter().enumerate() {
+    unpacked("seeds", target, &text)
+}
+
+/// What has shown a fault that was mended, as files: none of most targets. `minimise` leaves it alone.
+fn finds(target: &str) -> Result<PathBuf, Failure> {
+    let path = root().join("tests/fuzz/finds").join(format!("{target}.txt"));
+    let text = if path.exists() { fs::read_to_string(&path) } else { Ok(String::new()) };
+    unpacked("finds", target, &text.map_err(|error| format!("{}: {error}", path.display()))?)
+}
+
+fn unpacked(name: &str, target: &str, text: &str) -> Result<PathBuf, Failure> {
+    let folder = emptied(name, target)?;
+    for (number, input) in unpack(text).iter().enumerate() {
         fs::write(folder.join(number.to_string()), input).map_err(|error| error.to_string())?;
     }
     Ok(folder)
@@ -289,7 +308,7 @@ fn minimise() -> Result<(), Failure> {
         run(Command::new(&program)
             .env("OXMILL_FUZZ_TARGET", target)
             .args(["-set_cover_merge=1", "-max_len=512"])
-            .args([&small, &folder("corpus", target)?, &seeds(target)?]))?;
+            .args([&small, &folder("corpus", target)?, &seeds(target)?, &finds(target)?]))?;
         let mut inputs: Vec<Vec<u8>> = files(&small)?.iter().filter_map(|path| fs::read(path).ok()).collect();
         inputs.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));
         fs::write(kept(target), pack(&inputs)).map_err(|error| error.to_string())?;

@@ -42,6 +42,9 @@ enum End {
     Stopped,
 }
 
+/// In so long all that is random happens.
+const LONG_MS: u64 = 600_000;
+
 /// What happens to the job.
 #[derive(Default, Debug)]
 struct Counts {
@@ -240,10 +243,16 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
         [notes.first(), middle, Some(last)].iter().flatten().map(|n| n.stack[0].to_string()).collect();
     println!("stack at the start, in the middle, at the end: {} of {} bytes", depths.join(", "), last.stack[1]);
     if last.ms < seconds * 1_000 && wall.is_none() {
-        Err(format!("the script was at its end after {} ms", last.ms))
-    } else {
-        Ok(())
+        return Err(format!("the script was at its end after {} ms", last.ms));
     }
+    let Counts { holds, overrides, stops, resets_in_motion, .. } = counts;
+    if last.ms >= LONG_MS && [holds, overrides, stops, resets_in_motion].contains(&0) {
+        return Err("something has not happened once".into());
+    }
+    if last.stack[0] * 4 > last.stack[1] * 3 {
+        return Err("the stack has less than a quarter to spare".into());
+    }
+    Ok(())
 }
 
 /// Compares what was said and done with what the job asked for, a record after the other.

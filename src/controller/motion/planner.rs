@@ -342,7 +342,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             }
         }
         if let Some(first) = lowered.first {
-            // A walk that comes to what is settled finds it anew anyway. With a jerk limit nothing is.
+            // A walk that comes to what is settled finds it again anyway. With a jerk limit nothing is.
             if self.settled < self.changed && self.settled > 0 {
                 self.lower_settled(first, lowered.planned_end);
             }
