@@ -95,9 +95,7 @@ impl Reader {
             HOST_CHANGED => self.sent[host].push_back([whole, whole - middle]),
             _ => self.sent[host].push_back([whole; 2]),
         }
-        if let Received::Realtime(command) = Received::of(byte)
-            && !LETTERS.contains(&byte)
-        {
+        if let Received::Realtime(command) = Received::of(byte) {
             self.commands.push(command);
         }
         line.push(b'\n');

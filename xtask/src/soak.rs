@@ -247,7 +247,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     }
     let Counts { holds, overrides, stops, resets_in_motion, .. } = counts;
     if last.ms >= LONG_MS && [holds, overrides, stops, resets_in_motion].contains(&0) {
-        return Err("something has not happened once".into());
+        return Err("of holds, overrides, stops and resets in motion one has not happened".into());
     }
     if last.stack[0] * 4 > last.stack[1] * 3 {
         return Err("the stack has less than a quarter to spare".into());
