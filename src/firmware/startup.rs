@@ -11,7 +11,7 @@ use crate::serial::Serial;
 use crate::shared::Wake;
 use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
-use core::mem::{MaybeUninit, size_of};
+use core::mem::{ManuallyDrop, MaybeUninit};
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
@@ -44,18 +44,67 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// A controller but for its look-ahead: a constant in flash, where that would take tens of kilobytes.
-static HEAD: Controller<AXES, 0> = Controller::new(boards::PROFILE);
+/// A new controller but for its look-ahead.
+type Head = Controller<AXES, 0>;
+/// Where that begins in a whole one.
+const LOOK_AHEAD_AT: usize = Head::LOOK_AHEAD_AT;
 
-/// Builds the controller in its place, of which all bytes are 0: it is too big for the stack.
-fn build(place: &'static mut MaybeUninit<BoardController>) -> &'static mut BoardController {
-    const AT: usize = BoardController::LOOK_AHEAD_AT;
-    const { assert!(AT == Controller::<AXES, 0>::LOOK_AHEAD_AT && AT <= size_of::<Controller<AXES, 0>>()) };
-    // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks to be valid when all
-    // bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the same types, blocks are
-    // plain numbers, and `HEAD` owns nothing that a copy of its bytes would double.
+/// Stretches of a new controller that are not 0 throughout: from where, and how many bytes.
+const WRITTEN: [(usize, usize); Head::ZEROS.len() + 1] = {
+    let mut written = [(0, 0); Head::ZEROS.len() + 1];
+    let (mut at, mut place) = (0, 0);
+    while place < written.len() {
+        // The zeros that come next; behind the last of them comes the look-ahead.
+        let (mut next, mut other) = ((LOOK_AHEAD_AT, 0), 0);
+        while other < Head::ZEROS.len() {
+            let zeros = Head::ZEROS[other];
+            if zeros.1 > 0 && zeros.0 >= at && zeros.0 < next.0 {
+                next = zeros;
+            }
+            other += 1;
+        }
+        written[place] = (at, next.0 - at);
+        at = next.0 + next.1;
+        place += 1;
+    }
+    written
+};
+
+/// Bytes of a new controller, as they lie in flash; padding among them.
+#[repr(C, align(4))]
+struct Bytes<const LENGTH: usize>([MaybeUninit<u8>; LENGTH]);
+
+const fn bytes_of_new<const LENGTH: usize>(from: usize) -> Bytes<LENGTH> {
+    let new = ManuallyDrop::new(Head::new(boards::PROFILE));
+    assert!(from + LENGTH <= size_of::<Head>());
+    // SAFETY: unsafe because of a raw pointer; safe because what is read lies in `new`, and any bytes are valid ones. A controller
+    // owns nothing that a copy of its bytes would double.
+    unsafe { (&raw const new).cast::<u8>().add(from).cast::<Bytes<LENGTH>>().read_unaligned() }
+}
+
+/// The stretches of [`WRITTEN`] that are named, each in flash.
+macro_rules! stretches {
+    ($($place:literal)*) => {
+        [$({
+            static BYTES: Bytes<{ WRITTEN[$place].1 }> = bytes_of_new(WRITTEN[$place].0);
+            (WRITTEN[$place].0, &BYTES.0 as &[MaybeUninit<u8>])
+        }),*]
+    };
+}
+
+/// Builds the controller in its place, of which all bytes are 0: it is too big for the stack, and tens of kilobytes of zeros would
+/// be for flash.
+pub fn build<const BLOCKS: usize>(place: &mut MaybeUninit<Controller<AXES, BLOCKS>>) -> &mut Controller<AXES, BLOCKS> {
+    const { assert!(LOOK_AHEAD_AT == Controller::<AXES, BLOCKS>::LOOK_AHEAD_AT && LOOK_AHEAD_AT <= size_of::<Head>()) };
+    let stretches: [_; WRITTEN.len()] = stretches!(0 1 2 3 4 5 6 7);
+    // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks and what is not written
+    // to be valid when all bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the
+    // same types, blocks are plain numbers, and what is not written is 0 in a new one (a test on the target compares).
     unsafe {
-        core::ptr::copy_nonoverlapping((&raw const HEAD).cast::<u8>(), place.as_mut_ptr().cast::<u8>(), AT);
+        for (at, bytes) in stretches {
+            let to = place.as_mut_ptr().cast::<MaybeUninit<u8>>().add(at);
+            core::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len());
+        }
         place.assume_init_mut()
     }
 }

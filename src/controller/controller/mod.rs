@@ -75,6 +75,7 @@ use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 use crate::units::{Duration, Instant};
+use core::mem::offset_of;
 use line_in_work::LineInWork;
 use pins::Pins;
 use records::Records;
@@ -102,6 +103,11 @@ pub struct Profile {
     pub has_second_motor: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
+}
+
+/// The same bytes, counted from where the field begins that they lie in.
+const fn behind(field: usize, (at, bytes): (usize, usize)) -> (usize, usize) {
+    (field + at, bytes)
 }
 
 /// Decides everything. `N` axes, look-ahead of `BLOCKS` moves.
@@ -134,7 +140,22 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Where the blocks of the look-ahead lie in it, to its end: plain numbers, of which only those are read that have been
     /// written. All before them is the same whatever their count.
-    pub const LOOK_AHEAD_AT: usize = core::mem::offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
+    pub const LOOK_AHEAD_AT: usize = offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
+
+    /// Bytes of a new one that are all 0, before the look-ahead, in no order: from where, and how many. In memory that is 0
+    /// they need not be written.
+    pub const ZEROS: [(usize, usize); 7] = {
+        let [computed, tools, saved] = Interpreter::<N>::ZEROS;
+        [
+            behind(offset_of!(Self, interpreter), computed),
+            behind(offset_of!(Self, interpreter), tools),
+            behind(offset_of!(Self, interpreter), saved),
+            behind(offset_of!(Self, replies), Replies::ZEROS),
+            behind(offset_of!(Self, records), Records::ZEROS),
+            behind(offset_of!(Self, door), SafetyDoor::<N>::ZEROS),
+            behind(offset_of!(Self, motion), Motion::<N, BLOCKS>::ZEROS),
+        ]
+    };
 
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.

@@ -14,6 +14,7 @@ use super::values::in_xy;
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
+use core::mem::offset_of;
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +47,15 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// Bytes of a new one that are all 0: from where, and how many.
+    pub(crate) const ZEROS: [(usize, usize); 3] = [
+        (offset_of!(Self, computed), size_of::<Computed<N>>()),
+        (offset_of!(Self, tools), size_of::<ToolTable<N>>()),
+        (offset_of!(Self, saved), size_of::<SavedStates<N>>()),
+    ];
 }
 
 /// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.

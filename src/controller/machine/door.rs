@@ -16,6 +16,7 @@ use crate::messages::{Coolant, Observed, ToStep};
 use crate::motion::{Motion, Move, Speed, Tolerance};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, per_second};
+use core::mem::offset_of;
 
 /// What the door took away and where parking leads.
 // Small things first: see `Controller`.
@@ -75,6 +76,12 @@ pub enum ParkingPoint {
 }
 
 impl<const N: usize> SafetyDoor<N> {
+    /// Bytes of a new one that are all 0: from where, and how many.
+    pub(crate) const ZEROS: (usize, usize) = {
+        let (at, bytes) = Motion::<N, 2>::ZEROS;
+        (offset_of!(Self, motion) + at, bytes)
+    };
+
     /// A door that has not been opened.
     pub const fn new(step_clock_hz: u32) -> Self {
         Self {

@@ -3,6 +3,7 @@
 
 use crate::axes::PerAxis;
 use crate::messages::SEGMENTS_DEPTH;
+use core::mem::offset_of;
 
 /// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.
 const MOST: usize = SEGMENTS_DEPTH + 4;
@@ -55,6 +56,9 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
+    /// Bytes of a new one at position 0 that are all 0: from where, and how many.
+    pub(super) const ZEROS: (usize, usize) = (offset_of!(Self, ring), size_of::<[InFlightSegment<N>; RING]>());
+
     pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
         Self {
             ring: [InFlightSegment::still(position, [0; N]); RING],

@@ -59,6 +59,7 @@ use crate::units::{Coordinate, StepsPerMm};
 use axis_limits::bounded;
 use backlash::Motors;
 use block::{Block, MARK_SHIFT, NO_OVERRIDE, OverrideFactors};
+use core::mem::offset_of;
 use core::ops::{Deref, DerefMut};
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
@@ -175,7 +176,13 @@ impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Where the blocks lie in it, to its end.
     pub(crate) const BLOCKS_AT: usize =
-        core::mem::offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
+        offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
+
+    /// Bytes of one without settings that are all 0: from where, and how many.
+    pub(crate) const ZEROS: (usize, usize) = {
+        let (at, bytes) = in_flight::SegmentsInFlight::<N>::ZEROS;
+        (offset_of!(Self, source.in_flight) + at, bytes)
+    };
 
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
