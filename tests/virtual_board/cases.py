@@ -1853,6 +1853,7 @@ def all_cases(root):
         ("boot", boot),
         ("stream axes.nc", lambda bench: streamed(bench, jobs / "axes.nc")),
         ("stream lines.nc", lambda bench: streamed(bench, jobs / "lines.nc")),
+        ("stream splines.nc", lambda bench: streamed(bench, jobs / "splines.nc")),
         ("pulses", pulses),
         ("safe rate", safe_rate),
         ("safe rate, disturbed", disturbed),
