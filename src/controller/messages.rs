@@ -1,4 +1,7 @@
-//! Every type that crosses between tasks, and the depth of every queue.
+//! Every type that crosses between tasks, and the depth of every queue: `Realtime` commands, `LineByte`, `ToStep` with
+//! `AxisSteps` and `Segment`, `StepEvent`; the input pins as `Signals`, `Sensed` and `PinView`; `Event` and `Output` of
+//! the controller, `SlowOutputs`, `Wiring`; how a start came about (`Restart`, `Crash`, `ResetCause`); `Record` of the
+//! store; and the entries of a recording (`Noted`, `Standing`).
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first

@@ -1,5 +1,7 @@
-//! What came in, with its time, in a ring of RAM that outlives a reset: the last lines, commands, levels and reports of the step
-//! task before a failure. Listed by `$REC`, and played again by `oxmill replay`.
+//! `Recorder`: what came in, with its time, in a ring of RAM pages that outlives a reset. Each `Page` has a mark, a
+//! number and a sum; plain bytes of lines and tagged entries (commands, inputs, reports of the step task, rest,
+//! standing state) are put together and appended, the hash of blocks with them. After a failure the ring is rewound,
+//! decoded and told piece by piece, listed by `$REC` and played again by `oxmill replay`.
 //!
 //! ```text
 //!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries

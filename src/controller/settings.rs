@@ -1,4 +1,7 @@
-//! The `$` table: number, name, unit, default and range of every setting, and the values themselves.
+//! The `$` table: a row for each `Key` and each `AxisKey` with number, name, unit, group, labels, kind, default and
+//! whether Grbl has it, as `Entry` and `Description`. `Settings` holds the values: it sets one after a check of its
+//! range, restores stored ones, gives them as whole numbers, seconds or switches, finds the axes in use, and says which
+//! setting makes the set unrunnable.
 //!
 //! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as
 //! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].

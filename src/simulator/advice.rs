@@ -1,4 +1,6 @@
-//! What a person can do about an error or an alarm. The controller's own texts say what is wrong; these say what helps.
+//! What a person can do about an error or an alarm: `for_error`, `for_alarm` and `for_line` give a sentence of advice
+//! for each `Error` and `Alarm`, and `INSTEAD` what to write for words that are refused (G33, G41, M98). The
+//! controller's own texts say what is wrong; these say what helps.
 
 use oxmill_controller::error::{Alarm, Error};
 

@@ -1,5 +1,7 @@
-//! A job through the controller, piece by piece, and the report about it. It has no files, threads or clock of the host, so
-//! it runs wherever a processor is; whoever drives it shows the progress.
+//! `Check`: a job through the controller, slice by slice, and the report about it. `Outcome` collects refused lines
+//! with their advice, messages, notes and the alarm; a pause is ended by cycle start, and a block left open is an
+//! error. `summary` puts times, steps, pulses, distances, extents, peaks and hashes together. It has no files, threads
+//! or clock of the host, so it runs wherever a processor is; whoever drives it shows the progress.
 
 use crate::advice;
 use crate::boards::AXES;

@@ -1,4 +1,6 @@
-//! `run`: a file through the controller, in simulated time, and the report about it.
+//! The commands `run`, `check`, `plot` and `replay` carried out: powers a simulator up with its settings, sends a file
+//! through the controller in simulated time with a progress bar, and writes trace, recording, drawings and the printed
+//! summary (whole, short or JSON). `Ending` tells how it ended: good, faulty, or other steps than the recording.
 
 use crate::board_replay;
 use crate::check::Check;

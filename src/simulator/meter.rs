@@ -1,4 +1,7 @@
-//! How far and how fast the tool went, measured on the blocks and segments that the step task executed.
+//! How far and how fast the tool went, measured on the blocks and segments that the step task executed. The `Meter`
+//! keeps the nodes (ends of segments) of a window, and a `Way` between two of them has a time, a length and an error
+//! from rounding to steps, the `doubt` and `excess` of short blocks included; `peak_speed` and `peak_acceleration`
+//! count only what is certain. It also counts distance, rapids and the times of tools, and gives samples to a drawing.
 //!
 //! A segment says how many units of its block it advances and in how many ticks of the step clock, and a block how many
 //! steps each axis takes. Nothing here is done per step.

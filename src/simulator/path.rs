@@ -1,4 +1,6 @@
-//! What a drawing needs of a job: places and speeds, of bounded number however long the job is.
+//! A `Drawing`, the data that a drawing needs of a job: points of the path (place, speed, rapid, mark) and columns of
+//! speed over time, of bounded number however long the job is. Samples are added; when points are too many they are
+//! thinned out within a tolerance (`simplified`, by Douglas and Peucker), and neighbouring columns are merged.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;

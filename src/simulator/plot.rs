@@ -1,5 +1,7 @@
-//! The drawing of a job: the tool path from above, coloured by speed; at an angle and coloured by height, if it has depth;
-//! and path speed over time.
+//! The picture of a job as SVG or PNG, in pixels (`px`) and colours: heading, the tool path from above (`plan`)
+//! coloured by speed, at an angle and coloured by height if it has depth, colour scales with marks and labels, and the
+//! chart of path speed over time in spans of columns. Paths are projected from mm into the drawing area; rapids are
+//! dashes, feeds are shades.
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.

@@ -1,4 +1,7 @@
-//! What came into a simulated machine, with its time, as text; played again, the machine makes the same steps in the same order.
+//! What came into a simulated machine, with its time, as text: `Recorder` writes each `Input` (host bytes, pins,
+//! connect, a job) and where the machine is, `Recording` parses such text, or what a board has listed (`Told`), line by
+//! line and plays it into a machine that was powered up the same. Played again, the machine makes the same steps in the
+//! same order, which the place, hash, alarm and outputs compare.
 //!
 //! ```text
 //! oxmill recording 1

@@ -1,4 +1,7 @@
-//! `serve`: the simulator as a Grbl device on TCP, a pseudo terminal or standard input and output.
+//! `serve`: the simulator as a Grbl device on TCP, a pseudo terminal (`pty`) or standard input and output. Threads read
+//! the bytes of each `Client` into its `Inbox` and write its answers; the `Device` loop fetches them for the simulator,
+//! lets virtual time pass, and connects, turns away or closes clients. Also the listener for lines that move pins,
+//! time-outs, keep-alive, and places for connections.
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.

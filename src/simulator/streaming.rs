@@ -1,4 +1,6 @@
-//! A job over a link of a baud rate: how long it takes when the bytes come no faster, and where the machine waits for them.
+//! A job sent over a link of a baud rate by a sender that counts characters: how long it takes when bytes in flight and
+//! answers on the way back come no faster (`credit`, `carried`), and at which lines the machine lost time against a
+//! link without limit (`Streamed`, `Lost`).
 //!
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.

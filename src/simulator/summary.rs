@@ -1,4 +1,6 @@
-//! What a job did, for people and as JSON.
+//! `Summary`: what a job did, as fields of JSON and as rows of text for people: lines, errors (`LineError`), alarm,
+//! messages, notes, forecast, times at feed and in rapids, dwell, position, steps, pulses, distance, `Extents`, peaks
+//! of speed and acceleration, hashes. `clock_time` writes seconds as hours and minutes.
 
 use crate::times::ToolTime;
 use oxmill_controller::axes::Axis;

@@ -1,4 +1,6 @@
-//! What the step outputs did, step event by step event: digests always, a CSV file or a list in memory on request.
+//! `Trace`: what the step outputs did, step event by step event. The digest and the count of events always; a `Csv`
+//! file with a row for each `StepRecord` (time, position, spindle, power, coolant, outputs) or a list in memory on
+//! request.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;

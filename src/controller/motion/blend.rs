@@ -1,5 +1,7 @@
-//! Moves that are held back at the end of the queue, because how they are queued depends on the next: within a tolerance
-//! (G64 P) corners are rounded and short moves merged. [`super::rounding`] says when they are queued.
+//! The geometry of a `Tolerance` (G64 P and Q): `Slopes` tell whether several short moves can be merged into one
+//! `HeldMove`, and a `Corner` between two legs, with its turn, sine and cosine, is cut by the vertices of a `Fillet`, a
+//! circle that touches both, by its radius and tangent. `Blend` holds the two moves at the end of the queue that may
+//! still be merged or cut. [`super::rounding`] says when they are queued.
 //!
 //! ```text
 //!              C                      M                A move merged of several (A to M) passes all points between at

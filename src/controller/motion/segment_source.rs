@@ -1,4 +1,7 @@
-//! Blocks on their way out: cut into segments, announced and handed over to the step task.
+//! `SegmentSource`: blocks on their way out. It announces the running block, cuts segments, and hands them over
+//! (`emit`) to the step task while less than `QUEUED_TIME_MS` is in flight; `FeedState` is idle, running, braking or
+//! held. It makes the still segment of rest (`rest_here`), waits for a tick that is far away (`LongTick`) in pieces,
+//! sets the nominal speed of the running block, and knows the motors at its start and at the last rest.
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};

@@ -1,4 +1,7 @@
-//! A Bezier curve of third degree in X and Y as a chain of chords, computed one at a time.
+//! A Bezier curve of third degree in X and Y (G5, G5.1) as a chain of chords, computed one at a time: a `Polygon` of
+//! start, target and the control points `leaving` and `arriving`, its sides halved `between` two corners to a point and
+//! its tangent. `bend` sets the number of chords, the length is summed up by Gauss's three points, and the extent found
+//! at the turning points of the derivative.
 //!
 //! ```text
 //!        b ── ── c         Each point is found by halving in other shares: a share t of the way along each side of the

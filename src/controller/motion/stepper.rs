@@ -1,4 +1,7 @@
-//! The step generator: turns blocks and segments into step bits and moments, one call for each tick.
+//! The step generator (`Stepper`), one `Tick` per call: step bits, directions, interval, moment. It loads messages of
+//! blocks (two courses, the current and the next) and segments into `next_piece` (increments, units, ramp), counts
+//! plain and rare ticks, and begins the next segment; it reports an underrun, stops with the gate shut until `Resume`,
+//! and takes back undone steps. While it is watching the probe it notes the touch (`unnoted` until then), and brakes.
 //!
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves which axis steps at a tick to `dda`,

@@ -1,4 +1,7 @@
-//! The way of received bytes into the queues to `control`, and which of two hosts is listened to. Lives in the serial task.
+//! `Link`: received bytes of one host on the way into the queues to `control`; line bytes are held while a queue is
+//! full, commands may be stuck, and lines are refused (`refusing` to their end) to a host without the floor.
+//! `HostArbiter` with its `Floor` decides which of two hosts is listened to: claim, seize, leave, cut. `Owed` are
+//! commands that found no room on a plain UART. Lives in the serial task.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines

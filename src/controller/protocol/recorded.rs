@@ -1,4 +1,6 @@
-//! A recording as text: the lines that `oxmill replay` reads, each in brackets, so that a sender shows it and continues.
+//! A recording as text: the lines `[REC:...]` that `oxmill replay` reads. Each `Recorded` piece is written with its
+//! moment in ticks: board, stored record, host bytes (escaped), inputs in hexadecimal, counters of a stop, rest or
+//! state as integers, and how the program ended.
 
 use super::text::{END, Text, length, put, whole};
 use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};
