@@ -1,4 +1,6 @@
-//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, `$REC`, startup lines, macros.
+//! `$` commands are carried out, each arm of `System::...`: set a setting (`$n=v`) and what changes with it, unlock
+//! (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore defaults (`$RST`), tell the restart (`$RC`),
+//! begin a listing, check lines (`$LC`), startup lines, macros.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};

@@ -1,5 +1,7 @@
-//! A checked line of G-code is carried out, step by step: wait for the end of motion where the line needs it, outputs,
-//! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
+//! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
+//! state and outputs, store, dwell, go via a point, begin the motion or its chords, then the program flow (pause, end)
+//! and `finish` with the answer. `advance` does one bounded piece of the [`Task`]. Also how jogs, held lines and
+//! startup lines begin.
 
 use super::Controller;
 use super::limits::{geometry, spline_geometry};

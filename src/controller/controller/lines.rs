@@ -1,4 +1,6 @@
-//! Received bytes become lines, and each line goes to where it is carried out.
+//! Received bytes become lines, and each line is dispatched to where it is carried out: `$` line, tape mark, program
+//! line with O words, or a jog that must wait. Invalid and too long lines are refused; the message of a remark is kept
+//! with its mark. `LineRules` of each dialect.
 
 use super::Controller;
 use super::task::{Answer, Caller, Task};

@@ -1,4 +1,6 @@
-//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$M`, `$PINS`, `$I`, `$G`, `$ES` and the like.
+//! Answers of many lines and of many fields, a line per call (`advance_listing`): settings `$$`, parameters `$#`
+//! (coordinate systems, G28, G92, tools, rotation), startup lines `$N`, macros `$M`, pins `$PINS`, descriptions `$ES`;
+//! and `$I` with its option letters, `$G` with the words of the modal state.
 
 use super::Controller;
 use super::records::STORED_TEXT;

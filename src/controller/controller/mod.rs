@@ -1,5 +1,7 @@
-//! The dispatcher: events in, outputs out; which message the step task gets next, and when its gate opens again. The only
-//! room that knows all the others.
+//! The dispatcher, `Controller` with its fields and `Profile` of the board: `event` takes events in, `output` gives the
+//! next thing to be done: stops, wiring, pins, records, replies, the step task's messages in turn, and when its gate
+//! opens. `look_round` and `settle` follow what has ended, `next_wakeup` says when to call. The only room that knows
+//! all the others.
 //!
 //! It promises that every call returns after a bounded piece of work: at most one line, one chord or one segment. What
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued

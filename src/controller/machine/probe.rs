@@ -1,4 +1,5 @@
-//! A probe move (G38): from the first look for the contact to the position that is reported.
+//! `Probe`: a probe move (G38) in its phases seeking, braking and touched, the `Watch` message for the step task, and
+//! the position and success of the last one as its result.
 //!
 //! ```text
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish

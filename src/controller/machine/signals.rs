@@ -1,5 +1,6 @@
-//! From levels of pins to what they mean: polarity, filter, and which change stops the machine by itself. Lives in the
-//! inputs task.
+//! `Inputs`, from levels of pins to what they mean: a sample passes polarity (inverted) and filter, changes the active
+//! signals of `Sensed`, and trips if the input is armed, which stops the machine by itself. Nothing is known before the
+//! filter has settled. Lives in the inputs task.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control
