@@ -1,4 +1,7 @@
-//! The result of a check: what a line asks for, as data that the controller carries out.
+//! `Checked`, the result of a check: what a line asks for, as data that the controller carries out: spindle, speed,
+//! coolant, dwell, stored offset, flow (pause, end), pins (`ProgramPins`, `InputWait`), and the `Motion` in machine
+//! coordinates (line, `ArcMove`, `SplineMove`, `NurbsMove`, probe, cycle) with its `Feed`; also what it leaves
+//! `Afterwards`: modal state, G92, tool length, position.
 
 use super::control_points::Addition;
 use super::cycle::Cycle;

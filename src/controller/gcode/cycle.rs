@@ -1,4 +1,7 @@
-//! Canned cycles: one line that drills, pecks or bores holes, and the moves that it is made of.
+//! Canned cycles: one line that drills, pecks or bores holes, cut into steps (`CycleStep`): rise, to the next hole in
+//! the plane, approach R, cut to the bottom or by a peck, and what follows the bottom (dwell, spindle off, pause,
+//! retract). `Cycle` has the holes left, their pitch, and the levels R, bottom and clear; `CycleWords` stay in force in
+//! a series.
 //!
 //! ```text
 //!  clear  ───▶ (in the plane, rapid) ──┐                        ▲

@@ -1,4 +1,6 @@
-//! What the interpreter does: it checks lines against its state, and takes over what they change.
+//! What the `Interpreter` does: `check_into` checks a line against its state, `commit` takes over what the line changes
+//! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
+//! the dialect changes.
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};

@@ -1,4 +1,5 @@
-//! States that M70 and M73 have saved: the program's own, and one of each call that is under way.
+//! `SavedStates` that M70 and M73 have saved: the program's own, and one of each level of calls under way; which M72
+//! restores, M71 forgets, and the return of a call wants back (`until_return`).
 
 use super::EXPRESSIONS;
 use super::modal::Modal;

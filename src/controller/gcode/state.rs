@@ -1,4 +1,6 @@
-//! What the interpreter knows: the modal state, offsets, tools and the position that a program has reached.
+//! What the `Interpreter` knows: its fields (modal state, offsets, tools, saved states, rotation, scaling, tangent) and
+//! the position that a program has reached, and how others ask and correct them: stored places, the tool in the spindle
+//! and its measured offset, whether all is plain, work zero, and `to_program` coordinates of a place.
 
 use super::Dialect;
 use super::computed::Computed;

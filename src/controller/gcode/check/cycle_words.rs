@@ -1,4 +1,5 @@
-//! Words of canned cycles: those that stay in force in a series, and the holes that they give.
+//! Words of canned cycles (G73 to G89): those that stay in force in a series (R, depth, Q, P), which are missing, the
+//! levels and the pitch that they give, and L for the repeats of the hole.
 
 use super::line::Check;
 use crate::axes::{Axis, PerAxis};

@@ -1,4 +1,6 @@
-//! A line half checked, and what each step of the check asks of it: words, lengths, positions.
+//! `Check`, a line half checked, and what each step of the check asks of it: modal words over the modal state at its
+//! begin, whether a letter is still unused (`take`), lengths in the line's unit, axis words over a place, work and tool
+//! offset, and the feed of a motion, also of rotary axes.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;

@@ -1,4 +1,5 @@
-//! Words of motion: lines, arcs, probing moves.
+//! Words of motion, by the motion mode: straight lines (G0, G1), arcs (G2, G3) by radius or by centre I, J, K with
+//! their turns P, probing moves (G38); other modes are passed on to splines and cycles.
 
 use super::line::{CENTRE, Check};
 use crate::axes::Axis;

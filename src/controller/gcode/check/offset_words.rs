@@ -1,4 +1,5 @@
-//! Words of group 0 and their offsets: G10 L2 and L20, G28, G30, G52, G53, G92.
+//! Words of group 0 (`NonModal`) and their offsets: G10 L2 and L20 set a coordinate system, G28 and G30 go to a stored
+//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53.
 
 use super::line::Check;
 use crate::axes::{Axis, LINEAR, PerAxis};

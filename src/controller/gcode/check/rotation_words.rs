@@ -1,4 +1,6 @@
-//! Where axis words lead to, by straight axes and by rotated ones; G68 and G69.
+//! Where axis words lead to (`target`), by straight axes and by rotated ones, absolute or incremental; G68 and G69
+//! (`new_rotation`), and G10, G28, G92 and tool offsets set in a rotated plane, or refused there (`RotationActs`,
+//! `NotInRotatedPlane`).
 
 use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};

@@ -1,4 +1,6 @@
-//! What O words keep: the text of subroutines and loops, the blocks that are open, whether lines are skipped.
+//! `FlowControl`, what O words keep: the held text of subroutines and loops, the frames of what is open (`Frame`: if,
+//! while, do, repeat, call) with their labels, and whether lines are streaming, recording, running or skipped. The
+//! `Keyword` table, an `OWord` with label and arguments, and finding, pushing, dropping and going back in held text.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once

@@ -1,5 +1,6 @@
 //! Values within lines and messages: expressions are computed, the program's parameters and those in which the machine
-//! shows its state are looked up.
+//! shows its state are looked up, by number (#5061, #5400) or name (`_METRIC`, `_CURRENT_TOOL`); parameters are
+//! assigned, read-only ones refused, and messages expanded with values in a format.
 
 use super::expression::{self, ParameterReference};
 use super::parameters;

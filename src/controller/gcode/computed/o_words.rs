@@ -1,4 +1,6 @@
-//! O words in a program: what becomes of each line of the host, and which line of held text is next.
+//! O words in a program: what becomes of each line of the host (`direct`), and which line of held text is next
+//! (`next_held`). A line is recorded into a subroutine or loop, a condition takes a branch, a loop begins or ends a
+//! pass, a call enters with arguments and returns; and a block is open since a line.
 
 use super::Computed;
 use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};

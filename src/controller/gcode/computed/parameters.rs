@@ -1,4 +1,6 @@
-//! Parameters that programs set: numbers and names with their values, packed into one stretch of bytes.
+//! `Parameters` that programs set: numbers and names with their values, packed as cells into one stretch of bytes, of
+//! which those in force are at the front and those staged by the line being checked behind, until the commit. Local
+//! ones have the level of their call and are forgotten when it is left.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
