@@ -1,5 +1,7 @@
-//! The control task: carries to the controller what other tasks have queued, and carries out what it decides, in the order
-//! of [`oxmill_controller::pump`].
+//! The control task: carries to the controller what other tasks have queued in its `Ends` of the channels, and carries
+//! out what it decides, in the order of [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by
+//! `Source` (hosts that came and went, owed commands, realtime, signals, step events), `next_line_byte` from lines or a
+//! preloaded `Job`, `observe`, `record`, `make_room`, `carry`. It also sends `unsent_wiring` and `erases` flash ahead.
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;

@@ -1,5 +1,8 @@
-//! The step task: has the stepper make ticks ahead of their time, and commits them as events to the outputs, which put each
-//! out at its moment by themselves.
+//! The step task. `Step` takes `segments`, has the stepper make ticks ahead of their time (`make_batch`, `make_one`,
+//! `Made`), and commits them as events to the outputs, which put each out by themselves. Its `State` is Rest, Starting,
+//! Preparing, Running or Ending; it can `put_off` a late event (`latest`, `free_from`), `ran_dry` on an underrun,
+//! `give_up` or `resume`. `Begins` notes when segments begin, `Beam` shows the laser's power at `marks`, `Unsent` keeps
+//! events that control has no room for.
 //!
 //! ```text
 //!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make

@@ -1,5 +1,7 @@
-//! Settings that survive a power cut at any moment: an append-only log of records, each with its CRC, in two flash sectors;
-//! a full one is compacted into the other.
+//! Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` with its
+//! `crc`, appended in one of two sectors of a `Flash`. A header has a `sequence`; a full sector is compacted into the
+//! `spare`, which is erased before. `survey` finds the `Outline` of each entry, notes damage as a `Gap` or as
+//! `unsound`, and one `wrong_byte` is mended by the CRC.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
