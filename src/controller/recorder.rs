@@ -1,7 +1,8 @@
-//! `Recorder`: what came in, with its time, in a ring of RAM pages that outlives a reset. Each `Page` has a mark, a
-//! number and a sum; plain bytes of lines and tagged entries (commands, inputs, reports of the step task, rest,
-//! standing state) are put together and appended, the hash of blocks with them. After a failure the ring is rewound,
-//! decoded and told piece by piece, listed by `$REC` and played again by `oxmill replay`.
+//! `Recorder`: what came in, with its time, in a ring of RAM `Page`s that outlives a reset. A page has a `mark`,
+//! `number`, `time`, `state` with a sum, and `bytes`: plain bytes of lines, and entries of a `tag` and a rest
+//! (`put_word`, `put_axes`) for commands, inputs, step events, rest and standing state, appended with the hash of
+//! `blocks`. `keep` holds the ring after a failure; `rewind`, `next_entry`, `take_line` and `decode` (`Found`) read it
+//! back from the oldest page for `$REC`.
 //!
 //! ```text
 //!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries

@@ -1,7 +1,8 @@
-//! A board's recording, as `$REC` has listed it, played into the simulator, and whether it parts from the board or why
-//! it cannot be played (`Arrival` with notes). `Playing` brings the recorded state about, sends the host's bytes and
-//! inputs at their time, and meets the places where the board was cut off or stopped; it compares counters, blocks and
-//! state (`Standing`) at each rest, and the place and line at the end.
+//! A board's recording, as `$REC` has listed it, played into the simulator, and whether the simulator parts from the
+//! board or why it cannot be played (`Arrival` with notes). What was told is first put in order: stops behind their
+//! reset (`ordered_stops`), begins of lines. `Playing` brings the recorded state about, sends bytes and inputs at their
+//! time, earlier or later by the `slack`, and meets the places where the board was cut off or stopped; it compares
+//! counters, blocks and `Standing` here and there at each rest.
 //!
 //! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
 //! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,

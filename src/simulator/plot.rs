@@ -1,7 +1,7 @@
-//! The picture of a job as SVG or PNG, in pixels (`px`) and colours: heading, the tool path from above (`plan`)
-//! coloured by speed, at an angle and coloured by height if it has depth, colour scales with marks and labels, and the
-//! chart of path speed over time in spans of columns. Paths are projected from mm into the drawing area; rapids are
-//! dashes, feeds are shades.
+//! The picture of a job as SVG or PNG, in pixels (`px`) with fonts, styles and `RGBColor`: heading, the tool path from
+//! above (`plan`) coloured by speed, at an angle (`angled`) and by height if it has depth, colour `Scale`s from low to
+//! high with tidy marks and labels, and the chart of speed over time with its top. Points in mm are projected into the
+//! drawing area by their `Bounds`, with equal scale and a margin; rapids are dashes, feeds shades.
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.

@@ -1,7 +1,8 @@
-//! What came into a simulated machine, with its time, as text: `Recorder` writes each `Input` (host bytes, pins,
-//! connect, a job) and where the machine is, `Recording` parses such text, or what a board has listed (`Told`), line by
-//! line and plays it into a machine that was powered up the same. Played again, the machine makes the same steps in the
-//! same order, which the place, hash, alarm and outputs compare.
+//! What came into a simulated machine, with its time, as text. `Recorder` writes each `Input` as a line (host bytes
+//! escaped, pins, connect, disconnect, a job) and, at rest, where the machine is: counters, place in micrometres, hash,
+//! and the words for what is on. `Recording` reads such text, or what a board has listed (`Told`), word by word, and
+//! plays it into a machine that was powered up the same; it must arrive at the same place, with the same hash
+//! (`agrees`, `compare_end`).
 //!
 //! ```text
 //! oxmill recording 1

@@ -1,7 +1,8 @@
-//! `Simulator`: a board on a desk. The controller with a step task, an input task, a link to the host, a store and a
-//! `World` of machine, fittings, meter and trace, in virtual time. A user sends bytes, moves pins, loads a job, takes
-//! the output, and advances time to the next event, for a duration (`run_for`) or until all is idle; `turn` lets the
-//! control task work. It tells positions, outputs, power and what is unread or unfetched.
+//! `Simulator`: a board on a desk, in virtual time. It holds the controller, a step task, an input task, the link to
+//! the host, a store, the `clock` and a `World` of machine, fittings, spindle, meter and trace. A user sends bytes,
+//! moves pins, loads a job text, takes the outgoing bytes (`take_output`), and lets time advance to the next event or
+//! wakeup (`advance_to`), for a duration (`run_for`) or until idle. It tells positions, outputs, what is unread, and
+//! whether the `power_is_gone`.
 //!
 //! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
 //! task takes no time, so it is never late. What happens at the same tick happens in this order:

@@ -1,6 +1,7 @@
-//! `Summary`: what a job did, as fields of JSON and as rows of text for people: lines, errors (`LineError`), alarm,
-//! messages, notes, forecast, times at feed and in rapids, dwell, position, steps, pulses, distance, `Extents`, peaks
-//! of speed and acceleration, hashes. `clock_time` writes seconds as hours and minutes.
+//! `Summary`: what a job did, as fields of JSON (`position_mm`, `peak_speed_mm_s`, `step_events`) and as rows of text
+//! for people, written with `writeln!`: lines, errors (`LineError`), alarm report, messages, notes, forecast of the
+//! whole tape, times at feed, in rapids and of spin-up, dwell, position, steps, pulses, distance, `Extents`, peaks of
+//! speed and of acceleration by axis, hashes. `clock_time` writes seconds as hours and minutes.
 
 use crate::times::ToolTime;
 use oxmill_controller::axes::Axis;

@@ -1,7 +1,8 @@
-//! Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` with its
-//! `crc`, appended in one of two sectors of a `Flash`. A header has a `sequence`; a full sector is compacted into the
-//! `spare`, which is erased before. `survey` finds the `Outline` of each entry, notes damage as a `Gap` or as
-//! `unsound`, and one `wrong_byte` is mended by the CRC.
+//! Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` of key,
+//! value and `crc`, written in words at the next `address` of one of two sectors of a `Flash`. A header has a
+//! `sequence`; a full sector is compacted into the `spare`, which is erased before. `survey` reads the `Outline` of
+//! each entry, finds what it replaces, and notes damage as a `Gap`, as not `appendable` or as `unsound`; one
+//! `wrong_byte` is mended by the CRC.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐

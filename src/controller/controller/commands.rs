@@ -1,6 +1,7 @@
-//! `$` commands are carried out, each arm of `System::...`: set a setting (`$n=v`) and what changes with it, unlock
-//! (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore defaults (`$RST`), tell the restart (`$RC`),
-//! begin a listing, check lines (`$LC`), startup lines, macros.
+//! `$` commands are carried out, each arm of `System::...`: set the setting of a `Key` (`$n=v`), store it and bring
+//! about what changes with it, unlock (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore defaults
+//! (`$RST`), tell the restart (`$RC`), ask for the view of pins, begin a listing, check lines (`$LC`), save startup
+//! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`).
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};

@@ -1,7 +1,8 @@
 //! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
-//! state and outputs, store, dwell, go via a point, begin the motion or its chords, then the program flow (pause, end)
-//! and `finish` with the answer. `advance` does one bounded piece of the [`Task`]. Also how jogs, held lines and
-//! startup lines begin.
+//! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
+//! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
+//! does one bounded piece of the [`Task`], with progress or without. Also how jogs, held lines of a `caller` and
+//! startup lines begin, and how a line is refused.
 
 use super::Controller;
 use super::limits::{geometry, spline_geometry};

@@ -1,7 +1,8 @@
 //! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. A `Chain`
-//! of path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`, `turned2`) is
-//! compared with the older ones of its `History`, and each `Bend` found limits speed² and acceleration of the blocks
-//! from nearest to farthest. Turns that the rounding of the program's last digit explains are noise.
+//! of straight path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`,
+//! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
+//! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
+//! explains are noise.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
 //! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,

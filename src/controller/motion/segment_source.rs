@@ -1,7 +1,8 @@
-//! `SegmentSource`: blocks on their way out. It announces the running block, cuts segments, and hands them over
-//! (`emit`) to the step task while less than `QUEUED_TIME_MS` is in flight; `FeedState` is idle, running, braking or
-//! held. It makes the still segment of rest (`rest_here`), waits for a tick that is far away (`LongTick`) in pieces,
-//! sets the nominal speed of the running block, and knows the motors at its start and at the last rest.
+//! `SegmentSource`: blocks of the planner on their way out. It announces the running block (`begin_block`, with
+//! backlash), has the `Pacer` cut its ramp into segments of ticks, intervals and acceleration, and hands them over
+//! (`emit`) while less than `QUEUED_TIME_MS` is in flight; `FeedState` is idle, running, braking or held. It makes the
+//! still segment of rest (`rest_here`), waits for a tick that is far away (`LongTick`) in pieces of the step clock
+//! (`step_clock_hz`), and knows the motors at the block's start and at the last rest.
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};

@@ -1,7 +1,8 @@
-//! `Link`: received bytes of one host on the way into the queues to `control`; line bytes are held while a queue is
-//! full, commands may be stuck, and lines are refused (`refusing` to their end) to a host without the floor.
-//! `HostArbiter` with its `Floor` decides which of two hosts is listened to: claim, seize, leave, cut. `Owed` are
-//! commands that found no room on a plain UART. Lives in the serial task.
+//! `Link`: received bytes of one host on the way into the queues to `control`: commands out of the byte stream, even
+//! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
+//! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
+//! hosts is the `holder` (claim, seize, leave, cut), `weak` or not. `Owed` are commands (reset, feed hold, safety door)
+//! that found no room. Lives in the serial task.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
