@@ -1,5 +1,6 @@
 //! `ShortReport`, what `check` prints on one screen: the verdict in colour, the first refused lines with their error
-//! and advice, the alarm, messages, time by part and tool, and extents.
+//! and advice, the alarm, messages, time by part and tool, and extents. Of a list, `SHOWN_ERRORS` are written
+//! (`writeln!`) and the count of more.
 
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};

@@ -1,6 +1,6 @@
 //! `Trace`: what the step outputs did, step event by step event. The digest and the count of events always; a `Csv`
 //! file with a row for each `StepRecord` (time, position, spindle, power, coolant, outputs) or a list in memory on
-//! request.
+//! request. `push_number` writes seconds and nanoseconds, flood, mist and ccw into the row.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;

@@ -1,6 +1,7 @@
 //! What the `Interpreter` does: `check_into` checks a line against its state, `commit` takes over what the line changes
 //! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
-//! the dialect changes.
+//! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
+//! afterwards.
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};

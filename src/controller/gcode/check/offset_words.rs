@@ -1,5 +1,7 @@
 //! Words of group 0 (`NonModal`) and their offsets: G10 L2 and L20 set a coordinate system, G28 and G30 go to a stored
-//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53.
+//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53. Values come from axis
+//! words or the present position (`from_position`), a return goes via a point, and `system_of` finds the system; what a
+//! dialect lacks is `UnsupportedCommand`.
 
 use super::line::Check;
 use crate::axes::{Axis, LINEAR, PerAxis};

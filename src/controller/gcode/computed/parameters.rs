@@ -1,6 +1,7 @@
 //! `Parameters` that programs set: numbers and names with their values, packed as cells into one stretch of bytes, of
 //! which those in force are at the front and those staged by the line being checked behind, until the commit. Local
-//! ones have the level of their call and are forgotten when it is left.
+//! ones have the level of their call and are forgotten when it is left. A cell has a key, the length of its name, its
+//! size, and a `Real` as mantissa and exponent; `GLOBAL` is a level of its own; `growth` is what a line adds.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
