@@ -349,7 +349,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match entry {
             Noted::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
             Noted::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
-            Noted::Rest { counters, blocks } => self.rest(time, counters, *blocks),
+            Noted::Rest { counters, blocks } => self.compare_rest(time, counters, *blocks),
             Noted::Standing { standing, .. } => self.compare_state(time, standing),
             Noted::Stored(true) | Noted::More => Ok(()),
             Noted::Stored(false) => Err(format!("{}: the board could not store a setting", self.seconds(time))),
@@ -436,7 +436,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Err(format!("{} the recording has the motors at {counters:?}; here they are at {here:?}", self.seconds(time)))
     }
 
-    fn rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
+    fn compare_rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
         self.meet(time, self.hz() / 10_000, |simulator| simulator.is_idle());
         self.advance(time);
         self.compare(time, counters)?;

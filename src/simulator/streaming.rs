@@ -100,12 +100,12 @@ impl Streaming {
             if self.done {
                 break;
             }
-            self.slice();
+            self.run_slice();
         }
         self.done
     }
 
-    fn slice(&mut self) {
+    fn run_slice(&mut self) {
         let room = self.simulator.board().received_bytes;
         while let Some(line) = self.waiting.front()
             && (self.in_flight.is_empty() || self.in_flight.iter().sum::<usize>() + line.len() <= room)
@@ -122,14 +122,14 @@ impl Streaming {
         self.returning.extend(self.simulator.take_output().bytes());
         let carried = self::carried(self.baud, &mut self.credit_back, self.returning.len());
         for byte in self.returning.drain(..carried).collect::<Vec<u8>>() {
-            self.hear(byte);
+            self.hear_answer(byte);
         }
         let answered = self.waiting.is_empty() && self.in_flight.is_empty();
         let stuck = !self.simulator.is_active() && self.outgoing.is_empty() && self.returning.is_empty();
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
     }
 
-    fn hear(&mut self, byte: u8) {
+    fn hear_answer(&mut self, byte: u8) {
         if byte != b'\n' {
             self.answer.push(byte);
             return;

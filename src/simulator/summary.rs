@@ -219,7 +219,11 @@ impl fmt::Display for Summary {
         for (axis, ends) in self.extents_mm.rows() {
             row(f, if axis == Axis::X { "extents" } else { "" }, ends)?;
         }
-        row(f, "ends at", format!("machine {}, work {} mm", place(&self.position_mm), place(&self.work_position_mm)))?;
+        row(
+            f,
+            "ends at",
+            format!("machine {}, work {} mm", place_text(&self.position_mm), place_text(&self.work_position_mm)),
+        )?;
         let steps = self.steps.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
         row(f, "steps", format!("net {steps}; {} step events", self.step_events))?;
         row(
@@ -257,7 +261,7 @@ impl fmt::Display for Summary {
     }
 }
 
-fn place(place: &[f64]) -> String {
+fn place_text(place: &[f64]) -> String {
     place.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")
 }
 

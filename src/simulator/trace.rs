@@ -105,7 +105,7 @@ impl Trace {
         }
         self.last = Some(record);
         if let Some(csv) = &mut self.csv.0 {
-            csv.step(&record);
+            csv.write_row(&record);
         }
         if let Some(list) = &mut self.list {
             list.push(record);
@@ -182,7 +182,7 @@ impl Csv {
         self.current = Some((*outputs, power));
     }
 
-    fn step(&mut self, record: &StepRecord) {
+    fn write_row(&mut self, record: &StepRecord) {
         if self.failed.is_some() {
             return;
         }

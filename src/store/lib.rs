@@ -282,7 +282,7 @@ impl<F: Flash> Log<F> {
     /// If the flash cannot be read, written or erased.
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
-        if !log.find()? {
+        if !log.find_sector()? {
             // Nothing to lose: this is the only place where the sector in use is erased.
             log.sector = Sector::A;
             log.sequence = 1;
@@ -314,7 +314,7 @@ impl<F: Flash> Log<F> {
     }
 
     /// Finds the sector in use and its records; `false` if there is none.
-    fn find(&mut self) -> Result<bool, F::Error> {
+    fn find_sector(&mut self) -> Result<bool, F::Error> {
         let a = sequence_of(&mut self.flash, Sector::A)?;
         let b = sequence_of(&mut self.flash, Sector::B)?;
         let newest = match (a, b) {
@@ -407,7 +407,7 @@ impl<F: Flash> Log<F> {
     /// # Errors
     /// If the memory cannot be read.
     pub fn is_in(flash: &mut F) -> Result<bool, F::Error> {
-        Log::over(flash).find()
+        Log::over(flash).find_sector()
     }
 
     /// The memory.

@@ -82,7 +82,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::CheckLines(on) => self.check_lines(on),
             System::Sleep => self.sleep(),
-            System::Set(number, value) => self.set(number, value)?,
+            System::Set(number, value) => self.set_setting(number, value)?,
         }
         Ok(())
     }
@@ -146,7 +146,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.begin_homing(axis)
     }
 
-    fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+    fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         if value != Decimal::ZERO {
             match number {
                 DOOR_FITTED if self.inputs.pins().door => return Err(Error::DoorOpen),

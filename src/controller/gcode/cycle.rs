@@ -225,7 +225,7 @@ impl<const N: usize> Cycle<N> {
             Next::After(done) => return self.after(done),
         };
         self.next = next;
-        Some(self.go(depth, is_feed))
+        Some(self.go_to_depth(depth, is_feed))
     }
 
     fn after(&mut self, done: u8) -> Option<CycleStep<N>> {
@@ -241,14 +241,14 @@ impl<const N: usize> Cycle<N> {
             After::Dwell => CycleStep::Dwell(self.words.dwell),
             After::SpindleOff => CycleStep::SpindleOff,
             After::Pause => CycleStep::Pause,
-            After::FeedToR => self.go(self.r, true),
-            After::FeedToClear => self.go(self.clear, true),
-            After::RapidToClear => self.go(self.clear, false),
+            After::FeedToR => self.go_to_depth(self.r, true),
+            After::FeedToClear => self.go_to_depth(self.clear, true),
+            After::RapidToClear => self.go_to_depth(self.clear, false),
             After::SpindleOn => CycleStep::SpindleOn(self.spindle),
         })
     }
 
-    fn go(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
+    fn go_to_depth(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
         self.place.set(self.axes.linear, depth);
         if is_feed { CycleStep::Feed(self.place, self.feed) } else { CycleStep::Rapid(self.place) }
     }

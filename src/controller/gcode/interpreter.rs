@@ -126,7 +126,7 @@ impl<const N: usize> Interpreter<N> {
             self.offsets.g92_kept = checked.g92;
         }
         if !matches!(checked.after.keeping, Keeping::Leave) {
-            self.keep(checked);
+            self.keep_state(checked);
         }
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
@@ -152,7 +152,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// M70 to M73, G5.2.
     #[inline(never)]
-    fn keep(&mut self, checked: &Checked<N>) {
+    fn keep_state(&mut self, checked: &Checked<N>) {
         let level = self.computed.level();
         match checked.after.keeping {
             Keeping::Leave => {}

@@ -56,10 +56,10 @@ impl Inputs {
         let Some(wiring) = self.wiring else { return false };
         self.settling = self.settling.saturating_sub(1);
         let active = self.filter.sample(low ^ wiring.inverted);
-        self.take(active)
+        self.take_levels(active)
     }
 
-    fn take(&mut self, active: u32) -> bool {
+    fn take_levels(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {
             return false;

@@ -46,7 +46,7 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
 #[inline(never)]
 fn moment(out: &mut Text, hz: u32, time: u64) {
     let hz = u64::from(hz);
-    count(out, time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS);
+    put_count(out, time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS);
 }
 
 fn stored(out: &mut Text, record: &Record) {
@@ -61,13 +61,13 @@ fn stored(out: &mut Text, record: &Record) {
 // What follows is called from many places, and seldom: it is small rather than fast.
 
 #[inline(never)]
-fn count(out: &mut Text, value: u64) {
+fn put_count(out: &mut Text, value: u64) {
     whole(out, value);
 }
 
 #[inline(never)]
 fn number(out: &mut Text, value: u32) {
-    count(out, u64::from(value));
+    put_count(out, u64::from(value));
 }
 
 #[inline(never)]
@@ -106,7 +106,7 @@ fn escaped(out: &mut Text, bytes: &[u8]) {
 #[inline(never)]
 fn integer(out: &mut Text, value: i64) {
     put(out, if value < 0 { b" -" } else { b" " });
-    count(out, value.unsigned_abs());
+    put_count(out, value.unsigned_abs());
 }
 
 #[inline(never)]
@@ -149,7 +149,7 @@ fn entry(out: &mut Text, entry: &Noted) {
             number(out, *blocks);
             integers(out, counters);
         }
-        Noted::Standing { standing, blocks } => state(out, standing, *blocks),
+        Noted::Standing { standing, blocks } => put_standing(out, standing, *blocks),
         Noted::Ended { crash, place, line } => {
             put(out, b"ended ");
             put(out, crash.map_or(b"reset", crash_name));
@@ -166,7 +166,7 @@ fn entry(out: &mut Text, entry: &Noted) {
 }
 
 /// Flags, blocks, tool, inputs, then counter and place of each axis, then the words.
-fn state(out: &mut Text, standing: &Standing, blocks: u32) {
+fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];
     for (_, letter) in letters.into_iter().filter(|(on, _)| *on) {

@@ -27,7 +27,7 @@ impl<const N: usize> Check<'_, N> {
         match word {
             NonModal::SetSystem => self.set_system(),
             NonModal::SetOffset => self.set_offset(),
-            NonModal::Go(which) => self.go(which),
+            NonModal::Go(which) => self.go_to_stored(which),
             NonModal::StorePosition(which) => {
                 self.checked.store = Some(which);
                 self.checked.stored = Some(self.state.position);
@@ -153,7 +153,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// G28, G30: the named axes by way of the given point to the stored place; without axis words all, directly.
-    fn go(&mut self, which: StoredOffset) -> Result<(), Error> {
+    fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
             // What was stored while the machine had more axes does not move them.
