@@ -1,4 +1,8 @@
-//! What a board and the program on it owe each other.
+//! What a board and the program on it owe each other, checked by the compiler in `held`. The trait `StepOutput` takes
+//! events (`direct`, `free`, `commit`, `ahead`, `moment_before`, `joins_until`), puts them out (`begin`, `halt`,
+//! `Undone`) and says what is `Due` (`call_at`, `mark_at`). The trait `Port` receives and sends bytes (`Incoming`,
+//! `allow`, `call_when_free`), and `NoPort` is a port that a board lacks. `SlowLevels`, `SecondMotor`, `input_bits` and
+//! `COMBINATIONS` are shared words.
 //!
 //! A board knows pins, clocks and registers. It knows nothing of motion, of tasks or of what a user types, and calls
 //! no program above it. What it offers is re-exported at the root of this crate; the compiler compares it with the

@@ -1,4 +1,6 @@
-//! The boards: pins, clocks and registers, behind one `contract`. An image is built for one of them, chosen by feature.
+//! The boards: pins, clocks and registers, behind one `contract`. An image is built for one of them, chosen by cargo
+//! feature (`choose`), and its names are exported from here. `profile` turns a row of `profiles` into the controller's
+//! `Profile` (`safe_hz`, `has_second_motor`, `has_store`).
 //!
 //! Without a feature, on a host, there are only the numbers of all boards ([`profiles`]), for the simulator.
 #![no_std]

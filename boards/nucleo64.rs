@@ -1,5 +1,7 @@
-//! What the Nucleo-64 boards share: the pins of the Arduino header with a CNC shield v3 on it, and all of the set-up but the
-//! clock.
+//! What the Nucleo-64 boards share, with an Arduino CNC shield v3: `setup` assigns each pin of the header and of the
+//! Morpho connector (`pa0` to `pc11`), and puts the `Parts` together. Unlike on a Black Pill, the step pins are on two
+//! ports (`StepPins<2>`), the host is on `USART2` through the ST-Link, `UsbPort` is `NoPort`, and there are inputs for
+//! `AT_SPEED` and for programs.
 //!
 #![doc = include_str!("nucleo64.md")]
 

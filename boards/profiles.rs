@@ -1,4 +1,7 @@
-//! What the boards are to a program: numbers only, shared by the firmware and by the simulator of a board.
+//! What the boards are to a program: numbers only, shared by the firmware and by the simulator of a board. Each `Board`
+//! (`DESK`, `BLACKPILL_F411`, `NUCLEO_F446RE`, `QEMU_MPS2` ...) is a table of `name`, `axes`, `blocks`, `core_hz`,
+//! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages` and `program_pins`, over the
+//! defaults of `HARDWARE`.
 //!
 //! Pins, clocks and memory belong to each board's own folder.
 

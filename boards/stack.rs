@@ -1,4 +1,5 @@
-//! How deep the stack has been: it is painted at the start, and what is not paint any more has been used.
+//! How deep the stack has been: `paint` fills it with `PAINT` at the start, but for a `MARGIN` below the stack pointer,
+//! and what is not painted any more has been `used`, of a `size` from `_stack_end` to `_stack_start`.
 
 /// No address, no small number, no float of any sense.
 const PAINT: u32 = 0xA5C3_5A3C;

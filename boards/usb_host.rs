@@ -1,5 +1,6 @@
-//! Who is at the other end of a USB serial port: whether there is a host, when one has gone or another has come, and
-//! whether what is received is still of one that has gone.
+//! Who is at the other end of a USB serial port. `UsbHost` looks at whether the device is `configured`, at `dtr` and at
+//! who has `spoken`, and a `Look` says whether there is a host, when one has gone (`unplugged`, `closed`, `closing`) or
+//! another has come (`opened`, `changes_hands`), and whether what is received `late` is still of one that has gone.
 //!
 //! No registers: it is told what the driver sees, and runs on a desk as well.
 

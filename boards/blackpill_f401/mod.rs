@@ -1,4 +1,5 @@
-//! WeAct Black Pill V2/V3 with STM32F401CC: 256 KiB of flash, 64 KiB of RAM, 25 MHz crystal. Drawing and pin table:
+//! WeAct Black Pill V2/V3 with STM32F401CC: 256 KiB of flash, 64 KiB of RAM, core at 84 MHz. Only this chip's numbers
+//! are here: `PROFILE`, `AXES`, `BLOCKS`, `RECORDING_PAGES`, `RUN_CYCLES`, `CORE_HZ`; `setup` and the pin table are in
 //! `boards/blackpill.rs`.
 //!
 //! 84 MHz, the most of this part, and 48 MHz for USB from the same PLL (336 MHz by 4 and by 7). The image also runs on an

@@ -1,4 +1,5 @@
-//! WeAct Black Pill V2/V3 with STM32F411CE: 512 KiB of flash, 128 KiB of RAM, 25 MHz crystal. Drawing and pin table:
+//! WeAct Black Pill V2/V3 with STM32F411CE: 512 KiB of flash, 128 KiB of RAM, core at 96 MHz. Only this chip's numbers
+//! are here: `PROFILE`, `AXES`, `BLOCKS`, `RECORDING_PAGES`, `RUN_CYCLES`, `CORE_HZ`; `setup` and the pin table are in
 //! `boards/blackpill.rs`.
 //!
 //! 96 MHz and not the 100 that the part could do: USB needs 48 MHz, and the one PLL gives both only from a common multiple

@@ -1,5 +1,7 @@
-//! What a build must know of a board's image: the list of boards, the profile, and what the linker is told. For the build
-//! scripts of the packages that end in an image, and for `xtask`.
+//! What a build must know of a board's image, for build scripts and for `xtask`. `BOARDS` lists the boards, `chip`
+//! gives each one's linker script, `profile` and `SMALL` the cargo profile. `link` finds the one board that is `chosen`
+//! as a cargo feature, writes `memory.x`, `chip.x` and the stack's size (`stack_kib`) to `OUT_DIR`, and gives the
+//! linker its arguments.
 //!
 //! Linker arguments come from here and not from `rustflags`: a `RUSTFLAGS` in someone's environment replaces those
 //! silently, and the image would be empty.

@@ -1,5 +1,7 @@
-//! ST Nucleo-64 with STM32F446RE and an Arduino CNC shield v3 on top. Compare with the user manual (UM1724) and with the
-//! print on your shield before you switch the motors' supply on.
+//! ST Nucleo-64 with STM32F446RE and an Arduino CNC shield v3, core at 180 MHz. Only this chip's numbers and clocks are
+//! here: `PROFILE`, `AXES`, `BLOCKS`, `RECORDING_PAGES`, `RUN_CYCLES`, `CORE_HZ`; `setup` and the pins are in
+//! `boards/nucleo64.rs`. Compare with the user manual (UM1724) and with the print on your shield before you switch the
+//! motors' supply on.
 //!
 #![doc = include_str!("../nucleo64.md")]
 //!

@@ -1,5 +1,6 @@
-//! Flash for settings where QEMU has none: RAM at the place that the linker script keeps free, which behaves as flash
-//! does. A reset leaves it as it is, as it would flash; switching QEMU off does not.
+//! `SettingsFlash` where QEMU has none: RAM at `_settings_start`, the place that the linker script keeps free, which
+//! behaves as flash does. A `Sector` has `SECTOR_BYTES`, words are written once (`NotErased`), and `erase` fills with
+//! `ERASED`. A reset leaves it as it is, as it would flash; switching QEMU off does not.
 
 use oxmill_store::{Flash, Sector};
 

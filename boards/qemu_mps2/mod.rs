@@ -1,5 +1,8 @@
-//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers and without GPIO. The whole firmware runs here; what it would
-//! write to step pins goes into a digest instead.
+//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers and without GPIO. `StepPins` keeps one `Pending` event and
+//! three moments on `Timer0`; instead of writing pins, `put_out` adds it to a `Record` (`digest`, `busy`, `net`), which
+//! the `Reporter` sends on `Uart1` when asked. The job or the host `script` is `preloaded` in PSRAM behind a mark;
+//! `idle` follows the script, `reset`, `fail` and a watchdog (`ALIVE`) test failures, and QEMU ends by semihosting.
+//! Inputs and slow outputs are empty.
 //!
 //! ```text
 //!   ┌───────────────────────────────────────────────────┐

@@ -1,4 +1,7 @@
-//! A host inside the machine: a script in PSRAM says what it sends and what it waits for, in virtual time.
+//! A host inside the machine: a `Script` in PSRAM says what it sends, and what it must `Wait` for in virtual time: so
+//! many `Answers`, a delay in milliseconds (`Until`), or a status `Report` that says Idle, asked for again after a
+//! `pause` (`questions`). `hear` counts in `Said` what the firmware answers; `Wanted` asks the board for a `Mark`, a
+//! `Note` or the `End`.
 //!
 //! A host outside lives in real time, and where the machine is when its byte arrives depends on what else the processor
 //! does. This one sends its bytes at the same instruction in every run. It looks at the board whenever nothing else is to

@@ -1,4 +1,8 @@
-//! Edges by timers and DMA: an event comes out at its moment whatever the processor is doing.
+//! Edges by timers and DMA: an event comes out at its moment whatever the processor is doing. `Rings` hold the `words`
+//! and `moments` of the `Chain` from `tail` to `head`; DMA `Streams` answer the timers' requests and copy them to the
+//! ports and into the compare register of `TIM2`, and `TIM1` makes the pulse's two edges (`SMCR`, `DIER`, `CCR1`,
+//! `NDTR`, `HISR`, `CIRCULAR`). `translate`, `commit`, `begin`, `one_by_one` and `put_off` feed it; `fault`, `lags` and
+//! `counts_agree` look whether requests were served; `halt` and `silence` cut it off.
 //!
 //! ```text
 //!  TIM2 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM2)

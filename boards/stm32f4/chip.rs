@@ -1,4 +1,8 @@
-//! What the STM32F4 boards share: set-up of step timer, step pins and PWM, the USART, inputs and slow outputs.
+//! What the STM32F4 boards share in setting up: `step_pins` with the clocks of their timers TIM1 to TIM3 (`rcc`, `psc`,
+//! `arr`), the microsecond clock on TIM5 (`start_clock`), the serial port `Usart` (`BAUD`, `rx`, `tx`, `taken`,
+//! `lost`), the `InputPins` (`places` of `ErasedPin`s, pulls, what is `fitted`), the `SlowPins` and their `levels`, the
+//! independent `Watchdog`, the `Parts`, `reset_cause` from the flags of `csr`, and `safe_state`. `each!` and `raw!`
+//! shorten pins and register access.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
 //! interrupt touches is in `step.rs` and `chain.rs`.

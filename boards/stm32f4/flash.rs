@@ -1,4 +1,7 @@
-//! The settings sectors of an STM32F4: two of its 16 KiB sectors, words written at parallelism 32 (2.7 V and more).
+//! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors, written in words at parallelism 32 (2.7 V and more).
+//! `operate` unlocks the flash control register with its `KEYS`, starts a `PROGRAM` or `ERASE`, waits while `BUSY` and
+//! gives `ERRORS` as a `FlashError`; a `Guard` shelters received bytes meanwhile, and `forget_cached` resets the data
+//! cache (`acr`).
 //!
 //! Promises that only these two sectors are ever touched. While the memory works, every fetch from flash stalls, so the
 //! whole program is stalled: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,

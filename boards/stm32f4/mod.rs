@@ -1,4 +1,5 @@
-//! What the STM32F4 boards share: what the step interrupt touches ([`step`]), and the rest of the chip.
+//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `registers`), and the
+//! rest of the chip (`chip`, `flash`, `rx_dma`, `supply`, `usb`).
 
 mod chain;
 pub mod registers;

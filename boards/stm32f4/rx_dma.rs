@@ -1,4 +1,6 @@
-//! Received bytes while the processor is stalled: DMA keeps them in RAM, whatever the flash memory is doing.
+//! Received bytes while the processor is stalled by a flash operation: `shelter` has a DMA stream (`par`, `m0ar`,
+//! `ndtr`) copy what a USART receives into RAM, up to `ROOM` bytes, while the `work` is done, and notes their `END`;
+//! `Taken` gives them out afterwards. `Sheltered` names the stream of each USART.
 //!
 //! ```text
 //!  USART ──byte──▶ interrupt ──▶ serial task           always

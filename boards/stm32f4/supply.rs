@@ -1,5 +1,6 @@
-//! The supply of an STM32F4: the scale of the core's own, the detector that watches the board's, and a restart that
-//! waits for it.
+//! The supply of an STM32F4: `full_core_voltage` sets the scale of the core's own, `watch_voltage` has the programmable
+//! voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls, and `restart` waits until
+//! `voltage_is_low` no more, for `RISE_MS`, before it resets.
 
 use super::safe_state;
 use core::cell::Cell;

@@ -1,5 +1,8 @@
 //! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
-//! What a closed port still sends is dropped.
+//! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received` packet,
+//! what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some OTG
+//! registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. What a closed port still
+//! sends is dropped.
 //!
 //! ```text
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it

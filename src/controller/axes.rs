@@ -1,4 +1,5 @@
-//! Axes, and values that exist once for each of them.
+//! `Axis`, its letter and index, which axes are linear or rotary; `PerAxis`, a value for each axis with `map` and
+//! `zip`; `AxisMask`, a set of axes; and the `Arrangement` of the motors, Cartesian or CoreXY.
 //!
 //! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
 //! three. X, Y and Z always exist; A, B and C when `N` reaches them and the machine has them (`$930`): the others never

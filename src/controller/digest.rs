@@ -1,5 +1,6 @@
-//! A digest of a step stream, by which two machines are compared: the simulator computes it from its trace, a target
-//! without pins from what it would have written to them.
+//! `Digest`: a hash (FNV-1a, basis and prime) of a step stream, over the times and over the order of its step and
+//! direction bits, by which two machines are compared: the simulator computes it from its trace, a target without pins
+//! from what it would have written to them.
 
 /// Running digest over (time, step bits, direction bits) of each step event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,5 @@
-//! What the machine decides: protocol, G-code, planning and stepping of a CNC mill that speaks Grbl 1.1.
+//! What the machine decides: protocol, G-code, planning and stepping of a CNC mill that speaks Grbl 1.1. The list of
+//! the crate's modules and the lints that keep it free of panics.
 //!
 //! No hardware, no clock, no queues and no waiting live here: bytes, levels and the time come in through
 //! [`Controller::event`], and what is to be done comes out of [`Controller::output`]. So the same code, bit for bit, runs

@@ -1,4 +1,8 @@
-//! Every type that crosses between tasks, and the depth of every queue.
+//! Every type that crosses between tasks, and the depth of every queue (`LINES_DEPTH`): `Realtime` commands,
+//! `LineByte`, `ToStep` with `AxisSteps` and `Segment`, `StepEvent`; the bits of input pins (`input::PROBE`,
+//! `AT_SPEED`, `DRIVER_FAULT`) as `Signals`, `Sensed` and `PinView`; `Event` and `Output` of the controller,
+//! `SlowOutputs`, and `Wiring` with its inverts and pull-ups; how a start came about (`Restart`, `Crash`, `CrashKind`,
+//! `ResetCause`); `Record` of the store; and the entries of a recording (`Noted`, `Standing`).
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first

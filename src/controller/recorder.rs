@@ -1,5 +1,8 @@
-//! What came in, with its time, in a ring of RAM that outlives a reset: the last lines, commands, levels and reports of the step
-//! task before a failure. Listed by `$REC`, and played again by `oxmill replay`.
+//! `Recorder`: what came in, with its time, in a ring of RAM `Page`s that outlives a reset. A page has a `mark`,
+//! `number`, `time`, `state` with a sum, and `bytes`: plain bytes of lines, and entries of a `tag` and a rest
+//! (`put_word`, `put_axes`) for commands, inputs, step events, rest and standing state, appended with the hash of
+//! `blocks`. `keep` holds the ring after a failure; `rewind`, `next_entry`, `take_line` and `decode` (`Found`) read it
+//! back from the oldest page for `$REC`.
 //!
 //! ```text
 //!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries
@@ -104,7 +107,7 @@ impl Page {
     pub fn seal(&mut self, number: u32) {
         (self.mark, self.number) = (OPEN, number);
         let used = self.used().min(ROOM);
-        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add(sum, *byte));
+        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add_to_sum(sum, *byte));
         self.state = sum << 8 | used as u32;
     }
 
@@ -116,14 +119,14 @@ impl Page {
     /// The sum of an empty page.
     fn seed(&self) -> u32 {
         let words = [self.number, self.time as u32, (self.time >> 32) as u32];
-        words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add)
+        words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add_to_sum)
     }
 
     /// The entries, if they are what was written.
     #[inline(never)]
     fn entries(&self) -> Option<&[u8]> {
         let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
-        let sum = bytes.iter().fold(self.seed(), |sum, byte| add(sum, *byte));
+        let sum = bytes.iter().fold(self.seed(), |sum, byte| add_to_sum(sum, *byte));
         (sum << 8 == self.state & !0xFF).then_some(bytes)
     }
 
@@ -146,7 +149,7 @@ impl Page {
         let mut sum = self.state >> 8;
         for (place, byte) in places.iter_mut().zip(bytes) {
             *place = *byte;
-            sum = add(sum, *byte);
+            sum = add_to_sum(sum, *byte);
         }
         // Counted when it is there.
         compiler_fence(Ordering::SeqCst);
@@ -157,7 +160,7 @@ impl Page {
 }
 
 #[inline(always)]
-fn add(sum: u32, byte: u8) -> u32 {
+fn add_to_sum(sum: u32, byte: u8) -> u32 {
     sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
 }
 
@@ -243,7 +246,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             Some(number) => recorder.keep(number, restart),
             None => {
                 recorder.clear(0);
-                recorder.entry(Instant::from_ticks(0), tag::POWER_UP, &[]);
+                recorder.put_entry(Instant::from_ticks(0), tag::POWER_UP, &[]);
             }
         }
         recorder.expect_plain();
@@ -283,7 +286,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         for number in place.map(|axis| axis as u32).into_iter().chain([line]) {
             put_word(&mut text, number);
         }
-        self.tagged(tag::ENDED, &text);
+        self.put_tagged(tag::ENDED, &text);
         let slot = self.slot;
         if let Some(page) = self.pages.as_mut().get_mut(slot) {
             page.mark = CLOSED;
@@ -367,7 +370,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// An entry lies in one page.
     #[inline(never)]
-    fn tagged(&mut self, tag: u8, rest: &[u8]) {
+    fn put_tagged(&mut self, tag: u8, rest: &[u8]) {
         if !self.next.is_empty() {
             self.flush();
         }
@@ -418,9 +421,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     #[inline(never)]
-    fn entry(&mut self, now: Instant, tag: u8, rest: &[u8]) {
+    fn put_entry(&mut self, now: Instant, tag: u8, rest: &[u8]) {
         self.time_to(now.ticks());
-        self.tagged(tag, rest);
+        self.put_tagged(tag, rest);
     }
 
     /// What the controller is told at `now`. To be called in front of it.
@@ -439,7 +442,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 }
             }
             Event::Realtime(Realtime::Status) | Event::Pins(_) => {}
-            event => self.seldom(now, event),
+            event => self.record_seldom(now, event),
         }
     }
 
@@ -451,7 +454,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
         let page = self.pages.as_mut().get_mut(self.slot).filter(|_| self.next.is_empty());
         if !page.is_some_and(|page| page.append(&[tag::MORE])) {
-            self.tagged(tag::MORE, &[]);
+            self.put_tagged(tag::MORE, &[]);
         }
     }
 
@@ -471,10 +474,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 return;
             }
             self.clear(now.ticks());
-            self.stand(now, controller);
+            self.record_standing(now, controller);
         }
         if text == HOST_CHANGED {
-            return self.entry(now, tag::CUT, &[]);
+            return self.put_entry(now, tag::CUT, &[]);
         }
         let behind = self.epoch.wrapping_sub(epoch) as i16;
         if behind < 0 {
@@ -486,25 +489,25 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
         // A jog of before a jog cancel moves nothing, as a damaged line does not.
         if damaged || behind > 0 && text == b'$' {
-            self.entry(now, tag::DAMAGED, &[]);
+            self.put_entry(now, tag::DAMAGED, &[]);
         }
-        self.text(now, text);
+        self.record_text(now, text);
     }
 
-    fn text(&mut self, now: Instant, text: u8) {
+    fn record_text(&mut self, now: Instant, text: u8) {
         match text {
             // Of a line, when it ends is what counts.
             b'\n' | b'\r' => {
                 self.put_end(now.ticks(), text);
                 self.news = true;
             }
-            b' '..=b'~' => self.tagged(text, &[]),
-            other => self.tagged(tag::BYTE, &[other]),
+            b' '..=b'~' => self.put_tagged(text, &[]),
+            other => self.put_tagged(tag::BYTE, &[other]),
         }
     }
 
     #[inline(never)]
-    fn seldom<const N: usize>(&mut self, now: Instant, event: &Event<N>) {
+    fn record_seldom<const N: usize>(&mut self, now: Instant, event: &Event<N>) {
         let opens = matches!(event, Event::Realtime(command) if command.opens_epoch());
         self.epoch = self.epoch.wrapping_add(u16::from(opens));
         self.expect_plain();
@@ -518,34 +521,34 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         match event {
             Event::Realtime(command) => {
                 self.wants_standing |= matches!(command, Realtime::Reset | Realtime::Stop);
-                self.entry(now, tag::COMMAND, &[realtime::byte_of(*command)]);
+                self.put_entry(now, tag::COMMAND, &[realtime::byte_of(*command)]);
             }
-            Event::Step(event) => self.step(now, event),
-            Event::Signals(sensed) => self.inputs(now, sensed),
+            Event::Step(event) => self.record_step(now, event),
+            Event::Signals(sensed) => self.record_inputs(now, sensed),
             Event::Stored | Event::StoreFailed => {
                 // What is stored now was not what the machine began with before.
                 self.wants_standing = true;
                 let stored = matches!(event, Event::Stored);
-                self.entry(now, if stored { tag::STORED } else { tag::STORE_FAILED }, &[]);
+                self.put_entry(now, if stored { tag::STORED } else { tag::STORE_FAILED }, &[]);
             }
-            Event::Connected => self.entry(now, tag::CONNECTED, &[]),
-            Event::Disconnected(_) => self.entry(now, tag::DISCONNECTED, &[]),
+            Event::Connected => self.put_entry(now, tag::CONNECTED, &[]),
+            Event::Disconnected(_) => self.put_entry(now, tag::DISCONNECTED, &[]),
             Event::Line(_) | Event::Pins(_) => {}
         }
         if opens && let Some(early) = self.early.take() {
-            self.text(now, early);
+            self.record_text(now, early);
         }
     }
 
-    fn inputs(&mut self, now: Instant, sensed: &Sensed) {
+    fn record_inputs(&mut self, now: Instant, sensed: &Sensed) {
         let mut words = [0; 8];
         let (active, tripped) = words.split_at_mut(4);
         active.copy_from_slice(&sensed.signals.word().to_le_bytes());
         tripped.copy_from_slice(&sensed.tripped.to_le_bytes());
-        self.entry(now, tag::INPUTS, &words);
+        self.put_entry(now, tag::INPUTS, &words);
     }
 
-    fn step<const N: usize>(&mut self, now: Instant, event: &StepEvent<N>) {
+    fn record_step<const N: usize>(&mut self, now: Instant, event: &StepEvent<N>) {
         let (kind, position) = match event {
             StepEvent::Stopped { moving: false, position, .. } => (0, position),
             StepEvent::Stopped { moving: true, position, .. } => (1, position),
@@ -558,7 +561,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let mut rest = Rest::new();
         let _ = rest.push(kind);
         put_axes(&mut rest, &position.0);
-        self.entry(now, tag::STEP, &rest);
+        self.put_entry(now, tag::STEP, &rest);
     }
 
     /// A message goes to the step task.
@@ -590,29 +593,33 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     #[inline]
     pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
         if self.news && !self.kept {
-            self.rest(now, controller);
+            self.record_rest(now, controller);
         }
     }
 
     #[inline(never)]
-    fn rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+    fn record_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
         self.news = false;
         if self.blocks != self.blocks_recorded {
             self.blocks_recorded = self.blocks;
             let mut rest = Rest::new();
             put_axes(&mut rest, &controller.step_counters().0);
             put_word(&mut rest, self.blocks);
-            self.entry(now, tag::REST, &rest);
+            self.put_entry(now, tag::REST, &rest);
         }
         // A state in each quarter of the ring.
         let pages = self.pages.as_ref().len() as u32;
         if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
-            self.stand(now, controller);
+            self.record_standing(now, controller);
         }
     }
 
     #[inline(never)]
-    fn stand<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+    fn record_standing<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        now: Instant,
+        controller: &Controller<N, BLOCKS>,
+    ) {
         let Some(standing) = controller.standing() else { return };
         let mut rest = Rest::new();
         let flags = u8::from(standing.trusted) | u8::from(standing.locked) << 1 | u8::from(standing.inches) << 2;
@@ -627,7 +634,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
         let _ = rest.push(standing.words.len() as u8);
         put_bytes(&mut rest, &standing.words);
-        self.entry(now, tag::STANDING, &rest);
+        self.put_entry(now, tag::STANDING, &rest);
         self.wants_standing = false;
         self.standing_in = self.number;
     }

@@ -1,4 +1,5 @@
-//! In place of [`crate::recorder`] on boards whose RAM has no room for one: nothing is recorded, and nothing of it is in the image.
+//! In place of [`crate::recorder`] on boards whose RAM has no room for one: a `Recorder` with the same functions that
+//! does nothing, keeps nothing and tells nothing, so nothing of it is in the image.
 
 use crate::controller::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};

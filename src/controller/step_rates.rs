@@ -1,4 +1,5 @@
-//! How fast a board can step.
+//! `StepRates`: how fast a board can step. The greatest rate in steps/s that pulses of a length allow, with the pause
+//! between two pulses, up to the board's safe rate.
 
 /// What bounds the step rate of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

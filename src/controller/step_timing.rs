@@ -1,5 +1,6 @@
-//! When edges of the step outputs may come, in ticks of the step clock: the rules between a stepper, which knows moments
-//! only, and outputs that need their time.
+//! `StepTiming`: when edges of the step outputs may come, in ticks of the step clock. From the pulse (`$0`) and the
+//! direction set-up (`$29`) follow the gap and the split between events; `between` places an event that changes nothing
+//! in a long pause, `is_regular` and `later` compare intervals and moments.
 //!
 //! ```text
 //!  step       ____┌─────┐_______________________┌─────┐____

@@ -1,4 +1,7 @@
-//! The quantities the controller computes with, each a type of its own.
+//! The quantities the controller computes with, each a type of its own: `Coordinate` in 0.1 nm (from mm or inches,
+//! limited to 50 m), `Decimal` in 10^-7, `StepsPerMm` as mantissa and shift between coordinates and motor steps,
+//! `Instant` and `Duration` in microseconds, the `WeightedPoint` of a curve. Conversions to `f32` are exact. Division
+//! by constants goes by their inverse, sums saturate.
 //!
 //! Places are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an inch),
 //! steps count motor steps. The way from one to the other is integer arithmetic ([`StepsPerMm`]), so a million moves of

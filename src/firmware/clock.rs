@@ -1,4 +1,6 @@
-//! The time, and the alarm clock of `control`.
+//! The time: `Clock::now` in microseconds, counted from the board's `clock_ticks` with `seen`. And the alarm clock of
+//! `control`: `set_alarm` for a moment, at most the `LONGEST_SLEEP` ahead, kept in the atomics `ALARM_AT` and
+//! `ALARM_SET`; the input task asks `alarm` whether it is time.
 //!
 //! The board counts ticks in 32 bits; `control` is the only one that asks for the time and sees to it that it asks often
 //! enough to notice every wrap. The alarm is looked at by the sampling of the inputs, so it needs no timer of its own

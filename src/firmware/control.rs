@@ -1,5 +1,8 @@
-//! The control task: carries to the controller what other tasks have queued, and carries out what it decides, in the order
-//! of [`oxmill_controller::pump`].
+//! The control task: carries to the controller what other tasks have queued in its `Ends` of the channels, and carries
+//! out what it decides, in the order of [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by
+//! `Source` (hosts that came and went, owed commands, realtime, signals, step events), `next_line_byte` from `LINES` or
+//! a preloaded `Job`, `observe`, `record`, `make_room`, and `carry` for each `Output` (segments, replies, wakeup,
+//! pins). It also sends `unsent_wiring`, and `erases` flash when nothing waits.
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;

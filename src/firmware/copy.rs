@@ -1,4 +1,5 @@
-//! Copies of memory, eight words at a time.
+//! Copies of memory, eight words at a time: `__aeabi_memcpy`, `__aeabi_memcpy4` and `__aeabi_memcpy8` in assembly
+//! (`naked_asm!`, `ldmia`, `stmia`, `subs`, `bhs`), instead of the compiler's routines.
 //!
 //! Lines, blocks and arcs are moved from place to place by value, some thousand bytes for each line of a program. The
 //! compiler's own routines take four instructions for a word (counted by `cargo xtask count` without this file: 9,700 of

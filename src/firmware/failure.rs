@@ -1,5 +1,6 @@
-//! The end after a failure of any kind: outputs into the safe state first, then the reason into RAM that outlives the reset and into
-//! the log, then a reset. The host is told of it at the next welcome line, by a machine that is locked.
+//! The end after a failure of any kind: `fail` brings outputs into the safe state first, keeps the `CrashKind` and the
+//! reason in RAM that outlives the reset, logs it, then resets; `low_voltage` is one cause. `FAILING` prevents a second
+//! failure within the first. The host is told of it at the next welcome line, by a machine that is locked.
 
 use crate::{boards, record};
 use core::sync::atomic::{AtomicBool, Ordering};

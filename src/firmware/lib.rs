@@ -1,4 +1,4 @@
-//! The firmware: the controller of `oxmill-controller`, pumped by tasks of RTIC.
+//! The firmware's modules: the controller of `oxmill-controller`, pumped by tasks of RTIC.
 //!
 //! ```text
 //!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam

@@ -1,4 +1,5 @@
-//! Writes the outputs that change slowly: driver enable, spindle, coolant, outputs of programs.
+//! `Outputs` writes the outputs that change slowly (`SlowOutputs` to `SlowLevels`): driver enable with its
+//! `enable_invert`, spindle and `spindle_reversed`, coolant, outputs of programs.
 
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};

@@ -1,4 +1,6 @@
-//! The handlers of panics and faults, which a program has once: they end in [`oxmill_firmware::failure`].
+//! The handlers that a program has once: `panic` with the location, and `HardFault`, which reads the program counter
+//! from the stack `frame`, or finds that the stack overflowed (`StackOverflow`). They end in
+//! [`oxmill_firmware::failure`].
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;

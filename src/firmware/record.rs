@@ -1,4 +1,6 @@
-//! The last words before a reset, and the recording of what came in, in RAM that the start-up code leaves alone.
+//! The last words before a reset, in RAM that the start-up code leaves alone (`.uninit`): `keep` writes a `Kept` record
+//! with `mark`, `kind`, `text`, `place`, `line`, `moment` and a Fletcher `sum`, and `take` gives it back as a `Crash`.
+//! The pages of the `recorder`, the recording of what came in, are there as well.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host

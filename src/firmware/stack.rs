@@ -1,4 +1,4 @@
-//! Watches how deep the stack has been.
+//! `Watch` looks from time to time how deep the stack has been, and logs it when the depth has grown.
 
 use crate::boards::{self, stack};
 use crate::shared::STEP;

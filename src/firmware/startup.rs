@@ -1,4 +1,6 @@
-//! From reset to running tasks: the board is set up, and what each task owns is put together.
+//! From reset to running tasks: `start` sets the board up, splits the `Channels` into their two ends (`realtime_in`,
+//! `lines_in`, `events_in`, `segments_out`, `replies_out`), builds the controller in its place in RAM, restores the
+//! settings, starts the sampling by `SYST`, and puts together what each of the `Tasks` owns.
 
 use crate::boards::{self, AXES};
 use crate::control::{BoardController, Control, Ends};

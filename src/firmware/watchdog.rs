@@ -1,5 +1,6 @@
-//! Sees to it that every task still does its work: asks each of them ten times a second, and feeds the hardware watchdog
-//! only when all have answered.
+//! `Supervisor` sees to it that every task still does its work: it asks step, serial and control ten times a second
+//! (`PERIOD`), and feeds the hardware `Watchdog` only when all have answered. A task `unanswered` for longer than
+//! `PATIENCE` is `stuck`, which is a failure.
 //!
 //! ```text
 //!  step, serial, control ──each run wipes its mark out──┐

@@ -1,4 +1,7 @@
-//! What a person can do about an error or an alarm. The controller's own texts say what is wrong; these say what helps.
+//! What a person can do about an error or an alarm: `for_error`, `for_alarm` and `for_line` give a sentence of advice
+//! for each `Error` (`Error::ModalConflict => ...`: correct the line, home first, choose G54, set the post processor)
+//! and `Alarm`, and `INSTEAD` what to write for words that are refused (G33, G41, M98). The controller's own texts say
+//! what is wrong; these say what helps, and name a page of the docs.
 
 use oxmill_controller::error::{Alarm, Error};
 

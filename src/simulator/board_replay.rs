@@ -1,4 +1,8 @@
-//! A board's recording, as `$REC` has listed it, played into the simulator; or why not.
+//! A board's recording, as `$REC` has listed it, played into the simulator, and whether the simulator parts from the
+//! board or why it cannot be played (`Arrival` with notes). What was told is first put in order: stops behind their
+//! reset (`ordered_stops`), begins of lines. `Playing` brings the recorded state about, sends bytes and inputs at their
+//! time, earlier or later by the `slack`, and meets the places where the board was cut off or stopped; it compares
+//! counters, blocks and `Standing` here and there at each rest.
 //!
 //! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
 //! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,
@@ -345,7 +349,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match entry {
             Noted::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
             Noted::Step(stopping, counters) => self.stopped(time, *stopping, counters, later),
-            Noted::Rest { counters, blocks } => self.rest(time, counters, *blocks),
+            Noted::Rest { counters, blocks } => self.compare_rest(time, counters, *blocks),
             Noted::Standing { standing, .. } => self.compare_state(time, standing),
             Noted::Stored(true) | Noted::More => Ok(()),
             Noted::Stored(false) => Err(format!("{}: the board could not store a setting", self.seconds(time))),
@@ -432,7 +436,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Err(format!("{} the recording has the motors at {counters:?}; here they are at {here:?}", self.seconds(time)))
     }
 
-    fn rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
+    fn compare_rest(&mut self, time: u64, counters: &[i32], blocks: u32) -> Result<(), String> {
         self.meet(time, self.hz() / 10_000, |simulator| simulator.is_idle());
         self.advance(time);
         self.compare(time, counters)?;

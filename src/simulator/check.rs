@@ -1,5 +1,8 @@
-//! A job through the controller, piece by piece, and the report about it. It has no files, threads or clock of the host, so
-//! it runs wherever a processor is; whoever drives it shows the progress.
+//! `Check`: a job text through the controller, a number of rounds at a time, and the report about it. `Outcome`
+//! collects refused lines with their advice, what was said, notes and the alarm with its code; a pause is ended by
+//! cycle start, and a block left open is an error. `summary` puts the meter's times (feed, rapid, dwell, spin-up,
+//! tools), steps, pulses, distances, extents, peaks and hashes together. It uses no files, threads or clock of the
+//! host; whoever drives it shows the progress.
 
 use crate::advice;
 use crate::boards::AXES;

@@ -1,4 +1,5 @@
-//! The virtual clock: time in step-clock ticks since power-up, and the controller's microseconds made from it.
+//! The virtual `Clock`: time in step-clock ticks (`hz`) since power-up, and the controller's `Instant` in whole
+//! microseconds made from it and back (`ticks_at`, `ticks_in`, `seconds`).
 
 use oxmill_controller::units::Instant;
 use std::time::Duration;

@@ -1,4 +1,7 @@
-//! The words of the command line, and nothing of what they do.
+//! The words of the command line and nothing of what they do: the commands (`Run`, `Check`, `Plot`, `Serve`, `Replay`,
+//! completions, manual) with their options as fields (job, JSON, plot, trace, record, link, speed), `MachineOptions`
+//! (board, dialect, settings, machine, store), `WorkZero`, and the exit status. Paths are `PathBuf`s, numbers must be
+//! finite.
 
 use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};

@@ -1,5 +1,6 @@
-//! What each setting does and when a person changes it, in a sentence or two. Number, name, unit, range and default are in
-//! the controller's own table; boards do not have these.
+//! What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`
+//! (`Key::StepPulse`, `Key::HomingSeek`). Number, name, unit, range and default are in the controller's own table;
+//! boards do not have these sentences. They say how far, how long or how fast, and what happens without it.
 
 use oxmill_controller::settings::{AxisKey, Key};
 

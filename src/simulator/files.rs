@@ -1,5 +1,7 @@
-//! The files of a run: none is written over another, all that will be written can be opened before the machine starts, and
-//! what is read has a bound: a device or a pipe may have no end.
+//! The files of a run: none is written over another (`Role`, `check_apart` by path and metadata, symbolic links
+//! followed), every `Output` can be opened before the machine starts, and is removed if it was made and not written.
+//! What is read has a bound of bytes: a device or a pipe may have no end. Errors name the path and, as their context,
+//! what the file is for.
 
 use crate::fittings::Fittings;
 use anyhow::{Context, Result, bail};

@@ -1,5 +1,8 @@
-//! What is fitted to the simulated machine: limit switches, with their bounce, and a probe plate. It knows where the
-//! carriages are and nothing of the controller.
+//! What is fitted to the simulated machine (`Fittings`, described in TOML): limit switches as contacts with side,
+//! bounce and the second motor, a probe plate, backlash and a racked gantry in mm, and the switches that homing asks
+//! for (`HomeSwitches`). It follows where the motors drive the carriages, tells which contacts are closed or chatter,
+//! and knows nothing of the controller. Places of contacts are compared with `driven_mm`, from `steps_per_mm`, backlash
+//! (`backlash_mm`) and the arrangement.
 
 use crate::boards::AXES;
 use crate::machine::Machine;

@@ -1,5 +1,5 @@
-//! A flash image in a file: the sectors one after the other, 16 KiB each, as a probe would read them out. Every word that
-//! the log writes goes to the file at once and alone.
+//! A flash image in a file (`--store`), locked while it is in use: the sectors one after the other, 16 KiB each, as a
+//! probe would read them out. Every word that the log writes goes to the file at once and alone.
 
 use crate::store::{IMAGE, Kept, Store, Unusable};
 use anyhow::{Context, Result, anyhow, bail};

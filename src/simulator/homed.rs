@@ -1,4 +1,7 @@
-//! A machine that is homed before its job, with its work zero at a known place: soft limits act in the job then.
+//! A machine that is homed before its job, with its work zero at a known place (`--work-zero`): `home` fits the
+//! switches that the settings ask for, says `$H` and G10 L2 to the controller, and names the steps from machine zero.
+//! Soft limits act in the job then. A switch is half a travel from the start, on the side of `HomingDirection`
+//! (`to_negative`).
 
 use crate::boards::AXES;
 use crate::fittings::HomeSwitches;

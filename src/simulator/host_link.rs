@@ -1,4 +1,6 @@
-//! The host's end of the link, the link itself, which is the boards' own, and the queues behind it.
+//! The host's end of the link: bytes wait in its port, the boards' own `Link` fetches them, and the queues of realtime
+//! commands and line bytes (`ToControl`) follow; a second link is unused. A host can connect, disconnect, lose bytes
+//! and be silent; tells what is received, heard and unread.
 //!
 //! ```text
 //!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task

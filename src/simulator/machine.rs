@@ -1,4 +1,6 @@
-//! The machine behind the step pins: carriages that follow pulses, and how far they got.
+//! The machine behind the step pins: net position and pulses of each motor, the second motor of a ganged axis, and the
+//! carriages, Cartesian or CoreXY, with the extents (low, high) that they reached. `step` moves them by step and
+//! direction bits.
 
 use crate::boards::AXES;
 

@@ -1,4 +1,5 @@
-//! The manual: a page of the program and one of each command, made from the words of the command line.
+//! The manual (`oxmill man`): a page of the program and one of each subcommand, rendered from the words of the command
+//! line to standard output or into a folder.
 
 use crate::command_line::CommandLine;
 use anyhow::{Context, Result};

@@ -1,5 +1,6 @@
-//! Which line, and which tool, a move belongs to. The controller gives each move a number on its way through the look-ahead;
-//! what the numbers mean is kept here, as long as moves of them may still come.
+//! Which line and which tool a move belongs to, and whether it is an arc (`Mark`). The controller gives each move a
+//! number on its way through the look-ahead; `Marks` keeps what the known numbers mean, as long as moves of them may
+//! still come.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,8 @@
-//! How far and how fast the tool went, measured on the blocks and segments that the step task executed.
+//! How far and how fast the tool went, measured on the blocks and segments that the step task executed, for a
+//! `Cartesian` or CoreXY `Arrangement`. The `Meter` adds up steps (`units_done`, `pending`) to the place of each axis
+//! in mm, keeps the `Node`s (ends of segments) of a window, and a `Way` between two has time, length and an error from
+//! rounding to steps, with `doubt` and `excess`; `peak_speed` and `peak_acceleration` count only what is certain. Also
+//! distance, rapids, times of tools, and samples for a drawing.
 //!
 //! A segment says how many units of its block it advances and in how many ticks of the step clock, and a block how many
 //! steps each axis takes. Nothing here is done per step.

@@ -1,6 +1,6 @@
-//! A port that takes lines must not take those of a browser: any web page that somebody visits can have one send a request to a
-//! port of this computer, with lines of G-code in it. The first line of a connection tells a browser from a host, and nothing
-//! of a browser's is passed on.
+//! `NoBrowser`, a reader for ports that take lines: any web page can have a browser send a request, with lines of
+//! G-code in it, to a port of this computer. The first line of a connection (an HTTP method, or the beginning of TLS)
+//! tells a browser from a host, and nothing of a browser's is passed on; realtime commands in front of it are.
 
 use std::io::{self, ErrorKind, Read};
 

@@ -1,4 +1,7 @@
-//! What a drawing needs of a job: places and speeds, of bounded number however long the job is.
+//! A `Drawing`, the data that a drawing needs of a job: points of the path (place, speed, rapid, mark) and columns of
+//! mean and top speed over time, of bounded number however long the job is. Samples are added one at a time; when
+//! points are too many they are thinned out within a tolerance (`simplified`, by Douglas and Peucker: what is farthest
+//! off the line), and when columns are, neighbours are merged and their `width` in seconds doubles.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;

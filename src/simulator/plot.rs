@@ -1,5 +1,7 @@
-//! The drawing of a job: the tool path from above, coloured by speed; at an angle and coloured by height, if it has depth;
-//! and path speed over time.
+//! The picture of a job as SVG or PNG, in pixels (`px`) with fonts, styles and `RGBColor`: heading, the tool path from
+//! above (`plan`) coloured by speed, at an angle (`angled`) and by height if it has depth, colour `Scale`s from low to
+//! high with tidy marks and labels, and the chart of speed over time with its top. Points in mm are projected into the
+//! drawing area by their `Bounds`, with equal scale and a margin; rapids are dashes, feeds shades.
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.
@@ -124,7 +126,7 @@ fn small() -> TextStyle<'static> {
     font(13)
 }
 
-fn line(color: RGBColor, tenths: i32) -> ShapeStyle {
+fn line_style(color: RGBColor, tenths: i32) -> ShapeStyle {
     color.stroke_width((tenths * FINE / 10) as u32)
 }
 
@@ -173,7 +175,7 @@ fn heading(area: &Area, summary: &Summary) -> Drawn {
     // The legend is at the right, away from the path.
     let row = px(58);
     let mut x = px(SIZE.0 as i32 - 470);
-    area.draw(&Circle::new((x, row), px(6), line(START, 25)))?;
+    area.draw(&Circle::new((x, row), px(6), line_style(START, 25)))?;
     area.draw_text("start", &small(), (x + px(14), row - px(8)))?;
     x += px(90);
     cross(area, (x, row))?;
@@ -181,14 +183,14 @@ fn heading(area: &Area, summary: &Summary) -> Drawn {
     x += px(75);
     for dash in 0..4 {
         let from = x + px(dash * 12);
-        area.draw(&PathElement::new([(from, row), (from + px(7), row)], line(RAPID, 12)))?;
+        area.draw(&PathElement::new([(from, row), (from + px(7), row)], line_style(RAPID, 12)))?;
     }
     area.draw_text("rapid", &small(), (x + px(54), row - px(8)))?;
     x += px(130);
     for part in 0..24 {
         let from = x + px(part * 2);
         let color = colour(&SPEEDS, f64::from(part) / 23.0);
-        area.draw(&PathElement::new([(from, row), (from + px(2), row)], line(color, 30)))?;
+        area.draw(&PathElement::new([(from, row), (from + px(2), row)], line_style(color, 30)))?;
     }
     area.draw_text("feed, by speed", &small(), (x + px(56), row - px(8)))?;
     Ok(())
@@ -203,8 +205,8 @@ fn shortened(text: &str, length: usize) -> String {
 
 fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
     let r = px(6);
-    area.draw(&PathElement::new([(x - r, y - r), (x + r, y + r)], line(END, 25)))?;
-    area.draw(&PathElement::new([(x - r, y + r), (x + r, y - r)], line(END, 25)))?;
+    area.draw(&PathElement::new([(x - r, y - r), (x + r, y + r)], line_style(END, 25)))?;
+    area.draw(&PathElement::new([(x - r, y + r), (x + r, y - r)], line_style(END, 25)))?;
     Ok(())
 }
 
@@ -333,7 +335,7 @@ fn draw_path(
                     None => dashes(area, &places)?,
                     Some(_) if places.len() < 2 => {}
                     Some(shade) => {
-                        area.draw(&PathElement::new(places, line(scale.colour(f64::from(shade) / SHADES), 15)))?;
+                        area.draw(&PathElement::new(places, line_style(scale.colour(f64::from(shade) / SHADES), 15)))?;
                     }
                 }
             }
@@ -390,7 +392,7 @@ fn dashes(area: &Area, places: &[(i32, i32)]) -> Drawn {
         while at < length {
             if at + dash > 0.0 {
                 let ends = [place(at.max(0.0)), place((at + dash).min(length))];
-                area.draw(&PathElement::new(ends, line(RAPID, 10)))?;
+                area.draw(&PathElement::new(ends, line_style(RAPID, 10)))?;
             }
             at += dash + gap;
         }
@@ -401,7 +403,7 @@ fn dashes(area: &Area, places: &[(i32, i32)]) -> Drawn {
 
 fn start_and_end(area: &Area, points: &[Point], project: impl Fn(&Point) -> (i32, i32)) -> Drawn {
     if let (Some(first), Some(last)) = (points.first(), points.last()) {
-        area.draw(&Circle::new(project(first), px(6), line(START, 25)))?;
+        area.draw(&Circle::new(project(first), px(6), line_style(START, 25)))?;
         cross(area, project(last))?;
     }
     Ok(())
@@ -439,8 +441,8 @@ fn plan(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Drawn 
         .x_labels(9)
         .y_labels(9)
         .max_light_lines(0)
-        .bold_line_style(line(FAINT, 10))
-        .axis_style(line(FRAME, 10))
+        .bold_line_style(line_style(FAINT, 10))
+        .axis_style(line_style(FRAME, 10))
         .label_style(small())
         .axis_desc_style(font(14))
         .set_all_tick_mark_size(px(4))
@@ -513,7 +515,7 @@ fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Draw
     for (from, axis) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 0), (2, 2), (3, 2), (4, 0), (4, 1), (5, 1), (6, 0)]
     {
         let ends = [paper(corner(from)), paper(corner(from | (1 << axis)))];
-        below.draw(&PathElement::new(ends, line(if from & 4 == 0 && axis != 2 { FRAME } else { FAINT }, 10)))?;
+        below.draw(&PathElement::new(ends, line_style(if from & 4 == 0 && axis != 2 { FRAME } else { FAINT }, 10)))?;
     }
     let project = |point: &Point| paper(flat(f64::from(point.at[0]), f64::from(point.at[1]), f64::from(point.at[2])));
     let fine = by_height(points, scale);
@@ -548,11 +550,11 @@ fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
         let color = scale.colour(f64::from(part) / f64::from(parts - 1));
         area.draw(&Rectangle::new([(left, top), (right, at(part))], color.filled()))?;
     }
-    area.draw(&Rectangle::new([(left, top), (right, bottom)], line(FRAME, 10)))?;
+    area.draw(&Rectangle::new([(left, top), (right, bottom)], line_style(FRAME, 10)))?;
     let places = decimals(scale.high - scale.low);
     for mark in scale.marks() {
         let y = bottom - (f64::from(bottom - top) * (mark - scale.low) / (scale.high - scale.low)) as i32;
-        area.draw(&PathElement::new([(right, y), (right + px(4), y)], line(FRAME, 10)))?;
+        area.draw(&PathElement::new([(right, y), (right + px(4), y)], line_style(FRAME, 10)))?;
         let style = small().pos(Pos::new(HPos::Left, VPos::Center));
         area.draw_text(&tidy(mark, places), &style, (right + px(8), y))?;
     }
@@ -638,8 +640,8 @@ fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Drawn {
         .x_labels(14)
         .y_labels(6)
         .max_light_lines(0)
-        .bold_line_style(line(FAINT, 10))
-        .axis_style(line(FRAME, 10))
+        .bold_line_style(line_style(FAINT, 10))
+        .axis_style(line_style(FRAME, 10))
         .label_style(small())
         .axis_desc_style(font(14))
         .set_all_tick_mark_size(px(4))
@@ -649,7 +651,7 @@ fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Drawn {
     for rapid in stretches(&spans, |column| column.rapid) {
         let curve = rapid.iter().map(|(at, speed)| (at / unit, per_minute(*speed).min(top)));
         chart.draw_series([Polygon::new(under(curve.clone()), RAPID_CURVE.mix(0.25))])?;
-        chart.draw_series([PathElement::new(curve.collect::<Vec<_>>(), line(RAPID_CURVE, 10))])?;
+        chart.draw_series([PathElement::new(curve.collect::<Vec<_>>(), line_style(RAPID_CURVE, 10))])?;
     }
     for feed in stretches(&spans, |column| column.feed) {
         let high = feed.iter().map(|(at, (_, high))| (at / unit, per_minute(*high).min(top)));
@@ -665,7 +667,7 @@ fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Drawn {
                 curve.push((at / unit, second));
             }
         }
-        chart.draw_series([PathElement::new(curve, line(CURVE, 12))])?;
+        chart.draw_series([PathElement::new(curve, line_style(CURVE, 12))])?;
     }
     Ok(())
 }

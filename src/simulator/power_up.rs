@@ -1,4 +1,5 @@
-//! A simulator as its user wants it: a board, and settings that are applied as if a host had sent them.
+//! A simulator as its user wants it: a board by its name, the `Dialect` (Grbl, Oxmill, seed), and settings `n=v` that
+//! are applied as if a host had sent them (`apply_setting`), or why one was refused.
 
 use crate::boards::{self, Board};
 use crate::simulator::Simulator;

@@ -1,5 +1,7 @@
-//! How the simulator carries the controller: queues, outputs and time on a desk, in the order of
-//! [`oxmill_controller::pump`].
+//! How the simulator carries the controller, in the order of [`oxmill_controller::pump`]: it implements `Pump` with its
+//! queues and virtual time. `observed` tells what the step task and the host are at, `next_event` asks each source, and
+//! `carry` takes each output: step messages, stop, replies, pins, wiring, stored records. It reads the job ahead, bytes
+//! of lines, the recording, settles the inputs, and gives the view of pins.
 
 use crate::boards::{AXES, BLOCKS};
 use crate::marks::Mark;

@@ -1,4 +1,8 @@
-//! What came into a simulated machine, with its time, as text; played again, the machine makes the same steps in the same order.
+//! What came into a simulated machine, with its time, as text. `Recorder` writes each `Input` as a line (host bytes
+//! escaped, pins, connect, disconnect, a job) and, at rest, where the machine is: counters, place in micrometres, hash,
+//! and the words for what is on. `Recording` reads such text, or what a board has listed (`Told`), word by word, and
+//! plays it into a machine that was powered up the same; it must arrive at the same place, with the same hash
+//! (`agrees`, `compare_end`).
 //!
 //! ```text
 //! oxmill recording 1
@@ -382,19 +386,19 @@ impl Recording {
             broken_off: listed,
         };
         for (number, line) in lines.filter(|(_, line)| !line.is_empty()) {
-            recording.line(line).map_err(|why| format!("line {number}: {why}"))?;
+            recording.parse_line(line).map_err(|why| format!("line {number}: {why}"))?;
         }
         Ok(recording)
     }
 
     /// A time that can be reached, in a few minutes as a replay is some 10,000 times as fast as the machine.
-    fn time(&self, text: &str) -> Result<u64, String> {
+    fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);
         if time <= last { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
     }
 
-    fn line(&mut self, line: &str) -> Result<(), String> {
+    fn parse_line(&mut self, line: &str) -> Result<(), String> {
         let (word, rest) = line.split_once(' ').unwrap_or((line, ""));
         match word {
             "board" => {
@@ -416,7 +420,7 @@ impl Recording {
                 self.machine.push('\n');
             }
             "end" => self.broken_off = false,
-            "begin" => self.begin = Some(self.time(rest)?),
+            "begin" => self.begin = Some(self.parse_time(rest)?),
             "job" => self.job.get_or_insert_default().extend(unescape(rest)?),
             time => {
                 let (word, rest) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -430,7 +434,7 @@ impl Recording {
                     word if let Some(told) = told(word, rest)? => Input::Told(told),
                     _ => return Err(format!("`{line}` is not understood")),
                 };
-                let time = self.time(time)?;
+                let time = self.parse_time(time)?;
                 let begin = self.begin.ok_or("it comes before `begin`")?;
                 if self.inputs.last().map_or(begin, |(before, _)| *before) > time {
                     return Err("it is earlier than the line before".into());

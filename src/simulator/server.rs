@@ -1,4 +1,8 @@
-//! `serve`: the simulator as a Grbl device on TCP, a pseudo terminal or standard input and output.
+//! `serve`: the simulator as a Grbl device on TCP, a pseudo terminal (`pty`, its `master`) or standard input and
+//! output. Threads read a stream into the `Inbox` of each `Client` and write its answers; what `happened` comes to the
+//! `Device` loop through a channel (`sender`, `receiver`): an `Incoming` link to admit, turn away or keep waiting, one
+//! that has `hung_up`, and lines that move pins. It fetches bytes for the simulator and lets virtual time pass. Also
+//! `poll`, time-outs, keep-alive, and notice of what went unrecorded.
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.

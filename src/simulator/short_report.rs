@@ -1,4 +1,6 @@
-//! What `check` prints: the verdict, the refused lines with what helps, time and extents, on one screen.
+//! `ShortReport`, what `check` prints on one screen: the verdict in colour, the first refused lines with their error
+//! and advice, the alarm, messages, time by part and tool, and extents. Of a list, `SHOWN_ERRORS` are written
+//! (`writeln!`) and the count of more.
 
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};

@@ -1,5 +1,8 @@
-//! A board on a desk: the controller with a step task, an input task, a link to the host, a store and a machine, in virtual
-//! time.
+//! `Simulator`: a board on a desk, in virtual time. It holds the controller, a step task, an input task, the link to
+//! the host, a store, the `clock` and a `World` of machine, fittings, spindle, meter and trace. A user sends bytes,
+//! moves pins, loads a job text, takes the outgoing bytes (`take_output`), and lets time advance to the next event or
+//! wakeup (`advance_to`), for a duration (`run_for`) or until idle. It tells positions, outputs, what is unread, and
+//! whether the `power_is_gone`.
 //!
 //! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
 //! task takes no time, so it is never late. What happens at the same tick happens in this order:

@@ -1,4 +1,7 @@
-//! The step task: the controller's own stepper with a queue in front of it, on a machine whose motors it turns.
+//! `StepTask`: the controller's own stepper with a queue of messages in front of it, and a timer that is due at a tick
+//! of the virtual clock. Each tick steps the motors of the `World` (machine, fittings, meter, trace), looks at the
+//! probe, sets the power of the segment, and makes events of stops and underruns. It takes over the slow outputs, and
+//! after a stop its gate is `shut`.
 
 use crate::boards::AXES;
 use crate::clock::Clock;

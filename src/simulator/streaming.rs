@@ -1,4 +1,7 @@
-//! A job over a link of a baud rate: how long it takes when the bytes come no faster, and where the machine waits for them.
+//! A job sent over a link of a baud rate by a sender that counts characters: how long it takes when bytes in flight and
+//! answers on the way back come no faster (`credit`, `carried`), and at which lines the machine lost time against a
+//! link without limit (`Streamed`, `Lost`). Bytes are outgoing, `in_flight` or read (`lines_before`); a place with a
+//! noticeable lag is kept; `forecast_s` is the expected time.
 //!
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.
@@ -97,12 +100,12 @@ impl Streaming {
             if self.done {
                 break;
             }
-            self.slice();
+            self.run_slice();
         }
         self.done
     }
 
-    fn slice(&mut self) {
+    fn run_slice(&mut self) {
         let room = self.simulator.board().received_bytes;
         while let Some(line) = self.waiting.front()
             && (self.in_flight.is_empty() || self.in_flight.iter().sum::<usize>() + line.len() <= room)
@@ -119,14 +122,14 @@ impl Streaming {
         self.returning.extend(self.simulator.take_output().bytes());
         let carried = self::carried(self.baud, &mut self.credit_back, self.returning.len());
         for byte in self.returning.drain(..carried).collect::<Vec<u8>>() {
-            self.hear(byte);
+            self.hear_answer(byte);
         }
         let answered = self.waiting.is_empty() && self.in_flight.is_empty();
         let stuck = !self.simulator.is_active() && self.outgoing.is_empty() && self.returning.is_empty();
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
     }
 
-    fn hear(&mut self, byte: u8) {
+    fn hear_answer(&mut self, byte: u8) {
         if byte != b'\n' {
             self.answer.push(byte);
             return;

@@ -1,4 +1,7 @@
-//! What a job did, for people and as JSON.
+//! `Summary`: what a job did, as fields of JSON (`position_mm`, `peak_speed_mm_s`, `step_events`) and as rows of text
+//! for people, written with `writeln!`: lines, errors (`LineError`), alarm report, messages, notes, forecast of the
+//! whole tape, times at feed, in rapids and of spin-up, dwell, position, steps, pulses, distance, `Extents`, peaks of
+//! speed and of acceleration by axis, hashes. `clock_time` writes seconds as hours and minutes.
 
 use crate::times::ToolTime;
 use oxmill_controller::axes::Axis;
@@ -216,7 +219,11 @@ impl fmt::Display for Summary {
         for (axis, ends) in self.extents_mm.rows() {
             row(f, if axis == Axis::X { "extents" } else { "" }, ends)?;
         }
-        row(f, "ends at", format!("machine {}, work {} mm", place(&self.position_mm), place(&self.work_position_mm)))?;
+        row(
+            f,
+            "ends at",
+            format!("machine {}, work {} mm", place_text(&self.position_mm), place_text(&self.work_position_mm)),
+        )?;
         let steps = self.steps.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
         row(f, "steps", format!("net {steps}; {} step events", self.step_events))?;
         row(
@@ -254,7 +261,7 @@ impl fmt::Display for Summary {
     }
 }
 
-fn place(place: &[f64]) -> String {
+fn place_text(place: &[f64]) -> String {
     place.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")
 }
 

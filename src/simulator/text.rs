@@ -1,4 +1,7 @@
-//! A job as text: its lines on the way to the controller, and the controller's answers on the way back.
+//! `JobText`: a job as text, from a reader. Its lines are given to the controller character by character, with numbers,
+//! tape marks (`%`), remarks, bytes `consumed`, carriage returns (`after_cr`) and the end of the program noted, and a
+//! line over `LONGEST_LINE` is refused; the controller's replies are matched to the unanswered lines, and give errors
+//! and messages (`Said`), the line of an alarm, and the openers of O-word blocks.
 //!
 //! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,

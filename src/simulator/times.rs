@@ -1,4 +1,5 @@
-//! The time of a job by tool and by kind.
+//! The time of a job by tool and by kind: a row (`ToolTime`) of seconds at feed, in rapids, dwelling and waiting for
+//! the spindle to spin up.
 
 use serde::Serialize;
 

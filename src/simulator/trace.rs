@@ -1,4 +1,6 @@
-//! What the step outputs did, step event by step event: digests always, a CSV file or a list in memory on request.
+//! `Trace`: what the step outputs did, step event by step event. The digest and the count of events always; a `Csv`
+//! file with a row for each `StepRecord` (time, position, spindle, power, coolant, outputs) or a list in memory on
+//! request. `push_number` writes seconds and nanoseconds, flood, mist and ccw into the row.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;
@@ -103,7 +105,7 @@ impl Trace {
         }
         self.last = Some(record);
         if let Some(csv) = &mut self.csv.0 {
-            csv.step(&record);
+            csv.write_row(&record);
         }
         if let Some(list) = &mut self.list {
             list.push(record);
@@ -180,7 +182,7 @@ impl Csv {
         self.current = Some((*outputs, power));
     }
 
-    fn step(&mut self, record: &StepRecord) {
+    fn write_row(&mut self, record: &StepRecord) {
         if self.failed.is_some() {
             return;
         }

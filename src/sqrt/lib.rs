@@ -1,4 +1,4 @@
-//! The square root of an `f32`: one instruction on the processors of the boards, some 70 elsewhere.
+//! The square root of an `f32`: one instruction (`vsqrt`) on the processors of the boards, `libm`'s elsewhere.
 //!
 //! IEEE 754 rounds it correctly, so the instruction and the library give the same bits for every number and results do
 //! not depend on the machine. It is a crate of its own because the instruction needs `unsafe`, which the controller

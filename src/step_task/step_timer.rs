@@ -1,5 +1,9 @@
-//! The step task: has the stepper make ticks ahead of their time, and commits them as events to the outputs, which put each
-//! out at its moment by themselves.
+//! The step task. `Step` receives `segments` and wiring, has the stepper make ticks ahead of their `moment`
+//! (`make_batch`, `make_one`, `Made`), and commits them as events to the `StepPins`, which call it again (`call_again`,
+//! `next_call`). Its `State` is Rest, Starting, Preparing, Running or Ending; it can `put_off` a late event (`latest`,
+//! `soonest`, `free_from`), run dry, take back `undone` steps, `give_up`, `stop` or `resume`. `Begins` notes when
+//! segments begin, `Beam` shows the laser's power at `marks`, `Unsent` keeps step events. Times are in ticks
+//! (`RUN_TICKS`).
 //!
 //! ```text
 //!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make

@@ -1,5 +1,8 @@
-//! Settings that survive a power cut at any moment: an append-only log of records, each with its CRC, in two flash sectors;
-//! a full one is compacted into the other.
+//! Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` of key,
+//! value and `crc`, written in words at the next `address` of one of two sectors of a `Flash`. A header has a
+//! `sequence`; a full sector is compacted into the `spare`, which is erased before. `survey` reads the `Outline` of
+//! each entry, finds what it replaces, and notes damage as a `Gap`, as not `appendable` or as `unsound`; one
+//! `wrong_byte` is mended by the CRC.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
@@ -279,7 +282,7 @@ impl<F: Flash> Log<F> {
     /// If the flash cannot be read, written or erased.
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
-        if !log.find()? {
+        if !log.find_sector()? {
             // Nothing to lose: this is the only place where the sector in use is erased.
             log.sector = Sector::A;
             log.sequence = 1;
@@ -311,7 +314,7 @@ impl<F: Flash> Log<F> {
     }
 
     /// Finds the sector in use and its records; `false` if there is none.
-    fn find(&mut self) -> Result<bool, F::Error> {
+    fn find_sector(&mut self) -> Result<bool, F::Error> {
         let a = sequence_of(&mut self.flash, Sector::A)?;
         let b = sequence_of(&mut self.flash, Sector::B)?;
         let newest = match (a, b) {
@@ -404,7 +407,7 @@ impl<F: Flash> Log<F> {
     /// # Errors
     /// If the memory cannot be read.
     pub fn is_in(flash: &mut F) -> Result<bool, F::Error> {
-        Log::over(flash).find()
+        Log::over(flash).find_sector()
     }
 
     /// The memory.

@@ -1,4 +1,7 @@
-//! What the module does, without pointers: orders as JSON in; reports, tables of the firmware and the path of a job out.
+//! What the WebAssembly module does, without pointers: an `Order` in JSON says `board`, `dialect`, `settings`,
+//! `machine` and `baud`; `check` and `stream` run a job on a simulator after `power_up`, `turn` runs a `machine` for so
+//! many microseconds, `rows` gives the path as numbers (`RAPID`, `ARC`), and `describe` the tables of settings, errors
+//! and alarms. A row of it has name, unit, kind, least and greatest value and explanation.
 
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};

@@ -1,5 +1,8 @@
-//! The simulator as a WebAssembly module: no imports, so it runs in a page, in Node, in Python, in a sender, wherever a
-//! WebAssembly engine is. All state is in the module; whoever wants two simulators makes two instances.
+//! The simulator as a WebAssembly module: the exported `extern` functions, `oxmill_path`, `oxmill_stream_begin` and so
+//! on, with pointers to the input and the answer and their lengths; a `panic` is caught as text. All state is in the
+//! module, which needs no imports, so it runs in a page, in Node, in Python; whoever wants two simulators makes two
+//! instances. The `Instance` keeps the job's length, a check, streams or a machine, and the `engine`'s answer as JSON
+//! bytes (`as_ptr`).
 //!
 //! # How to call it
 //!

@@ -263,7 +263,7 @@ const OUTSIDE: &[Mutant] = &[
         edits: &[Edit {
             file: LINK,
             find: "*self = Self { stuck: self.stuck, ..Self::new(self.number) };",
-            replace: "self.refusing = false;",
+            replace: "self.refusing_line = false;",
         }],
     },
     Mutant {

@@ -1,4 +1,7 @@
-//! What the host is told: `ok`, `error:N`, `ALARM:N`, messages, status reports.
+//! What the host is told (`say`): the answer to a line (also in checked form) or its refusal, messages and remarks of
+//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, and the status report,
+//! whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
+//! replies.
 
 use super::Controller;
 use super::task::Task;

@@ -1,5 +1,6 @@
-//! A canned cycle is carried out: one of its steps at a time, so that a hold, a reset or a report comes between two moves
-//! of a peck as between two lines.
+//! A canned cycle is carried out: one `CycleStep` at a time (rapid, feed, dwell, spindle off or on, pause), so that a
+//! hold, a reset or a report comes between two moves of a peck as between two lines. The cycle itself is in
+//! `gcode/cycle.rs`.
 
 use super::Controller;
 use super::task::{Job, Stage};

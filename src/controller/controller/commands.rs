@@ -1,4 +1,7 @@
-//! `$` commands are carried out: settings (`$n=v`), `$X`, `$H`, `$C`, `$SLP`, `$RST`, `$RC`, `$REC`, startup lines, macros.
+//! `$` commands are carried out, each arm of `System::...`: set the setting of a `Key` (`$n=v`), store it and bring
+//! about what changes with it, unlock (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore defaults
+//! (`$RST`), tell the restart (`$RC`), ask for the view of pins, begin a listing, check lines (`$LC`), save startup
+//! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`).
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};
@@ -79,7 +82,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::CheckLines(on) => self.check_lines(on),
             System::Sleep => self.sleep(),
-            System::Set(number, value) => self.set(number, value)?,
+            System::Set(number, value) => self.set_setting(number, value)?,
         }
         Ok(())
     }
@@ -143,7 +146,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.begin_homing(axis)
     }
 
-    fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+    fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         if value != Decimal::ZERO {
             match number {
                 DOOR_FITTED if self.inputs.pins().door => return Err(Error::DoorOpen),

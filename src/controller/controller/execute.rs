@@ -1,5 +1,8 @@
-//! A checked line of G-code is carried out, step by step: wait for the end of motion where the line needs it, outputs,
-//! dwell, stored record, motion, program flow, answer. Each step is one short call; what waits is data in [`Task`].
+//! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
+//! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
+//! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
+//! does one bounded piece of the [`Task`], with progress or without. Also how jogs, held lines of a `caller` and
+//! startup lines begin, and how a line is refused.
 
 use super::Controller;
 use super::limits::{geometry, spline_geometry};

@@ -1,4 +1,7 @@
-//! Faults: how the machine stops for them (`$924` to `$928`), and which alarm follows.
+//! How the machine stops for a fault (`$924` to `$928`): at once, or it brakes under control and perhaps retracts, and
+//! which alarm follows at rest. Whether it can brake, whether parking is blocked, whether a switch only bounces; a host
+//! that is gone or silent, and a spindle that has lost its speed. The laser is darkened, the spindle kept on while it
+//! brakes, and the `StopReason` kept.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm

@@ -1,4 +1,6 @@
-//! Feed holds, jogs and soft stops: motion brakes, and resumes or is forgotten; the drivers' idle delay (`$1`) at its end.
+//! Feed holds, jog cancels and soft stops: `motion.hold` brakes, then the job is resumed (`leave_hold`), with the
+//! spindle restored and the laser darkened meanwhile, or it is forgotten, as by `stop_softly` and `end_jog`. Also the
+//! start of motion, and the drivers' idle delay (`$1`) at its end.
 
 use super::Controller;
 use super::task::Task;

@@ -1,4 +1,6 @@
-//! Homing is carried out: moves that end at switches.
+//! Homing is carried out: `HomingSettings` are made from `$22` to `$27`, each `Order` of `machine/homing.rs` (move,
+//! wait, done, failed) becomes a motion of one or both motors of a squared axis, a switch that closes stops it, and at
+//! the end the position is set and the startup lines run.
 
 use super::Controller;
 use super::probing::seek;

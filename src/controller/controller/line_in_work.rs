@@ -1,4 +1,5 @@
-//! The line of G-code that is carried out.
+//! `LineInWork`: the checked line of G-code that is carried out, with the `Curve` (arc, spline, nurbs) whose chords it
+//! has begun, its tool change, and whether single block is on.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Checked, TOOL_SETTER};

@@ -1,4 +1,7 @@
-//! Answers of many lines and of many fields: `$$`, `$#`, `$N`, `$M`, `$PINS`, `$I`, `$G`, `$ES` and the like.
+//! Answers of many lines and of many fields, a line per call (`advance_listing`), each `say` with a report: settings
+//! `$$`, parameters `$#` (coordinate systems, G28, G92, tools, rotation, probe success), startup lines `$N`, macros
+//! `$M`, pins `$PINS`, descriptions `$ES` in their form; and `$I` with its option letters, `$G` with the parser state:
+//! the words of the modal state.
 
 use super::Controller;
 use super::records::STORED_TEXT;

@@ -1,4 +1,7 @@
-//! A target becomes a move in the look-ahead.
+//! A target becomes a `Move` in the look-ahead: its speed from the feed, spindle or laser power, digit and tolerance;
+//! `queue` hands it to motion and starts what is queued when there is no room. An arc, spline or nurbs of a line
+//! begins, with the feed of its chords. `begin_arc` and its like take the geometry and control points; the feed is per
+//! minute or inverse time, with the stretch by rotary axes.
 
 use super::Controller;
 use super::task::{Job, Stage};

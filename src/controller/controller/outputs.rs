@@ -1,4 +1,7 @@
-//! Pins, answers and reports: what the outside gets to see.
+//! What the outputs are to be now: power and direction of the spindle under the acting overrides, at rest and in
+//! segments, whether a laser burns at rest, whether the spindle has spun up; digital outputs that wait for a motion's
+//! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
+//! `next_look` and `settle_outputs` follow the motion.
 
 use super::Controller;
 use crate::error::Alarm;

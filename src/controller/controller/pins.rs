@@ -1,5 +1,6 @@
-//! The wiring that the settings ask for (step and direction inversion, direction set-up, PWM frequency, pull resistors), and
-//! what the pump has been told last of it and of the levels of the slow outputs.
+//! `Pins`: the levels of the slow outputs and the wiring (step and direction inversion, direction set-up, PWM
+//! frequency, ganged motors) as they were given out last, so that only what has changed is told to the pump. `calm`
+//! until something may `disturb` them.
 
 use crate::axes::AxisMask;
 use crate::machine::inputs;

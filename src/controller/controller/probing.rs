@@ -1,4 +1,6 @@
-//! Probe moves: a move that the step task ends at a contact.
+//! Probe moves carried out: `begin_probe` checks the initial state of the input and queues a move that the step task
+//! ends at a contact; `settle_probe` stops it after braking, `end_probe` reports the touched place or locks with an
+//! alarm. `seek` is a move without overrides.
 
 use super::Controller;
 use crate::axes::PerAxis;

@@ -1,4 +1,6 @@
-//! Outputs and inputs of programs (M62 to M68) are carried out.
+//! Outputs and inputs of programs (M62 to M68) are carried out: an output is set now or with the next motion's mark if
+//! there is room; M66 waits until an input reads as it should or the longest time is over; a number that the board
+//! lacks is refused.
 
 use super::Controller;
 use super::task::{Job, Stage};

@@ -1,4 +1,7 @@
-//! Realtime commands: what a byte that no line holds back does to the state.
+//! Realtime commands: what a byte that no line holds back does to the state: reset, stop, status, cycle start, feed
+//! hold, jog cancel, spindle stop, toggles of flood, mist and single block, overrides. Also the host: one that has left
+//! or is silent (heartbeat) is a fault, or ends its jog. `look_for_silence`, `release_held`, `restore_spindle` and
+//! `set_overrides` are parts of it.
 
 use super::Controller;
 use crate::gcode::Dialect;

@@ -1,4 +1,7 @@
-//! What outlives the power: records that are read at power-up, written when something changes, and their damage.
+//! `Records`: what outlives the power. Records are restored at power-up by their key (settings, offsets, tools, startup
+//! lines, build info, macros), saved or removed when something changes, and handed over to the store, whose answers are
+//! counted (`unstored`). `Damage` of stored settings must be listed and confirmed. Stored numbers are little-endian
+//! bytes (`from_le_bytes`), stored texts slices.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};

@@ -1,4 +1,7 @@
-//! What a reset, an alarm and changed settings make of the machine.
+//! What a reset, an alarm and changed settings make of the machine: `initialise` ends every power-up and reset
+//! (greeting, limits and emergencies checked, startup lines), `lock` holds an alarm, `fail_homing` ends homing, and
+//! `reconfigure` hands derived settings to motion (`MotionSettings`). They come from each `AxisKey` (`MaxRate`, `Jerk`)
+//! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
 
 use super::Controller;
 use super::task::Task;

@@ -1,4 +1,6 @@
-//! Whether the settings allow motion, and what the host has been told of it.
+//! `SettingsLock`: which setting, if any, makes motion impossible with the board's step rates and motors (looked for
+//! once per `revision`), and whether the host has been told its name: after a change, or at a refused line. Also the
+//! number of program pins.
 //!
 //! A set that cannot be run locks motion by its first setting at fault ([`Settings::unrunnable`]). The host is told which
 //! one: after the `ok` to the change that brought it about, and before the first `error:9` to a line that would move.

@@ -1,4 +1,6 @@
-//! The state from which a replay of a recording can begin; and the listing of a recording.
+//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, its
+//! counters, place, tool and modal words; `stand` brings a machine into it. Also the pieces of a recording that is
+//! listed (`Ask`).
 
 use super::Controller;
 use super::task::{Ask, Listing, Task};

@@ -1,4 +1,6 @@
-//! Whether queued motion has been started, and how well the step queue is kept filled.
+//! `StepSupply`: whether queued motion has been started and is running, how well the step queue is filled (well filled,
+//! low water), so that segments or planning come first, whether the input has ended, what was observed last, and the
+//! refill delay until the next call.
 //!
 //! ```text
 //!  step time queued

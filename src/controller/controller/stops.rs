@@ -1,5 +1,7 @@
-//! What follows a stop (hard limit, emergency stop, driver fault, underrun, reset, hold): the machine is locked, reset, or
-//! continues from where it stopped.
+//! What follows a stop once the step task reports it (`step_event`: stopped, probed, underrun, miscounted): by its
+//! reason (hard limit, emergency, driver fault, reset, switch, contact) the machine is locked, reset, or continues from
+//! where it stopped. `finish_alarm`, `finish_emergency`, `finish_reset` are the three endings. Position and reference
+//! may be lost, pauses end (`end_pauses`), moves are forgotten, and the trip is told.
 
 use super::Controller;
 use super::task::Task;

@@ -1,4 +1,7 @@
-//! What the controller is in the middle of, and who waits for its end.
+//! `Task`: what the controller is in the middle of (startup line, held text, listing, storing, soft limit, a `Job`),
+//! and the `Answer` or `Caller` that waits for its end. A `Job` is a line under way with its `Stage`, the moment it
+//! waits until, and what a hold suspends. `answers_host` says who is answered, `spindle_delay` how long the spindle is
+//! waited for.
 
 use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};

@@ -1,4 +1,7 @@
-//! What can be asked of the controller; nothing changes.
+//! What can be asked of the controller; nothing changes: whether it is idle, free, quiet, at work or paused, machine
+//! and work position, line numbers and the tool in work, which alarm or stop is under way, whether the spindle stays
+//! on, the settings, and the dialect. E.g. `is_idle`, `has_nothing_to_do`, `queued_line_numbers`, `spinning_up`, the
+//! dwell or stage of a job, and `door_allows`.
 
 use super::Controller;
 use super::task::{Stage, Task};

@@ -1,4 +1,7 @@
-//! The geometry by which an arc is checked and its centre found, in the plane and in integers of 0.1 nm.
+//! The geometry by which an arc is checked and its centre found, in the plane and in integers of 0.1 nm:
+//! `centre_by_radius` for R, `radii_agree` for I, J, K, `ray_crossing` where they do not. `Vector` is a chord or a
+//! centre from the start; square roots are taken with many bits. `RADIUS_TOLERANCE_MAX` bounds the difference of the
+//! first and second radius; an impossible one is `ImpossibleRadius`.
 //!
 //! ```text
 //!        second                     chord: start to target

@@ -1,4 +1,5 @@
-//! The numbers of G and M words as codes.
+//! `Code`: the number of a G or M word as whole part and hundredths (G38.2 is 38 and 20), as Grbl rounds it, or
+//! `NO_CODE`.
 
 use crate::units::{DECIMAL_ONE, Decimal, ones};
 

@@ -1,4 +1,5 @@
-//! Where expressions, parameters and O words are left out to save flash: what uses them is refused by its own error.
+//! In place of `computed` where expressions, parameters and O words are left out to save flash: functions of the same
+//! names that do nothing, and refuse what needs them by an error of its own (`ExpressionsLeftOut`).
 
 use super::direction::{Direction, Held};
 use super::state::Interpreter;

@@ -1,4 +1,5 @@
-//! Control points of G5.2, which wait for the G5.3 that goes along their curve.
+//! `ControlPoints` of G5.2, each with its weight, which wait for the G5.3 that leads along their curve; their order,
+//! and what a line adds to them (`Addition`: a start or a point).
 
 use super::modal::SPLINES;
 use crate::units::{Coordinate, WeightedPoint};

@@ -1,4 +1,7 @@
-//! Canned cycles: one line that drills, pecks or bores holes, and the moves that it is made of.
+//! Canned cycles: one line that drills, pecks or bores holes, cut into steps (`CycleStep`): rise, to the next hole in
+//! the plane, approach R, cut to the bottom or by a peck, and what follows the bottom (dwell, spindle off, pause,
+//! retract). `Cycle` has the holes left, their pitch, and the levels R, bottom and clear; `CycleWords` stay in force in
+//! a series. `at_depth`, `rapid_to_clear` and `feed_to_r` give the place of a step.
 //!
 //! ```text
 //!  clear  ───▶ (in the plane, rapid) ──┐                        ▲
@@ -222,7 +225,7 @@ impl<const N: usize> Cycle<N> {
             Next::After(done) => return self.after(done),
         };
         self.next = next;
-        Some(self.go(depth, is_feed))
+        Some(self.go_to_depth(depth, is_feed))
     }
 
     fn after(&mut self, done: u8) -> Option<CycleStep<N>> {
@@ -238,14 +241,14 @@ impl<const N: usize> Cycle<N> {
             After::Dwell => CycleStep::Dwell(self.words.dwell),
             After::SpindleOff => CycleStep::SpindleOff,
             After::Pause => CycleStep::Pause,
-            After::FeedToR => self.go(self.r, true),
-            After::FeedToClear => self.go(self.clear, true),
-            After::RapidToClear => self.go(self.clear, false),
+            After::FeedToR => self.go_to_depth(self.r, true),
+            After::FeedToClear => self.go_to_depth(self.clear, true),
+            After::RapidToClear => self.go_to_depth(self.clear, false),
             After::SpindleOn => CycleStep::SpindleOn(self.spindle),
         })
     }
 
-    fn go(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
+    fn go_to_depth(&mut self, depth: Coordinate, is_feed: bool) -> CycleStep<N> {
         self.place.set(self.axes.linear, depth);
         if is_feed { CycleStep::Feed(self.place, self.feed) } else { CycleStep::Rapid(self.place) }
     }

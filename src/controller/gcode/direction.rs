@@ -1,4 +1,5 @@
-//! What becomes of a line when there are O words: whether it is carried out now, held, or left out.
+//! What becomes of a line when there are O words: `Direction` says whether a line of the host is to be checked now, is
+//! done, left out, or calls held text; `Held` what comes next of held text.
 
 /// What a line of the host is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,7 @@
-//! What the interpreter does: it checks lines against its state, and takes over what they change.
+//! What the `Interpreter` does: `check_into` checks a line against its state, `commit` takes over what the line changes
+//! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
+//! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
+//! afterwards.
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
@@ -123,7 +126,7 @@ impl<const N: usize> Interpreter<N> {
             self.offsets.g92_kept = checked.g92;
         }
         if !matches!(checked.after.keeping, Keeping::Leave) {
-            self.keep(checked);
+            self.keep_state(checked);
         }
         self.offsets.tool_length = checked.tool_length;
         if let (Some(which), Some(value)) = (checked.store, checked.stored) {
@@ -149,7 +152,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// M70 to M73, G5.2.
     #[inline(never)]
-    fn keep(&mut self, checked: &Checked<N>) {
+    fn keep_state(&mut self, checked: &Checked<N>) {
         let level = self.computed.level();
         match checked.after.keeping {
             Keeping::Leave => {}

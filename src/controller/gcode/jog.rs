@@ -1,4 +1,5 @@
-//! Jogs: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this line alone.
+//! The check of a jog line: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this
+//! line alone; all else is `InvalidJog`.
 
 use super::Dialect;
 use super::check::{self, Purpose};

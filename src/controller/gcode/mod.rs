@@ -1,4 +1,5 @@
-//! G-code: the text of one line becomes one [`Checked`] action, or an error and nothing at all.
+//! G-code: the text of one line becomes one [`Checked`] action, or an error and nothing at all. The list of the room's
+//! modules, and the `Dialect` (Grbl, Oxmill, seed) in which words are meant.
 //!
 //! ```text
 //!  bytes ──parse──▶ Parsed ──check──▶ Checked ──commit──▶ modal state, offsets, program position

@@ -1,4 +1,5 @@
 //! Messages of programs, as they are kept behind the words of a line: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`.
+//! `split_remark` parts them at the mark: as written, or with the values of parameters.
 //!
 //! A mark is in front of the text. Neither of the marks can be among the words, which have no remarks.
 

@@ -1,4 +1,5 @@
-//! States that M70 and M73 have saved: the program's own, and one of each call that is under way.
+//! `SavedStates` that M70 and M73 have saved: the program's own, and one of each level of calls under way; which M72
+//! restores, M71 forgets, and the return of a call wants back (`until_return`).
 
 use super::EXPRESSIONS;
 use super::modal::Modal;
@@ -40,22 +41,22 @@ impl<const N: usize> SavedStates<N> {
 
     /// What M72 restores at a level of calls; of a call that has returned its own.
     pub fn of(&self, level: u8) -> Option<&Saved<N>> {
-        let at = |level| self.at(level).filter(|saved| !saved.is_forgotten);
+        let at = |level| self.saved_at(level).filter(|saved| !saved.is_forgotten);
         at(RETURNED).or_else(|| at(level))
     }
 
-    fn at(&self, level: u8) -> Option<&Saved<N>> {
+    fn saved_at(&self, level: u8) -> Option<&Saved<N>> {
         self.0.iter().find(|saved| saved.level == level)
     }
 
     /// Whether a state of this level can be saved.
     pub fn has_room(&self, level: u8) -> bool {
-        !self.0.is_full() || self.at(level).is_some()
+        !self.0.is_full() || self.saved_at(level).is_some()
     }
 
     /// Takes the place of what was saved at the same level; M73 stays in force.
     pub fn save(&mut self, mut saved: Saved<N>) {
-        saved.until_return |= self.at(saved.level).is_some_and(|before| before.until_return);
+        saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);
         let _ = self.0.push(saved);
     }

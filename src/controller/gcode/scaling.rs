@@ -1,5 +1,7 @@
-//! Scaled coordinates: G51 multiplies what a program writes along X, Y and Z, seen from a centre; what comes of it is
-//! rotated (`rotation`) and offset.
+//! Scaled coordinates (`Scaling`): G51 multiplies what a program writes along X, Y and Z by factors, seen from a
+//! centre; what comes of it is rotated (`rotation`) and offset. A place, a way or a size is scaled, `written` is the
+//! inverse, and the `Rest` of each rounding is kept. A factor is a numerator over a denominator, in `Fine` numbers of
+//! 128 bits, `divided` to the nearest.
 //!
 //! ```text
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written

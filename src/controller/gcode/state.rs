@@ -1,4 +1,7 @@
-//! What the interpreter knows: the modal state, offsets, tools and the position that a program has reached.
+//! What the `Interpreter` knows: its fields (modal state, offsets, tools, saved states, rotation, scaling, tangent) and
+//! the position that a program has reached, and how others ask and correct them: stored places, the zero of each
+//! coordinate system, the tool in the spindle (`spindle_tool`, `tool_axis`) and its measured length, the rotation's
+//! plane and angle (`set_angle`), whether all is plain, work zero, and `to_program` coordinates of a place.
 
 use super::Dialect;
 use super::computed::Computed;

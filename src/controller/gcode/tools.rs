@@ -1,4 +1,6 @@
-//! The table of tools: their offsets by number, and what a check alone has entered.
+//! `ToolTable`: the tools and their offsets by number, a slot for each, entries that only a check has set (`CHECKED`),
+//! and what a tool setter has measured (`Measured`) against the first tool as reference. Entries are found, stored and
+//! forgotten by number.
 
 use super::modal::EXTENDED;
 use crate::axes::PerAxis;

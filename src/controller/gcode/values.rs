@@ -1,4 +1,5 @@
-//! What the values of words are: whole numbers, times, positions within reach.
+//! Small helpers for the values of words: a `whole` number without fraction, `seconds` as a time, the coordinate
+//! `along` an axis, the `nearest` coordinate, and whether a place is `reachable`.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;

@@ -1,4 +1,7 @@
-//! Words: a letter and its number, and what the G and M words of a machine mean.
+//! Words: a letter and its number, read from a line one by one (`Words`), and what the G and M words of a machine mean:
+//! the tables from a `Code` to a `GWord` or `MWord` (`(17, 0) => GWord::Plane(Plane::Xy)`, `MWord::Pause`), by dialect
+//! and feature; their modal `Group` (`Group::MotionMode`, `PathControl`, `Flow`), who lays a `Claim` on axis words, the
+//! `NonModal` commands (`StorePosition`, `ToolLength`), kinds of arc distance, cycle and spline, and sets of `Letters`.
 
 use super::code::Code;
 use super::modal::{

@@ -1,4 +1,7 @@
-//! Spindle (or laser), coolant and the operator's overrides: what the program has switched on, and what of it is on now.
+//! `Accessories`: spindle (or laser) direction and speed, coolant, overrides and digital outputs, as the program has
+//! switched them on, and whether the spindle is suspended. How long it takes to spin up or down, whether it is up to
+//! speed (`SpinUp`), a watch (`SpeedWatch`) for speed lost in mid-job, and its power at rest. `suspend`, `restore` and
+//! `switch_off`; `settled_at` and `fault_at` are moments of the watch.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output

@@ -1,4 +1,5 @@
-//! Digital outputs of programs: what is on now, and what changes when the next motion begins (M62, M63).
+//! `DigitalOutputs` of programs: the levels that are on now, and groups of changes (`DueTogether`, mask and on) that
+//! wait for the next motion (M62, M63), each due when a block with its mark has begun.
 //!
 //! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up to its mark
 //! are due. A group gathers all that is asked for between two motions.

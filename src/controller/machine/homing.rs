@@ -1,5 +1,7 @@
-//! The homing cycle: which axes move where, when to stop, when to wait. It moves nothing itself: it gives an [`Order`]
-//! and is told how that ended.
+//! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
+//! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
+//! (move, wait, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
+//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):

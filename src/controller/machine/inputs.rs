@@ -1,5 +1,7 @@
-//! The inputs as the controller sees them: levels of the pins, what counts of them by the settings, and what has tripped.
-//! Polarity and filter come before (`machine::signals`).
+//! `InputLevels`: the inputs as the controller sees them: levels of the pins, what counts of them by the settings
+//! (`fitted`), what came and what has tripped, which inputs are armed to stop the step task, their polarity and
+//! resistors (`InputWiring`), and the view for `$PINS`. Polarity and filter come before (`machine::signals`).
+//! `limits_of` and `second_switch` say which switches count, and an emergency stop, a reset or a trip gives its alarm.
 //!
 //! ```text
 //!  Sensed ──▶ levels ──▶ [fitted? reset button = emergency stop?] ──▶ signals

@@ -1,4 +1,5 @@
-//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers.
+//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers. Only
+//! the list of the room's modules.
 
 pub mod accessories;
 pub mod digital;

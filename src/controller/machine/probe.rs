@@ -1,4 +1,6 @@
-//! A probe move (G38): from the first look for the contact to the position that is reported.
+//! `Probe`: a probe move (G38) in its phases seeking, braking and touched, the `Watch` message for the step task, and
+//! the position and success of the last one as its result. It must touch or not (`must_touch`), has succeeded or is
+//! broken off (`break_off`), and `is_over`.
 //!
 //! ```text
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish

@@ -1,4 +1,5 @@
-//! What a fault makes of the motion and of the spindle (`$924` to `$928`).
+//! `Reaction`: what a fault makes of the motion (`Braking`: at once, controlled, retract) and of the spindle, by the
+//! settings `$924` to `$928` of each alarm.
 
 use crate::error::Alarm;
 use crate::settings::{Key, Settings};

@@ -1,4 +1,5 @@
-//! Overrides: factors that the operator puts on feed, rapids and spindle while the job runs.
+//! `Overrides`: the percent that the operator puts on feed, rapids and spindle while the job runs, how a realtime
+//! command changes them in steps of 1 or 10, and those that act while the program holds some of them off.
 
 use crate::messages::Realtime;
 

@@ -1,4 +1,4 @@
-//! Whether the machine is where its counters say: whether it is *referenced*.
+//! `Reference`: whether the machine is where its counters say, trusted or lost, and which axes have been homed since.
 
 use crate::axes::AxisMask;
 

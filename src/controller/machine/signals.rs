@@ -1,5 +1,6 @@
-//! From levels of pins to what they mean: polarity, filter, and which change stops the machine by itself. Lives in the
-//! inputs task.
+//! `Inputs`, from levels of pins to what they mean: a sample passes polarity (inverted) and filter, changes the active
+//! signals of `Sensed`, and trips if the input is armed, which stops the machine by itself. Nothing is known before the
+//! filter has settled. Lives in the inputs task.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control
@@ -55,10 +56,10 @@ impl Inputs {
         let Some(wiring) = self.wiring else { return false };
         self.settling = self.settling.saturating_sub(1);
         let active = self.filter.sample(low ^ wiring.inverted);
-        self.take(active)
+        self.take_levels(active)
     }
 
-    fn take(&mut self, active: u32) -> bool {
+    fn take_levels(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {
             return false;

@@ -1,4 +1,5 @@
-//! From the spindle speed of an S word to the duty of the PWM output.
+//! `SpindleRange`: from the spindle speed of an S word, between minimum (`$31`) and maximum (`$30`), to the power
+//! (duty) of the PWM output, under an override in percent, and back to rpm.
 
 use crate::settings::{Key, Settings};
 

@@ -1,4 +1,6 @@
-//! The states of the machine and their names in status reports.
+//! `Mode`: the states of the machine (normal, jog, hold, home, stopping, door, alarm, critical, check, sleep) and their
+//! names in status reports; the phases of `Door`, and what follows a braking (`AfterBraking`). Which states are
+//! suspended, locked, or take lines.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~

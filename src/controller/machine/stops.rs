@@ -1,4 +1,6 @@
-//! The ledger of stops: how many have been asked for, how many have happened, and why one is awaited.
+//! `Stops`, the ledger of stops of the step task: how many are expected, how many have been seen, which `StopReason` is
+//! awaited and which of two is heavier, whether one is ordered and when the gate may resume. `Finished` tells the
+//! reason, the line and whether it was moving.
 //!
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume

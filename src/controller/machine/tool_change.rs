@@ -1,4 +1,5 @@
-//! A tool change with a tool setter (`$918=2`): where the tool goes, when it is changed, how it is measured. It moves nothing
+//! `ToolChange` with a tool setter (`$918=2`), phase by phase: retract, to the place of change, prompt, seek and locate
+//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates. It moves nothing
 //! itself: it gives an [`ChangeOrder`] and is told how that ended.
 //!
 //! ```text

@@ -1,6 +1,8 @@
-//! An arc as a chain of chords, computed one at a time. Radius and angle come from exact integers; the direction vector is
-//! turned in 2^-30 fixed point and kept at length 1, so the radius does not drift however many chords or turns there are.
-//! The last chord ends at the target exactly. Checking that the arc makes sense is left to the G-code rooms.
+//! An arc or helix (`ArcGeometry`: start, target, offsets, plane axes, turns) as a chain of chords, computed one at a
+//! time by `next_chord` from the share of the angle before it. Centre, radius and sweep of the plain arc come from
+//! exact integers of 128 bits; the direction vector (`x_turned`, `y_turned`) is turned by sine and versine of a chord
+//! in 2^-30 fixed point (`UNIT_BITS`) and kept at length 1 over all full turns. `curvature` gives the radius in space,
+//! `rotary_stretch` what rotary axes add.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};

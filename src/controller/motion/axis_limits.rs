@@ -1,4 +1,6 @@
-//! What each axis can do, and what that allows along a path: the most at which no axis goes beyond its own.
+//! `AxisLimits`: the maximum rate, acceleration and jerk of each axis from `MotionSettings`, bounded by the least and
+//! greatest values that can be computed with. `along` gives the acceleration and speed at which no axis of a way
+//! exceeds its own share, `jerk_along` the jerk, and `least_acceleration` what all of its axes can take.
 
 use super::MotionSettings;
 use super::junction::TurnRule;

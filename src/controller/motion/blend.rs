@@ -1,5 +1,8 @@
-//! Moves that are held back at the end of the queue, because how they are queued depends on the next: within a tolerance
-//! (G64 P) corners are rounded and short moves merged. [`super::rounding`] says when they are queued.
+//! The geometry of a `Tolerance` (G64 P and Q). `Slopes` tell, by their main axis and reach, whether several short
+//! moves stay within it and can be merged into one `HeldMove`. A `Corner` between two legs, with its turn, sine and
+//! cosine under a `TurnRule`, is cut by the vertices of a `Fillet`, a circle that touches both, by its radius and
+//! deviation. `Blend` holds the two moves at the end of the queue that may still be merged or cut. [`super::rounding`]
+//! says when they are queued.
 //!
 //! ```text
 //!              C                      M                A move merged of several (A to M) passes all points between at

@@ -1,4 +1,8 @@
-//! A block: one straight move with everything that planning and stepping need to know of it, in 68 bytes at most.
+//! A `Block`: one straight move with everything that planning and stepping need to know, in 68 bytes at most: steps by
+//! axis, length, acceleration, jerk, programmed speed, limit, corner and entry speeds (a `2` at the end means squared:
+//! `corner2`, `max_entry2`, `entry2`), power, flags and mark. `CurveLoad` is what a bend leaves of the acceleration at
+//! a speed², `Ramp` the way to the next anchor with `ceiling2` and bounds, and `OverrideFactors` give the nominal
+//! speed.
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};

@@ -1,4 +1,8 @@
-//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords.
+//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. A `Chain`
+//! of straight path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`,
+//! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
+//! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
+//! explains are noise.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
 //! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,
@@ -220,7 +224,7 @@ impl<const N: usize> History<N> {
     /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
     /// two single pieces is known already ([`Chain::corner2`]).
     #[inline(never)]
-    fn take(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+    fn take_span(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
@@ -404,7 +408,7 @@ impl<const N: usize> Chain<N> {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
-        self.pieces.take(new, 0, rule, found);
+        self.pieces.take_span(new, 0, rule, found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
         for scale in self.scales.iter_mut().skip(whole) {
@@ -416,7 +420,7 @@ impl<const N: usize> Chain<N> {
             }
             (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
             let span = scale.end(piece.end, digit);
-            scale.history.take(span, 0, rule, found);
+            scale.history.take_span(span, 0, rule, found);
             scale_length *= 2.0;
         }
     }
@@ -443,9 +447,9 @@ impl<const N: usize> Chain<N> {
             if scale.blocks > 0 {
                 (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
                 let span = scale.end(piece.start, piece.digit);
-                scale.history.take(span, 1, rule, found);
+                scale.history.take_span(span, 1, rule, found);
             }
-            scale.history.take(*new, 0, rule, found);
+            scale.history.take_span(*new, 0, rule, found);
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Curves that are cut into chords: what arcs and splines have in common.
+//! A `Curve` that has begun: an `Arc`, a `Spline` (Bezier) or `Nurbs` (B-spline) behind one `next_chord` and one
+//! `curvature`.
 
 use super::arc::{Arc, Curvature};
 use super::nurbs::Nurbs;

@@ -1,4 +1,8 @@
-//! Moves on their way in: from a target to a block of the queue.
+//! Moves on their way in: from the target of a `line` or `chord` to a block of the queue. `append` finds the motor
+//! steps by axis and directions, `StepSizes` (`step_mm`, `least_mm`), length and displacement of the `Path`, the
+//! programmed speed and the greatest speed, acceleration and jerk along it, and the curve speed of a chord
+//! (`curve_speed2`); a move of more than `max_steps` is cut into pieces (`LongMove`), and steps that take up backlash
+//! are added (`turn_motors`). The block is pushed into the planner.
 
 use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};

@@ -1,4 +1,5 @@
-//! How far an arc reaches: its end points and each point of its circle that is farthest along an axis and lies on the arc.
+//! The `extent` of an arc, its least and greatest coordinates: the start, the target, and each quarter point of the
+//! circle (centre plus or minus radius), farthest along an axis, to which the angle leads forward within the sweep.
 
 use super::arc::ArcGeometry;
 use crate::axes::{Axis, PerAxis};

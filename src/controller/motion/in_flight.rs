@@ -1,5 +1,6 @@
-//! What has been handed to the step task and not begun there: end position, speed and power of each segment, and how much
-//! time they stand for together.
+//! Segments that have been handed to the step task: `SegmentsInFlight` is a ring of records (`InFlightSegment`) with
+//! end position, lead, speed, clocks, line number, power and mark of each. `observe` removes those that have begun; the
+//! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
 
 use crate::axes::PerAxis;
 use crate::messages::SEGMENTS_DEPTH;

@@ -1,4 +1,7 @@
-//! The S-curve: changes of speed with bounded jerk: how far they reach, and what a machine in motion may do next.
+//! The S-curve, mathematics only: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
+//! inverse `ramp_speed` (by Newton's method) belong to ramps that begin and end without acceleration. From a
+//! `PathState` of speed and acceleration there are the `summit` or `valley` at which it is eased off, its gain or loss,
+//! whether it `lands` or falls to a target in time, and the acceleration `towards` a nominal speed.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___

@@ -1,5 +1,8 @@
-//! Short moves that continue a line (collinear ones) are merged into one block with it, so that the look-ahead reaches farther than its count of
-//! blocks.
+//! The `Join`: what is known of the last block of the queue, as long as short collinear moves may continue its line:
+//! whether it is open, kept from the chain or fresh, the slopes that all points passed so far allow, the path along
+//! them, what its moves have in common, and the end of the queue before the block. The look-ahead so reaches farther
+//! than its count of blocks. `short_moves` decides which moves continue. In common are speed, power, `scale_power` and
+//! line number; `half_mm` is half a step, `digit` the program's last one.
 //!
 //! ```text
 //!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make

@@ -1,5 +1,7 @@
-//! The rule of turns for two directions (junction deviation, `$11`): what a change of direction asks of the axes, and the
-//! speed at which a corner may be passed. [`super::curvature`] says where it is from and applies it to the whole path.
+//! The rule of turns for two unit vectors (`TurnRule`, junction deviation, `$11`): `turn2` is the square of their
+//! difference, `certain` takes off what noise explains, `across` and `in_plane` are the accelerations that the axes
+//! allow for a turn, and `junction2` is the speed² of the corner, from sine, cosine and deviation. [`super::curvature`]
+//! says where the rule is from and applies it to the whole path.
 
 use super::trapezoid::{greater, lesser, square_root};
 

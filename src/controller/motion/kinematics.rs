@@ -1,4 +1,6 @@
-//! From places of the tool to steps of the motors, and back.
+//! `Kinematics`: from places of the tool to steps of the motors and back, for a Cartesian or CoreXY arrangement with
+//! its `steps_per_mm`: the steps nearest to a place and the sevenths of a step beyond them, the ways of axes and of
+//! motors, half a step in mm, and the least way of the tool in a step.
 //!
 //! ```text
 //!  Cartesian   each motor moves one axis

@@ -1,5 +1,6 @@
-//! How far the axes of a block have come: the arithmetic of steps, shared by the step generator, which counts down to the
-//! next step, and by the planner's side, which needs to know where a segment ends.
+//! `Measure`, the exact whole-number arithmetic of steps within a block: total units, threshold, the rate and the
+//! credit of each axis, and from these `steps_taken` after some units (`advance` is rate times units). The step
+//! generator counts down to the next step with it, and the planner's side computes where a segment ends.
 //!
 //! On a line an axis' rate is its steps, and the threshold is the steps of the dominant axis. A chord of an arc begins and ends
 //! between steps, at f and g of a step beside them ([`AxisSteps`]). An axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them

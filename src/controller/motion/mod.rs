@@ -1,4 +1,8 @@
-//! Motion: straight moves in, messages for the step task out.
+//! Motion: straight moves in, messages for the step task out. `Motion` is the facade over `planner` (queued blocks) and
+//! `SegmentSource` (what is `in_flight`), and holds `MotionSettings` (steps per mm, junction deviation, backlash), the
+//! origin of the step counters and whether the step task is idle: `line` and `chord` queue a `Move`; `start`, `hold`,
+//! `resume`, `replan`, `discard` and `stopped` control it; `observe` and `next_message` hand over. It tells position,
+//! lead, current speed, power, line number and mark (`set_mark`, `takes_mark`), free blocks, and `is_at_rest`.
 //!
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper

@@ -1,4 +1,6 @@
-//! The end of the queue: where the next move begins, as programmed and in steps, and what the last block has left over.
+//! `PathEnd`, the end of the queue: where the next move begins, as programmed and in steps (`planned`,
+//! `planned_steps`), where the last block ended, its direction, the length carried over from moves too short for a
+//! step, and whether the last block turned motors only.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;

@@ -1,5 +1,8 @@
-//! The look-ahead: a ring of blocks, each with the greatest entry speed from which all that is queued behind it can still
-//! be braked to a stop, and the least acceleration and jerk of the blocks ahead.
+//! The look-ahead: `Planner` is a ring of blocks (`slot` of a place, `len`, `first`), and its reverse pass (`Walk`)
+//! gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous` speed) from
+//! which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a `Bend` lowers
+//! corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`, summit), and
+//! groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`).
 //!
 //! ```text
 //!   v²   ___                 corner limits      |

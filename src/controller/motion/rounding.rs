@@ -1,5 +1,7 @@
-//! Feed moves with a tolerance on their way into the queue: which are held back, merged and rounded ([`super::blend`]), and
-//! when they are queued.
+//! When moves with a tolerance are queued: `take` may hold a feed move back, merge it with the last one or queue the
+//! oldest, whose corner may be cut ([`super::blend`]) so that the number and program digit of each piece are kept;
+//! `release` queues all that is held, at the latest once the end is so near that the first block's speed may depend on
+//! it (no entry of a look-ahead is full).
 //!
 //! What is held back costs nothing while the machine does not need it: as long as some entry ahead is as fast as it can ever
 //! be, all speeds before it are what they are with any number of moves behind, but for a tight bend among those, for which the

@@ -1,4 +1,8 @@
-//! The block that is being cut into segments, and which trapezoid its rest follows.
+//! `Running`: the block that is being cut into segments, with its rates, credits, threshold, total and done units,
+//! programmed and nominal speed. `BlockStage` says what the step task must be told next: the announcement (upper axes,
+//! block), `Reenter`, or the first segment. It gives the trapezoid of the rest of the block, also for braking in a
+//! hold, the steps taken so far, and the laser power at a speed. `PathMotion` is pace and acceleration at the end of
+//! what was handed over.
 
 use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};

@@ -1,4 +1,8 @@
-//! Blocks on their way out: cut into segments, announced and handed over to the step task.
+//! `SegmentSource`: blocks of the planner on their way out. It announces the running block (`begin_block`, with
+//! backlash), has the `Pacer` cut its ramp into segments of ticks, intervals and acceleration, and hands them over
+//! (`emit`) while less than `QUEUED_TIME_MS` is in flight; `FeedState` is idle, running, braking or held. It makes the
+//! still segment of rest (`rest_here`), waits for a tick that is far away (`LongTick`) in pieces of the step clock
+//! (`step_clock_hz`), and knows the motors at the block's start and at the last rest.
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};

@@ -1,4 +1,7 @@
-//! Which short, nearly collinear moves are merged into one block with the last one ([`super::join`]), and what the queue does for that.
+//! Which short, nearly collinear moves are joined to the last block ([`super::join`]): those that are a line of a small
+//! length and little winding, pass by all points, and continue it so that nothing promised to the planner's blocks
+//! before is broken (`promised`). The queue then takes the last block back and makes a longer one; `end_join` gives the
+//! chain the finished piece.
 
 use super::Move;
 use super::curvature::PathPiece;

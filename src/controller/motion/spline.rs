@@ -1,4 +1,7 @@
-//! A Bezier curve of third degree in X and Y as a chain of chords, computed one at a time.
+//! A Bezier curve of third degree in X and Y (G5, G5.1) as a chain of chords, computed one at a time: a `Polygon` of
+//! start, target and the control points `leaving` and `arriving`, its sides halved `between` two corners to a point and
+//! its tangent. `bend` sets the number of chords, the length is summed up by Gauss's three points, and the extent found
+//! at the turning points of the derivative.
 //!
 //! ```text
 //!        b ── ── c         Each point is found by halving in other shares: a share t of the way along each side of the
@@ -105,7 +108,7 @@ impl<const N: usize> SplineGeometry<N> {
             let of = |[x, y]: [i64; 2]| if index == 0 { x } else { y };
             let start = self.start.get(axis).unwrap_or(Coordinate::ZERO);
             for share in Polygon::turning_points(polygon.sides().map(|side| Coordinate(of(side)).to_mm())) {
-                let place = start + Coordinate(of(polygon.at(share).0));
+                let place = start + Coordinate(of(polygon.point_at(share).0));
                 least.set(axis, least.get(axis).map_or(place, |least| least.min(place)));
                 greatest.set(axis, greatest.get(axis).map_or(place, |greatest| greatest.max(place)));
             }
@@ -117,7 +120,7 @@ impl<const N: usize> SplineGeometry<N> {
 impl Polygon {
     /// The point at a share of the parameter, in 2^-30, and the derivative there but for a factor.
     #[inline(never)]
-    fn at(&self, share: i64) -> ([i64; 2], [i64; 2]) {
+    fn point_at(&self, share: i64) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
         let (ab, bc, cd) = (between([0; 2], b, share), between(b, c, share), between(c, d, share));
         let (abc, bcd) = (between(ab, bc, share), between(bc, cd, share));
@@ -190,7 +193,7 @@ impl<const N: usize> Spline<N> {
             chords: chords.max(fewest),
             done: 0,
             last: [0; 2],
-            tangent: unit(polygon.at(0).1),
+            tangent: unit(polygon.point_at(0).1),
             curve_radius: f32::INFINITY,
         }
     }
@@ -203,7 +206,7 @@ impl<const N: usize> Spline<N> {
         }
         self.done += 1;
         let share = (u64::from(self.done) << UNIT_BITS) / u64::from(self.chords);
-        let (point, derivative) = self.polygon.at(share as i64);
+        let (point, derivative) = self.polygon.point_at(share as i64);
         let tangent = unit(derivative);
         let turn = length([tangent[0] - self.tangent[0], tangent[1] - self.tangent[1]]);
         let has_both = tangent != [0.0; 2] && self.tangent != [0.0; 2];

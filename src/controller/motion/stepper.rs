@@ -1,4 +1,8 @@
-//! The step generator: turns blocks and segments into step bits and moments, one call for each tick.
+//! The step generator (`Stepper`), one `Tick` per call: step bits, directions, interval, moment. It loads blocks (two
+//! courses, of the current and the next) and segments from `ToStep` into `next_piece` (increments, units, ramp,
+//! threshold), counts plain and rare ticks left, begins the next segment or `new_block`, and tells a `StepEvent` for an
+//! underrun or when it comes to rest; stops with the gate shut until `Resume`, and takes back undone steps. While it
+//! `is_watching` the probe it notes the touch, and brakes.
 //!
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves which axis steps at a tick to `dda`,

@@ -1,5 +1,5 @@
-//! A host that has gone silent: a UART does not tell that its cable was pulled, so each byte of a line and each realtime command
-//! counts as a sign of life.
+//! `Heartbeat`: a host that has gone silent. A UART does not tell that its cable was pulled, so each byte of a line and
+//! each realtime command counts as heard; `is_silent` compares that moment with the longest silence allowed.
 
 use crate::units::{Duration, Instant};
 

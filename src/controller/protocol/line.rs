@@ -1,4 +1,7 @@
-//! One line as the host wrote it, filtered by dialect, the way Grbl does: no blanks, no comments, upper case.
+//! One `Line` as the host wrote it, filtered byte by byte by the `LineRules` of the dialect as Grbl does: no blanks, no
+//! comment in parentheses or behind a semicolon, upper case, a slash that deletes the block, CR LF as one end. Keeps
+//! the latest remark, whose message `(MSG, ...)` it finds; too long a line overflows. `push_plain` is the short form
+//! for most bytes.
 
 /// Longest line in Grbl's dialect, after filtering.
 pub const GRBL_LENGTH: usize = 79;

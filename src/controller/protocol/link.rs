@@ -1,4 +1,8 @@
-//! The way of received bytes into the queues to `control`, and which of two hosts is listened to. Lives in the serial task.
+//! `Link`: received bytes of one host on the way into the queues to `control`: commands out of the byte stream, even
+//! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
+//! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
+//! hosts is the `holder` (claim, seize, leave, cut), `weak` or not. `Owed` are commands (reset, feed hold, safety door)
+//! that found no room. Lives in the serial task.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
@@ -90,7 +94,7 @@ impl HostArbiter {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);
         if self.floor.holder() != before {
-            other.refusing |= other.mid_line;
+            other.refusing_line |= other.mid_line;
             other.held.clear();
             self.cut = true;
         }
@@ -110,7 +114,7 @@ pub struct Link<const HELD: usize> {
     /// A line has begun and not ended.
     mid_line: bool,
     /// The line is refused to its end, and with it the LF behind its CR.
-    refusing: bool,
+    refusing_line: bool,
     /// The byte before was a CR.
     after_cr: bool,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
@@ -127,7 +131,7 @@ impl<const HELD: usize> Link<HELD> {
             stuck: None,
             lost: false,
             mid_line: false,
-            refusing: false,
+            refusing_line: false,
             after_cr: false,
             refusals: 0,
             refused_bytes: 0,
@@ -174,7 +178,7 @@ impl<const HELD: usize> Link<HELD> {
                     other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
-                if !other.mid_line || other.refusing {
+                if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
                     arbiter.turn_to(other, |floor| floor.claim(self.number, free, false));
                 }
@@ -184,17 +188,17 @@ impl<const HELD: usize> Link<HELD> {
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {
-                    if self.refusing || arbiter.holder() != self.number {
+                    if self.refusing_line || arbiter.holder() != self.number {
                         return false;
                     }
                 } else {
-                    self.refusing &= self.mid_line;
+                    self.refusing_line &= self.mid_line;
                     let free = queues.is_free();
-                    self.refusing =
-                        self.refusing || !arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
+                    self.refusing_line =
+                        self.refusing_line || !arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
                 }
                 self.mid_line = !is_end(byte);
-                if self.refusing {
+                if self.refusing_line {
                     if is_end(byte) {
                         self.refusals = self.refusals.saturating_add(1);
                         self.lost = false;
@@ -238,10 +242,10 @@ impl<const HELD: usize> Link<HELD> {
 
     /// The other host has reset the machine: of the line that has begun here nothing may be read.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
-        if !self.mid_line || self.refusing {
+        if !self.mid_line || self.refusing_line {
             return;
         }
-        self.refusing = true;
+        self.refusing_line = true;
         while self.held.back().is_some_and(|byte| !is_end(byte.byte)) {
             self.held.pop_back();
         }

@@ -1,4 +1,5 @@
-//! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine.
+//! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine. Only the list of the
+//! room's modules.
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues, [`mod@line`] makes filtered lines, [`line_intake`]
 //! knows which of their bytes still count, [`checked_line`] whether a line is what was sent, [`heartbeat`] whether anything comes at all, [`system`] reads `$`

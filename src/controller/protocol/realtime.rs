@@ -1,4 +1,6 @@
-//! Picks realtime commands out of the received bytes, wherever they stand. Lives in the serial task.
+//! Picks realtime commands out of the received bytes, wherever they stand: the table of bytes
+//! (`0x84 => Realtime::SafetyDoor`) and its inverse `byte_of`; any other byte is part of a line or nothing
+//! (`Received`). Lives in the serial task.
 
 use crate::messages::Realtime;
 

@@ -1,4 +1,7 @@
-//! A recording as text: the lines that `oxmill replay` reads, each in brackets, so that a sender shows it and continues.
+//! A recording as text: the lines `[REC:...]` that `oxmill replay` reads. Each `Recorded` piece is written with its
+//! moment in ticks: board, stored record, host bytes (escaped), inputs in hexadecimal, counters of a stop, rest or
+//! state as integers, and how the program ended. Each `put`s into `out`: `hex_word`, names of a crash and of a stop
+//! (`stopping_name`), tripped and trusted.
 
 use super::text::{END, Text, length, put, whole};
 use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};
@@ -43,7 +46,7 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
 #[inline(never)]
 fn moment(out: &mut Text, hz: u32, time: u64) {
     let hz = u64::from(hz);
-    count(out, time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS);
+    put_count(out, time / MICROSECONDS * hz + time % MICROSECONDS * hz / MICROSECONDS);
 }
 
 fn stored(out: &mut Text, record: &Record) {
@@ -58,13 +61,13 @@ fn stored(out: &mut Text, record: &Record) {
 // What follows is called from many places, and seldom: it is small rather than fast.
 
 #[inline(never)]
-fn count(out: &mut Text, value: u64) {
+fn put_count(out: &mut Text, value: u64) {
     whole(out, value);
 }
 
 #[inline(never)]
 fn number(out: &mut Text, value: u32) {
-    count(out, u64::from(value));
+    put_count(out, u64::from(value));
 }
 
 #[inline(never)]
@@ -103,7 +106,7 @@ fn escaped(out: &mut Text, bytes: &[u8]) {
 #[inline(never)]
 fn integer(out: &mut Text, value: i64) {
     put(out, if value < 0 { b" -" } else { b" " });
-    count(out, value.unsigned_abs());
+    put_count(out, value.unsigned_abs());
 }
 
 #[inline(never)]
@@ -146,7 +149,7 @@ fn entry(out: &mut Text, entry: &Noted) {
             number(out, *blocks);
             integers(out, counters);
         }
-        Noted::Standing { standing, blocks } => state(out, standing, *blocks),
+        Noted::Standing { standing, blocks } => put_standing(out, standing, *blocks),
         Noted::Ended { crash, place, line } => {
             put(out, b"ended ");
             put(out, crash.map_or(b"reset", crash_name));
@@ -163,7 +166,7 @@ fn entry(out: &mut Text, entry: &Noted) {
 }
 
 /// Flags, blocks, tool, inputs, then counter and place of each axis, then the words.
-fn state(out: &mut Text, standing: &Standing, blocks: u32) {
+fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];
     for (_, letter) in letters.into_iter().filter(|(on, _)| *on) {

@@ -1,5 +1,6 @@
-//! What waits to be sent to the host: the queue of answers, a status report that was asked for, and news that are told
-//! once.
+//! `Replies`: what waits to be sent to the host. The queue of answers, given out in chunks and with room kept for the
+//! answer to the line in work, a status report that is due with its rare fields, the echo of startup lines, and the
+//! restart after a failure, told once.
 
 use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;

@@ -1,4 +1,8 @@
-//! Every answer that a host can get, byte for byte as Grbl 1.1h prints it (plus what Grbl does not have).
+//! Every answer that a host can get, `put` into `out` byte for byte as Grbl 1.1h prints it (plus what Grbl does not
+//! have): `ok`, errors, alarms, the welcome, `[MSG:` texts, the rows of `$$`, `$#`, `$G` (`ParserState`), `$I`,
+//! `$PINS`, tripped inputs, reset cause and crash, help, and the `Status` report with position (`MPos`, `offset`),
+//! buffer, feed, pins, accessory letters and overrides. `PlaceForm` says how many axes and which unit, `RareFields`
+//! when `WCO` and `Ov` come.
 //!
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 

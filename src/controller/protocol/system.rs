@@ -1,4 +1,6 @@
-//! `$` lines: which command it is and with what, or why not. Whether the machine's state allows it is not known here.
+//! `$` lines: which `System` command it is (help, settings, startup line, macro, home, jog, restore, sleep, `$n=v`) and
+//! with what, or why not; the states a command is `Allowed` in, by its letter, the format of descriptions, and what
+//! Grbl knows of them. Whether the machine's state allows it now is not known here.
 
 use crate::axes::Axis;
 use crate::error::Error;

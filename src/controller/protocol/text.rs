@@ -1,4 +1,6 @@
-//! Numbers as text, without `core::fmt`: a few hundred bytes instead of many KiB of flash, and the same digits everywhere.
+//! Numbers as text, without `core::fmt`: `put` appends bytes to a `Text`, `whole`, `fixed`, `real` and `length` numbers
+//! with their decimals, in mm or inches. A few hundred bytes instead of many KiB of flash, and the same digits
+//! everywhere.
 
 use crate::units::Coordinate;
 

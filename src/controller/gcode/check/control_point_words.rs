@@ -1,4 +1,6 @@
-//! Words of curves whose control points have a line each: G5.2, and G5.3 at the end.
+//! Words of curves whose control points have a line each: G5.2 with X, Y, weight P and order L, and G5.3 at the end,
+//! which makes the `NurbsMove`; too few, too many, not begun or not ended points are refused. Points are `in_xy`, and
+//! the order so far is known.
 
 use super::line::Check;
 use crate::axes::{Axis, AxisMask};

@@ -1,5 +1,7 @@
-//! Second step: what the words of a line mean in the present state. One function for each step, in the order in which
-//! Grbl looks; the first fault wins.
+//! Second step: what the words of a line mean in the present modal state. `check` calls one function for each step, in
+//! the order in which Grbl looks, and the first fault wins; here are those for line number, feed mode and feed
+//! (`UndefinedFeed`), speed, spindle, coolant and tool values, parking, path control (G61, G64), dwell, the letters of
+//! unused words, and what a line does besides its motion by `NonModal` and M words.
 
 mod control_point_words;
 mod cycle_words;

@@ -1,4 +1,7 @@
-//! Words of group 0 and their offsets: G10 L2 and L20, G28, G30, G52, G53, G92.
+//! Words of group 0 (`NonModal`) and their offsets: G10 L2 and L20 set a coordinate system, G28 and G30 go to a stored
+//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53. Values come from axis
+//! words or the present position (`from_position`), a return goes via a point, and `system_of` finds the system; what a
+//! dialect lacks is `UnsupportedCommand`.
 
 use super::line::Check;
 use crate::axes::{Axis, LINEAR, PerAxis};
@@ -24,7 +27,7 @@ impl<const N: usize> Check<'_, N> {
         match word {
             NonModal::SetSystem => self.set_system(),
             NonModal::SetOffset => self.set_offset(),
-            NonModal::Go(which) => self.go(which),
+            NonModal::Go(which) => self.go_to_stored(which),
             NonModal::StorePosition(which) => {
                 self.checked.store = Some(which);
                 self.checked.stored = Some(self.state.position);
@@ -150,7 +153,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// G28, G30: the named axes by way of the given point to the stored place; without axis words all, directly.
-    fn go(&mut self, which: StoredOffset) -> Result<(), Error> {
+    fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
             // What was stored while the machine had more axes does not move them.

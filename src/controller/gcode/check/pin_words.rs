@@ -1,4 +1,5 @@
-//! Words of the outputs and inputs of programs: M62 to M68.
+//! Words of the outputs and inputs of programs: M62 to M65 (digital, with motion or at once), M66 (wait for an input, L
+//! and Q), M67 and M68 (analog), with the number of the pin in P or E.
 
 use super::line::Check;
 use crate::error::Error;

@@ -1,4 +1,7 @@
-//! Where axis words lead to, by straight axes and by rotated ones; G68 and G69.
+//! Where axis words lead to (`target`), by straight axes and by rotated and scaled ones, absolute or incremental, from
+//! program to machine coordinates; G68 and G69 (`new_rotation`: origin, angle, plane), and G10, G28, G92 and tool
+//! offsets of a coordinate system set in a rotated plane (`along_machine`, `part_of`), or refused there
+//! (`RotationActs`, `NotInRotatedPlane`).
 
 use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};

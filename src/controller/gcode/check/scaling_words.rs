@@ -1,4 +1,5 @@
-//! G51 and G50, and where they act on the values of a line.
+//! G51 with factors and centre (`new_scaling`) and G50, and where they act on the values of a line: a scaled length,
+//! vector or size, the rest kept, mirrored arcs, and what scaling forbids (`ScalingActs`, `UnequalScaling`).
 
 use super::line::{CENTRE, Check, Purpose};
 use crate::axes::Axis;

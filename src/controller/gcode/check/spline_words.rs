@@ -1,4 +1,5 @@
-//! Words of splines: G5 and G5.1, which lie in the plane of X and Y.
+//! Words of splines: G5 (cubic, by I, J, P, Q) and G5.1 (quadratic), which lie in the plane of X and Y: their control
+//! points leaving and arriving, or the tangent of the last one.
 
 use super::line::Check;
 use crate::axes::Axis;

@@ -1,4 +1,5 @@
-//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides, M70 to M73 for the modal state.
+//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides (held for feed or spindle), M70 to
+//! M73 to save, forget and restore the modal state (`Keeping`).
 
 use super::line::Check;
 use crate::axes::PerAxis;

@@ -1,4 +1,6 @@
-//! Words of tools: T, M6, G43 to G49, G10 L1, L10 and L11.
+//! Words of tools: T selects, M6 changes, M61 names the tool in the spindle; G43 to G49 set the tool length offset, by
+//! H from the table or by axis words; G10 L1, L10 and L11 set or remove a tool of the table. A number may be too high
+//! (`ToolNumberTooHigh`), unknown (`UnknownTool`) or that of a removed tool.
 
 use super::line::Check;
 use crate::axes::{AxisMask, PerAxis};

@@ -1,4 +1,7 @@
-//! Values as programs compute them: `[#1 + 2] * 3` and what RS274NGC knows beside it.
+//! Values as programs compute them: `[#1 + 2] * 3` and what RS274NGC knows beside it. A `Reader` takes operands; what
+//! waits for them (negation, bracket, `Function` such as ABS or ATAN, `Binary` operator with its left side and level)
+//! is kept in a list. The tables of functions and operators (`Plus`, `Over`, `GreaterEqual`, `And`); a parameter is
+//! looked up by number or name (`ParameterReference`). Text that is none gives `ExpressionSyntax`.
 //!
 //! ```text
 //!  value     = number | [ sum ] | # value | #<name> | function[ sum ] | ATAN[ sum ]/[ sum ] | EXISTS[#...] | - value | + value

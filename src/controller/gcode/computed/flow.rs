@@ -1,4 +1,8 @@
-//! What O words keep: the text of subroutines and loops, the blocks that are open, whether lines are skipped.
+//! `FlowControl`, what O words keep: the held text of subroutines and loops, the frames of what is open since a line
+//! (`Frame`: if, while, do, repeat, call) with their labels and passes, and the `State` of a program's lines:
+//! streaming, recording, running or skipped. The `Keyword` table, an `OWord` with label and arguments cut from a line
+//! without its remarks, and finding, pushing, dropping and going back behind or after a place of the held text;
+//! `OutOfMemory` and `TooDeep`.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once

@@ -1,5 +1,8 @@
-//! Values within lines and messages: expressions are computed, the program's parameters and those in which the machine
-//! shows its state are looked up.
+//! Values within lines and messages: expressions are computed to a `Real` or `Decimal`, the program's parameters and
+//! those in which the machine shows its modal state, offsets and whether a probe succeeded (in mm or inches) are looked
+//! up, by number (#5061, #5400) or name (`_METRIC`, `_CURRENT_TOOL`, `truth` as 0 or 1); parameters are assigned
+//! (`ParameterReference`), read-only ones refused, and messages expanded with values in a format of so many decimal
+//! places.
 
 use super::expression::{self, ParameterReference};
 use super::parameters;

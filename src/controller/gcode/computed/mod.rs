@@ -1,5 +1,5 @@
-//! Values that a line computes, and parameters that it sets: the program's own, and those in which the machine shows its
-//! state.
+//! Values that a line computes, and parameters that it sets: `Computed` holds the parameters, the flow control, the
+//! value returned by a call, and what a probe or M66 has found, and is begun, committed and reset with each line.
 
 mod expression;
 mod flow;

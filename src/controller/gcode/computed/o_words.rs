@@ -1,4 +1,8 @@
-//! O words in a program: what becomes of each line of the host, and which line of held text is next.
+//! O words in a program: what becomes of each line of the host (`direct`), and which line of held text is next
+//! (`next_held`). The `OWord` order of a line, with its keyword and label, is recorded into a subroutine or loop, or
+//! skipped, or acts on the flow: a condition takes a branch (`has_taken`), a loop begins or ends a pass (`end_pass`,
+//! repeat), a call pushes a frame (`FrameKind`) with arguments and returns. One that is not well formed is a
+//! `FlowSyntax` error.
 
 use super::Computed;
 use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};

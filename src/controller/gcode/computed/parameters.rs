@@ -1,4 +1,7 @@
-//! Parameters that programs set: numbers and names with their values, packed into one stretch of bytes.
+//! `Parameters` that programs set: numbers and names with their values, packed as cells into one stretch of bytes, of
+//! which those in force are at the front and those staged by the line being checked behind, until the commit. Local
+//! ones have the level of their call and are forgotten when it is left. A cell has a key, the length of its name, its
+//! size, and a `Real` as mantissa and exponent; `GLOBAL` is a level of its own; `growth` is what a line adds.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
@@ -72,7 +75,7 @@ impl Parameters {
     /// The value of a parameter; `None` if it has not been set.
     pub fn get(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
-        let at = find(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
+        let at = find_cell(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
         Ok(at.and_then(|at| Cell::first(self.cells.get(at..)?)).map(|cell| cell.value))
     }
 
@@ -94,7 +97,7 @@ impl Parameters {
     pub fn stage(&mut self, reference: ParameterReference, value: Real) -> Result<(), Error> {
         let (key, level) = self.stored_as(reference)?;
         let size = HEAD + key.len() + TAIL;
-        if find(&self.cells, &key, level).is_none() {
+        if find_cell(&self.cells, &key, level).is_none() {
             self.growth += size;
         }
         if self.in_force + self.growth > CAPACITY || self.cells.len() + size > self.in_force + OF_A_LINE {
@@ -125,12 +128,12 @@ impl Parameters {
             && let Some(cell) = Cell::first(staged)
         {
             let size = cell.size;
-            match find(in_force, cell.key, cell.level) {
+            match find_cell(in_force, cell.key, cell.level) {
                 Some(at) => {
                     if let (Some(old), Some(new)) = (in_force.get_mut(at..at + size), staged.get(..size)) {
                         old.copy_from_slice(new);
                     }
-                    self.cut(self.in_force, size);
+                    self.cut_cell(self.in_force, size);
                 }
                 None => self.in_force += size,
             }
@@ -191,7 +194,7 @@ impl Parameters {
         while let Some(cell) = self.cells.get(at..).and_then(Cell::first) {
             let (level, size) = (cell.level, cell.size);
             if level != GLOBAL && level >= self.level {
-                self.cut(at, size);
+                self.cut_cell(at, size);
             } else {
                 at += size;
             }
@@ -200,7 +203,7 @@ impl Parameters {
     }
 
     /// Takes bytes out.
-    fn cut(&mut self, at: usize, size: usize) {
+    fn cut_cell(&mut self, at: usize, size: usize) {
         let length = self.cells.len();
         if at + size <= length {
             self.cells.copy_within(at + size.., at);
@@ -226,7 +229,7 @@ impl Parameters {
 }
 
 /// Where the cell of a key begins.
-fn find(cells: &[u8], key: &[u8], level: u8) -> Option<usize> {
+fn find_cell(cells: &[u8], key: &[u8], level: u8) -> Option<usize> {
     let mut at = 0;
     while let Some(cell) = cells.get(at..).and_then(Cell::first) {
         if cell.key == key && cell.level == level {

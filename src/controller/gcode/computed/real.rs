@@ -1,4 +1,7 @@
-//! Numbers of expressions: decimal floating point with eighteen digits.
+//! `Real`, the numbers of expressions: decimal floating point with a mantissa of eighteen digits and an exponent,
+//! computed in `i128` and rounded after each operation (`wide`, `gap` of exponents, `divisor`): add, mul, div, modulo,
+//! floor, power, comparisons (`is_below`), the square root and other leg of a right triangle, and the terms of series
+//! for sine, arc tangent, logarithm and exponential in fixed point. From and to `Decimal`, integers and coordinates.
 //!
 //! Sums, differences and products of numbers as programs write them are exact (up to eighteen digits), so `10.1 + 0.2` is
 //! 10.3 and nothing else. A difference below 10⁻¹⁴ of what it is the difference of is rounding and counts as 0, so three
