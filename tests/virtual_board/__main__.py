@@ -1,4 +1,7 @@
-"""Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does."""
+"""Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does.
+
+All of them if none is named; without those that are named behind a `-`.
+"""
 
 import sys
 import time
@@ -9,14 +12,21 @@ from .board import Failure, Image
 from .parts import BOARDS
 
 
-def main(board, elf, oxmill, *wanted):
+def chosen(cases, names):
+    """The cases that are named, or all; without those behind a `-`."""
+    known = {name for name, _ in cases}
+    if unknown := {name.removeprefix("-") for name in names} - known:
+        sys.exit(f"there are no such cases: {', '.join(sorted(unknown))}")
+    wanted = [name for name in names if not name.startswith("-")] or known
+    return [(name, case) for name, case in cases if name in wanted and f"-{name}" not in names]
+
+
+def main(board, elf, oxmill, *names):
     bench = cases.Bench(BOARDS[board], Image(elf), oxmill)
     root = Path(__file__).resolve().parents[2]
     failed = passed = missing = known = 0
     print(f"\nvirtual board {board} ({bench.wiring.part.name})", flush=True)
-    for name, case in cases.all_cases(root):
-        if wanted and name not in wanted:
-            continue
+    for name, case in chosen(cases.all_cases(root), names):
         begin, lines, outcome = time.monotonic(), [], "ok"
         bench.origin, bench.case = 0, name
         try:
