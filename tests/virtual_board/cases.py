@@ -243,6 +243,11 @@ def fast(bench, acceleration, pulse_us=2):
     bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
 
 
+def hard(bench, acceleration):
+    """An acceleration that brings a board of a greater rate than 490 kHz to it in the same time, mm/s²."""
+    return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
+
+
 def pulses(bench):
     """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
     longest pulse, which is longer than the time between ticks of which not each makes a step."""
@@ -250,16 +255,19 @@ def pulses(bench):
 
 
 def safe_rate(bench):
-    """The same at the rate that the board calls safe, together and with three rates, of which none divides another."""
-    safe = bench.wiring.safe_step_hz
-    steps = round((1.1 * safe**2 / 6e6 + 2000) / 9) * 9
+    """The same with the shortest pulse at the rate that the board calls safe, together and with three rates, of which none divides
+    another."""
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 2000) / 9) * 9
     for ways in ((1, 1, 1), (9, 7, 5)):
-        yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=ways)
+        yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=ways)
 
 
 def disturbed(bench):
     """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
-    safe = bench.wiring.safe_step_hz
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
     if bench.wiring.usb:
         with_usb(bench)
     else:
@@ -277,16 +285,19 @@ def disturbed(bench):
             bench.host.send("(a)\n" * 20 + "?" * 5)
 
     disturb.asked = len(bench.host.answers)
-    steps = round((1.1 * safe**2 / 6e6 + 9000) / 9) * 9
-    yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=(9, 7, 5), meanwhile=disturb, boots=False)
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=disturb, boots=False)
     yield f"masked {masks} times for 20 us, {disturb.asked} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
 
 
 def tight(bench):
     """Longer pulses at the greatest rate that the settings allow with them."""
-    for pulse_us in (2, 3, 4, 5, 6, 7, 9, 10):
+    for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
+        if pulse_us < bench.wiring.least_pulse_us:
+            continue
         rate = round(bench.wiring.greatest_hz(pulse_us))
-        yield from at_rates(bench, (rate, round(1.1 * rate**2 / 3e6) + 1000, pulse_us))
+        acceleration = max(3_000, round(rate / 100 * 3))
+        yield from at_rates(bench, (rate, round(1.1 * rate**2 / acceleration / 1000) + 1000, pulse_us), acceleration=acceleration)
 
 
 def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
@@ -319,12 +330,14 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
         least, most = min(widths), max(widths)
-        found = steady(events[:steps], hz, 1 / rate, round(1.05 * rate**2 / 2 / (1000 * acceleration)) + 5)
+        ramp = round(1.05 * rate**2 / 2 / (1000 * acceleration)) + 5
+        found = steady(events[:steps], hz, 1 / rate, ramp)
         mask, where = bench.longest_mask()
         line = f"{rate:>7} steps/s: $0={pulse_us} width {us(least)} to {us(most)}; $29=10 set-up from {us(min(setups))}, hold from {us(min(holds))}"
         if found is None:
             raise Failure(f"{line}: the rate is never reached")
-        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where})"
+        busy, longest = step_load(board, events[ramp].at, events[steps - ramp].at)
+        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
         if least < pulse_us * US or most > pulse_us * US + LATEST_PULSE_END_S:
             raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
         if min(setups) < 10 * US:
@@ -336,6 +349,12 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
         if found["period_error"] > JITTER_S:
             raise Failure(f"a period is off by {us(found['period_error'])}, whatever is masked it may be {us(JITTER_S)}")
         bench.ask("G90")
+
+
+def step_load(board, begin, end):
+    """Share of the processor that the step task takes between two cycles, and its longest run there."""
+    runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
+    return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
 
 
 def moving(bench, feed=3000, way=100):
@@ -528,12 +547,12 @@ def stops(bench):
 
 
 def at_full_rate(bench):
-    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s, after 49 ms."""
+    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s or more, after 49 ms."""
     safe = bench.wiring.safe_step_hz
-    fast(bench, 10_000)
+    fast(bench, hard(bench, 10_000))
     rate = safe * 60 // 1000
     # The pulse first: with a longer one the rate would be refused.
-    bench.settings(s0=1)
+    bench.settings(s0=bench.wiring.least_pulse_us)
     bench.settings(s110=rate)
     return rate
 
