@@ -55,7 +55,8 @@ const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// How long before the first moment events are begun at the latest: two more runs and what it takes.
 const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
 /// At the board's greatest rate half of a full ring is out before two runs are done.
-const HALF_IS_SHORT: bool = PROFILE.step_clock_hz / PROFILE.rates.safe_hz * (StepPins::DEPTH as u32 / 2) < 2 * RUN_TICKS;
+const HALF_IS_SHORT: bool =
+    PROFILE.step_clock_hz / PROFILE.rates.safe_hz * (StepPins::DEPTH as u32 / 2) < 2 * RUN_TICKS;
 /// So much earlier from rest, for interrupts may be masked meanwhile.
 const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// As many events of a batch take as long as an event, or a tick, that is made by itself.

@@ -338,7 +338,9 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"{line}: the rate is never reached")
         busy, longest = step_load(board, events[ramp].at, events[steps - ramp].at)
         yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
-        if least < pulse_us * US or most > pulse_us * US + LATEST_PULSE_END_S:
+        # A pulse below 1 us is followed by a pause as short.
+        latest = LATEST_PULSE_END_S if pulse_us >= 1 else JITTER_S
+        if least < pulse_us * US or most > pulse_us * US + latest:
             raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
         if min(setups) < 10 * US:
             raise Failure(f"direction set-up {us(min(setups))} with $29=10")
@@ -1388,14 +1390,15 @@ def fourth_axis(bench):
 
 def all_four_fast(bench):
     """Back and forth at the safe rate, all four together: no period is off."""
-    safe = bench.wiring.safe_step_hz
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
     bench.boot()
     bench.settings(s930=4)
-    fast(bench, 6_000)
+    fast(bench, acceleration)
     greatest = round(safe * 60 / 1000, 3)
-    bench.settings(s0=1, s103=1000, s123=6_000, s110=greatest, s111=greatest, s112=greatest, s113=greatest)
+    bench.settings(s0=pulse_us, s103=1000, s123=acceleration, s110=greatest, s111=greatest, s112=greatest, s113=greatest)
     bench.forget_masks()
-    scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / 6e6 + 2000)
+    scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / acceleration / 1000 + 2000)
     way = steps / 1000
     # F is along X, Y and Z.
     for sign in ("", "-"):
@@ -1404,11 +1407,13 @@ def all_four_fast(bench):
     events, widths, _, _ = scope.read()
     if scope.counts() != [0] * 4 or len(events) != 2 * steps or any(event.axes != 15 for event in events):
         raise Failure(f"{len(events)} steps, ends at {scope.counts()}")
-    found = steady(events[:steps], bench.wiring.core_hz, 1 / safe, round(1.05 * safe**2 / 2 / 6e6) + 5)
-    if found is None or found["period_error"] > JITTER_S or max(widths) > US + LATEST_PULSE_END_S:
+    ramp = round(1.05 * safe**2 / 2 / acceleration / 1000) + 5
+    found = steady(events[:steps], bench.wiring.core_hz, 1 / safe, ramp)
+    if found is None or found["period_error"] > JITTER_S or max(widths) > pulse_us * US + JITTER_S:
         raise Failure(f"at {safe} steps/s: {found}, pulses up to {us(max(widths))}")
     mask, where = bench.longest_mask()
-    yield f"four axes at {safe} steps/s: period error {us(found['period_error'])}, pulses {us(min(widths))} to {us(max(widths))}, masked {us(mask)} ({where})"
+    busy, longest = step_load(bench.board, events[ramp].at, events[steps - ramp].at)
+    yield f"four axes at {safe} steps/s: period error {us(found['period_error'])}, pulses {us(min(widths))} to {us(max(widths))}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
 
 
 def spindle_pwm(bench):

@@ -116,9 +116,8 @@ class Wiring:
 
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
-        if pulse_us < 1:
-            return min(0.5e6 / pulse_us, self.safe_step_hz)
-        period = pulse_us + min(pulse_us, 1.9) + 0.04
+        pause = pulse_us - 0.04 if pulse_us < 1 else min(pulse_us, 1.9)
+        period = pulse_us + pause + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)
 
 
