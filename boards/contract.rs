@@ -157,8 +157,8 @@ pub trait StepOutput<const N: usize> {
 
     /// At rest: which outputs are inverted (bit set) and what the second motor does.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
-    /// At rest: the length of a pulse, microseconds.
-    fn set_pulse(&mut self, pulse_us: u32);
+    /// At rest: the length of a pulse, tenths of a microsecond. It is never shorter, and longer by less than a tick.
+    fn set_pulse(&mut self, tenths: u16);
     /// The frequency of the spindle's PWM, and the power that stays in force.
     fn set_pwm(&mut self, hz: u32, power: u16);
     /// The power of spindle or laser, 0 to 65535.

@@ -62,7 +62,10 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
     oxmill_controller::Profile {
         name: board.name,
         step_clock_hz: board.step_clock_hz,
-        rates: oxmill_controller::StepRates { safe_hz: board.safe_step_hz },
+        rates: oxmill_controller::StepRates {
+            safe_hz: board.safe_step_hz,
+            least_pulse_tenths: board.least_pulse_tenths,
+        },
         axes: board.axes,
         has_second_motor,
         program_pins: board.program_pins,

@@ -30,6 +30,8 @@ pub struct Board {
     pub blocks: usize,
     /// Greatest step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
+    /// Shortest step pulse (`$0`), tenths of a microsecond.
+    pub least_pulse_tenths: u16,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
     /// Outputs and inputs for programs (M62 to M66).
@@ -47,13 +49,15 @@ pub const DESK: Board = Board {
     axes: AXES,
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
     received_bytes: 255,
     program_pins: [4, 2],
     recording_pages: 64,
 };
 
-/// What is so on most boards with hardware: three axes, and no pins left for programs.
-const HARDWARE: Board = Board { axes: AXES_OF_BOARDS, program_pins: [0, 0], ..DESK };
+/// What is so on most boards with hardware: three axes, no pulse below 1 us unless a board has been tried with it, and no pins left for
+/// programs.
+const HARDWARE: Board = Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], ..DESK };
 
 /// What programs have on the Nucleos: a corner of the outer connectors that no shield covers.
 const NUCLEO_PROGRAM_PINS: [u8; 2] = [2, 2];
@@ -84,7 +88,8 @@ pub const NUCLEO_F446RE: Board = Board {
     core_hz: 180_000_000,
     run_cycles: 5_200,
     axes: AXES,
-    safe_step_hz: 490_000,
+    safe_step_hz: 1_000_000,
+    least_pulse_tenths: 5,
     program_pins: NUCLEO_PROGRAM_PINS,
     ..HARDWARE
 };

@@ -1,5 +1,6 @@
 //! No pin of a board has two uses, and each that is used stands in the pin table of its drawing.
 
+use oxmill_controller::{StepRates, StepTiming};
 use oxmill_images::{BOARDS, SMALL};
 use std::collections::BTreeSet;
 use std::fs;
@@ -117,7 +118,8 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
 }
 
 /// The rule of docs/how-it-works.md, "Step rates": two of the longest runs of the step task and half a batch fit into the time
-/// that the events of a full ring last, and batches for three axes take no more than half of the processor.
+/// that the events of a full ring last, batches for three axes take no more than half of the processor, and the shortest pulse
+/// leaves a pause in which its timer comes to rest.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -128,5 +130,11 @@ fn step_rates_follow_the_rule() {
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
         // `cargo xtask count`, times 1.1.
         assert!(1_815 * hz / BATCH <= core_hz / 2, "{board:?}");
+        let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
+        assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
+        // Four ticks from the trigger to the first count, one to the edge, one behind the pulse, one to the stop;
+        // the timer of the pulses counts with the step clock or faster.
+        let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
+        assert!(timing.gap > timing.pulse + 7, "{board:?}");
     }
 }

@@ -341,7 +341,7 @@ impl StepOutput<AXES> for StepPins {
     fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8, _second: SecondMotor) {}
 
     /// So is the length of a pulse.
-    fn set_pulse(&mut self, _pulse_us: u32) {}
+    fn set_pulse(&mut self, _tenths: u16) {}
 
     /// There is no PWM.
     fn set_pwm(&mut self, _hz: u32, _power: u16) {}

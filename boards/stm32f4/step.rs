@@ -142,7 +142,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
         };
         write(M::TIM2 + DIER, super::chain::CALLS);
         pins.set_polarity(0, 0, SecondMotor::default());
-        pins.set_pulse(10);
+        pins.set_pulse(100);
         pins.set_pwm(DEFAULT_PWM_HZ, 0);
         pins
     }
@@ -278,8 +278,9 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     /// The length of the step pulse in ticks of the timer that makes it.
-    fn set_pulse(&mut self, pulse_us: u32) {
-        self.chain.set_pulse(pulse_us * self.clocks.pulse_mhz);
+    fn set_pulse(&mut self, tenths: u16) {
+        // What is no whole number of ticks is rounded up: a driver is never given less than it asks for.
+        self.chain.set_pulse((u32::from(tenths) * self.clocks.pulse_mhz).div_ceil(10));
     }
 
     fn set_pwm(&mut self, hz: u32, power: u16) {

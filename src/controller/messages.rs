@@ -496,8 +496,8 @@ pub struct SlowOutputs {
 /// Wiring facts that the pump's own tasks need, from the settings; sent at start and after each change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wiring {
-    /// `$0`, length of a step pulse in microseconds.
-    pub pulse_us: u8,
+    /// `$0`, length of a step pulse in tenths of a microsecond.
+    pub pulse_tenths: u16,
     /// `$29`, time from a direction change to the next step in microseconds.
     pub direction_setup_us: u8,
     /// `$2`, bit set = step output active low.

@@ -10,13 +10,15 @@
 use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::error::{Error, codes};
 use crate::step_rates::StepRates;
-use crate::units::{Decimal, Duration, StepsPerMm};
+use crate::units::{DECIMAL_ONE, Decimal, Duration, StepsPerMm};
 
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Whole number from `.0` to `.1`; fractions are cut off.
     Whole(u32, u32),
+    /// Tenths from `.0` to `.1`, printed with a decimal if there is one. In Grbl's dialect whole numbers, fractions cut off.
+    Tenths(u32, u32),
     /// A sum of some of these bits; fractions are cut off.
     Mask(u32),
     /// 0 or 1; any other whole number up to 255 counts as 1.
@@ -174,7 +176,7 @@ table! {
     SCALAR_DESCRIPTIONS;
     /// Names the rows of [`SCALARS`].
     Key {
-        StepPulse: 0, "Step pulse", "us", Steppers, "", Kind::Whole(1, 255), 10.0, true;
+        StepPulse: 0, "Step pulse", "us", Steppers, "", Kind::Tenths(5, 2550), 10.0, true;
         IdleDelay: 1, "Step idle delay", "ms", Steppers, "", Kind::Whole(0, 255), 25.0, true;
         StepInvert: 2, "Step invert", "mask", Steppers, AXIS_LABELS, Kind::Whole(0, 255), 0.0, true;
         DirectionInvert: 3, "Direction invert", "mask", Steppers, AXIS_LABELS, Kind::Whole(0, 255), 0.0, true;
@@ -398,6 +400,11 @@ impl<const N: usize> Settings<N> {
         self.value(key) as u32
     }
 
+    /// The step pulse (`$0`), tenths of a microsecond.
+    pub fn step_pulse_tenths(&self) -> u16 {
+        (self.value(Key::StepPulse) * 10.0 + 0.5) as u16
+    }
+
     /// A value of the first table, in seconds, as a time; a day at most.
     pub fn seconds(&self, key: Key) -> Duration {
         let seconds = self.value(key);
@@ -464,7 +471,7 @@ impl<const N: usize> Settings<N> {
     ///
     /// # Errors
     /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
-    /// of range, [`Error::StepPulseTooShort`] for `$0`, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22` in Grbl's
+    /// of range, [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22` in Grbl's
     /// dialect.
     pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let negative = value < Decimal::ZERO;
@@ -483,14 +490,12 @@ impl<const N: usize> Settings<N> {
         let value = match entry.kind {
             Kind::Whole(least, greatest) => {
                 let whole = value.truncate() as u32;
-                // Grbl takes no pulse below 3 us.
-                let least = if number == STEP_PULSE && self.value(Key::Dialect) == 0.0 { 3 } else { least };
                 if !(least..=greatest).contains(&whole) {
-                    let pulse = number == STEP_PULSE;
-                    return Err(if pulse { Error::StepPulseTooShort } else { Error::InvalidStatement });
+                    return Err(Error::InvalidStatement);
                 }
                 whole as f32
             }
+            Kind::Tenths(least, greatest) => self.tenths(value, least, greatest)? as f32 / 10.0,
             Kind::Mask(bits) => match u32::try_from(value.truncate()) {
                 Ok(mask) if mask & !bits == 0 => mask as f32,
                 _ => return Err(Error::InvalidStatement),
@@ -517,6 +522,24 @@ impl<const N: usize> Settings<N> {
             self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
         }
         Ok(())
+    }
+
+    /// The step pulse in tenths of a microsecond. In Grbl's dialect no fraction counts, and no pulse is shorter than 3 us; in others
+    /// nothing is rounded: what is no whole number of tenths is refused.
+    fn tenths(&self, value: Decimal, least: u32, greatest: u32) -> Result<u32, Error> {
+        /// A tenth as a decimal; 2560 of them fit 32 bits.
+        const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
+        let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
+        let (mut tenths, rest, mut least) = (value / TENTH, value % TENTH, least);
+        let is_grbl = self.value(Key::Dialect) == 0.0;
+        if is_grbl {
+            tenths -= tenths % 10;
+            least = 30;
+        }
+        if !(least..=greatest).contains(&tenths) {
+            return Err(Error::StepPulseTooShort);
+        }
+        if rest != 0 && !is_grbl { Err(Error::InvalidStatement) } else { Ok(tenths) }
     }
 
     /// Takes over a value that was stored before; an unknown number or a value that is no number is ignored.
@@ -584,11 +607,15 @@ impl<const N: usize> Settings<N> {
     }
 
     /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board
+    /// a step pulse (`$0`) shorter than the board makes, as one stored by the firmware of another; no steps/mm, rate or acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board
     /// can keep with a step pulse of this length (`$0`): too many pulses a second; a second motor that the board does not have or that CoreXY leaves
     /// no place for, or A; more axes than the board has motors for.
     pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
-        let greatest_hz = rates.greatest_hz(self.value(Key::StepPulse));
+        let pulse = self.step_pulse_tenths();
+        if pulse < rates.least_pulse_tenths {
+            return Some(STEP_PULSE);
+        }
+        let greatest_hz = rates.greatest_hz(pulse);
         let core_xy = self.arrangement() == Arrangement::CoreXy;
         let resolution = self.axes(AxisKey::Resolution);
         let rate = self.axes(AxisKey::MaxRate);
@@ -680,7 +707,7 @@ mod tests {
     use super::*;
 
     fn rates(safe_hz: u32) -> StepRates {
-        StepRates { safe_hz }
+        StepRates { safe_hz, least_pulse_tenths: 10 }
     }
 
     fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
@@ -733,6 +760,60 @@ mod tests {
         assert_eq!(set(&mut s, 102, 80_500), Ok(()));
         assert_eq!(s.axes(AxisKey::Resolution), PerAxis([250.0, 250.0, 80.5]));
         assert_eq!(s.by_number(102), Some(80.5));
+    }
+
+    /// `$0` is exact in tenths; what is not is refused, and so is what no board makes.
+    #[test]
+    fn a_step_pulse_is_taken_to_the_tenth_or_not_at_all() {
+        let mut s = Settings::<3>::default();
+        for tenths in 5..=2550_u16 {
+            assert_eq!(set(&mut s, 0, i64::from(tenths) * 100), Ok(()));
+            assert_eq!(s.step_pulse_tenths(), tenths);
+            // As it is stored and found again.
+            let mut other = Settings::<3>::default();
+            other.restore(0, f32::from_le_bytes(s.by_number(0).unwrap().to_le_bytes()));
+            assert_eq!(other.step_pulse_tenths(), tenths);
+        }
+        for (thousandths, error) in [
+            (2_550, Error::InvalidStatement),
+            (501, Error::InvalidStatement),
+            (499, Error::StepPulseTooShort),
+            (255_100, Error::StepPulseTooShort),
+            (i64::MAX / 10_000, Error::StepPulseTooShort),
+        ] {
+            assert_eq!(set(&mut s, 0, thousandths), Err(error), "{thousandths}");
+        }
+        assert_eq!(s.step_pulse_tenths(), 2550);
+        // Grbl's dialect has whole microseconds, and cuts off as Grbl does.
+        set(&mut s, 900, 0).unwrap();
+        for (thousandths, tenths) in
+            [(3_000, Some(30)), (3_999, Some(30)), (255_900, Some(2550)), (2_999, None), (256_000, None)]
+        {
+            let taken = set(&mut s, 0, thousandths);
+            assert_eq!(taken, tenths.map_or(Err(Error::StepPulseTooShort), |_| Ok(())), "{thousandths}");
+            assert!(tenths.is_none_or(|tenths| s.step_pulse_tenths() == tenths), "{thousandths}");
+        }
+    }
+
+    /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
+    #[test]
+    fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
+        for (record, tenths) in
+            [([0x00, 0x00, 0x80, 0x3f], 10), ([0x00, 0x00, 0x20, 0x41], 100), ([0x00, 0x00, 0x7f, 0x43], 2550)]
+        {
+            let mut s = Settings::<3>::default();
+            set(&mut s, 0, 2_500).unwrap();
+            s.restore(0, f32::from_le_bytes(record));
+            assert_eq!(s.step_pulse_tenths(), tenths);
+        }
+    }
+
+    #[test]
+    fn a_pulse_that_the_board_does_not_make_locks_motion() {
+        let mut s = Settings::<3>::default();
+        set(&mut s, 0, 900).unwrap();
+        assert_eq!(s.unrunnable(rates(490_000), true), Some(0));
+        assert_eq!(s.unrunnable(StepRates { least_pulse_tenths: 9, ..rates(490_000) }, true), None);
     }
 
     #[test]

@@ -11,9 +11,8 @@
 //!                           ├─ setup ($29) ─────┤
 //! ```
 
-/// What drivers want of a pause at most, microseconds: the slowest common one (DRV8825) asks for 1.9, and for as much of the pulse
-/// itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of both, TMC2209 0.1 us.
-const LONGEST_PAUSE_NS: u32 = 1_900;
+use crate::step_rates::least_pause_ns;
+
 /// Least set-up time of a direction, whatever `$29` says, microseconds.
 const LEAST_SETUP_US: u32 = 2;
 /// No event for longer than this, microseconds, is filled up by events that change nothing: so what must be ahead of its time
@@ -34,11 +33,11 @@ pub struct StepTiming {
 }
 
 impl StepTiming {
-    /// Turns the step pulse `$0` and the direction set-up `$29`, microseconds, into timer ticks of a step clock of so many MHz.
-    pub const fn new(clock_mhz: u32, pulse_us: u32, setup_us: u32) -> StepTiming {
-        let pulse = pulse_us * clock_mhz;
-        let longest = (LONGEST_PAUSE_NS * clock_mhz).div_ceil(1000);
-        let gap = pulse + if pulse < longest { pulse } else { longest };
+    /// Turns the step pulse `$0`, tenths of a microsecond, and the direction set-up `$29`, microseconds, into timer ticks of a step
+    /// clock of so many MHz.
+    pub const fn new(clock_mhz: u32, pulse_tenths: u16, setup_us: u32) -> StepTiming {
+        let pulse = pulse_ticks(pulse_tenths, clock_mhz);
+        let gap = pulse + (least_pause_ns(pulse_tenths) * clock_mhz).div_ceil(1000);
         let setup = if setup_us < LEAST_SETUP_US { LEAST_SETUP_US } else { setup_us } * clock_mhz;
         let split = SPLIT_US * clock_mhz;
         StepTiming {
@@ -69,6 +68,12 @@ impl StepTiming {
     }
 }
 
+/// A step pulse (`$0`, tenths of a microsecond) in ticks of a timer of so many MHz. What is no whole number of ticks is rounded up,
+/// by less than one: whole microseconds are exact, tenths are on timers of 90, 100 or 180 MHz.
+const fn pulse_ticks(pulse_tenths: u16, clock_mhz: u32) -> u32 {
+    (pulse_tenths as u32 * clock_mhz).div_ceil(10)
+}
+
 /// The later of two moments of a wrapping clock.
 #[inline]
 pub fn later(a: u32, b: u32) -> u32 {
@@ -82,22 +87,43 @@ mod tests {
 
     #[test]
     fn a_pause_is_as_long_as_the_pulse_up_to_what_drivers_want() {
-        for (pulse_us, setup_us, wanted) in [
-            (1, 0, (96, 192, 192)),
-            (2, 10, (192, 375, 960)),
-            (10, 0, (960, 1143, 1143)),
-            (255, 255, (24_480, 24_663, 24_663)),
+        for (clock_mhz, pulse_tenths, setup_us, wanted) in [
+            (96, 10, 0, (96, 192, 192)),
+            (96, 20, 10, (192, 375, 960)),
+            (96, 100, 0, (960, 1143, 1143)),
+            (96, 2550, 255, (24_480, 24_663, 24_663)),
+            (96, 25, 0, (240, 423, 423)),
+            // 48 and 44.16 ticks; 45 and 41.4; 42 and 38.64.
+            (96, 5, 0, (48, 93, 192)),
+            (90, 5, 0, (45, 87, 180)),
+            (84, 5, 0, (42, 81, 168)),
+            // 67.2 ticks of each, and 0.04 us less of the pause.
+            (84, 8, 0, (68, 132, 168)),
         ] {
-            let timing = StepTiming::new(96, pulse_us, setup_us);
-            assert_eq!((timing.pulse, timing.gap, timing.setup), wanted, "$0={pulse_us} $29={setup_us}");
+            let timing = StepTiming::new(clock_mhz, pulse_tenths, setup_us);
+            assert_eq!(
+                (timing.pulse, timing.gap, timing.setup),
+                wanted,
+                "{clock_mhz} MHz {pulse_tenths} $29={setup_us}"
+            );
         }
-        // The rate that the settings allow leaves this gap.
-        for pulse_us in 1..=255_u8 {
-            for clock_mhz in [25, 84, 90, 96, 100] {
-                let timing = StepTiming::new(clock_mhz, u32::from(pulse_us), 0);
-                let period =
-                    clock_mhz as f32 * 1.0e6 / crate::StepRates { safe_hz: u32::MAX }.greatest_hz(f32::from(pulse_us));
-                assert!(period >= timing.gap as f32, "{period} {timing:?}");
+    }
+
+    /// Whatever the length of the pulse, the rate that the settings allow leaves the gap, with a tick or more to spare at the
+    /// clocks of the boards.
+    #[test]
+    fn the_greatest_rate_leaves_the_gap() {
+        let rates = crate::StepRates { safe_hz: u32::MAX, least_pulse_tenths: 1 };
+        for pulse_tenths in 5..=2550 {
+            for (clock_mhz, spare) in [(25, 0.0), (84, 1.0), (90, 1.0), (96, 1.0), (100, 1.0)] {
+                let timing = StepTiming::new(clock_mhz, pulse_tenths, 0);
+                let period = f64::from(clock_mhz) * 1.0e6 / f64::from(rates.greatest_hz(pulse_tenths));
+                assert!(
+                    period + 0.01 >= f64::from(timing.gap) + spare,
+                    "{clock_mhz} {pulse_tenths} {period} {timing:?}"
+                );
+                let longer = 10 * timing.pulse - u32::from(pulse_tenths) * clock_mhz;
+                assert!(longer < 10, "never shorter, nor a tick longer: {clock_mhz} {pulse_tenths} {timing:?}");
             }
         }
     }
@@ -105,8 +131,8 @@ mod tests {
     proptest! {
         /// Whatever the moments, steps of a wrapping clock: events in between keep both distances, and there is an end.
         #[test]
-        fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_us in 1_u32..=255, short in any::<bool>()) {
-            let timing = StepTiming::new(96, pulse_us, 0);
+        fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
+            let timing = StepTiming::new(96, pulse_tenths, 0);
             let next = last.wrapping_add(away);
             let mut at = last;
             while let Some(between) = timing.between(at, next, short) {

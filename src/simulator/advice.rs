@@ -93,7 +93,9 @@ pub fn for_error(error: Error) -> &'static str {
             "Look the setting up in docs/settings.md: its number, unit and range."
         }
         Error::HomingDisabled => "Switch homing on with $22=1, if limit switches are fitted.",
-        Error::StepPulseTooShort => "Set $0 to 3 us or more in the dialect of Grbl, otherwise to 1 us or more.",
+        Error::StepPulseTooShort => {
+            "Set $0 to 3 us or more in the dialect of Grbl, otherwise to 1 us or more (0.5 on a Nucleo F446RE)."
+        }
         Error::StoreReadFailed => {
             "Read the settings with $$, restore what is wrong, and confirm with $X two seconds later."
         }

@@ -175,7 +175,7 @@ mod tests {
 
     fn wiring() -> Wiring {
         Wiring {
-            pulse_us: 10,
+            pulse_tenths: 100,
             direction_setup_us: 5,
             pwm_hz: 5_000,
             step_invert: 0,

@@ -90,7 +90,7 @@ impl Simulator {
         let mut controller = Box::new(Controller::new(Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
-            rates: StepRates { safe_hz: board.safe_step_hz },
+            rates: StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths },
             axes: board.axes,
             has_second_motor: true,
             program_pins: board.program_pins,

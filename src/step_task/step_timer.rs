@@ -58,6 +58,9 @@ const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// How long before the first moment events are begun at the latest: two more runs and what it takes.
 const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
+/// At the board's greatest rate half of a full ring is out before two runs are done.
+const HALF_IS_SHORT: bool =
+    PROFILE.step_clock_hz / PROFILE.rates.safe_hz * (StepPins::DEPTH as u32 / 2) < 2 * RUN_TICKS;
 /// So much earlier from rest, for interrupts may be masked meanwhile.
 const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// As many events of a batch take as long as an event, or a tick, that is made by itself.
@@ -78,6 +81,12 @@ const MOST_LATE_STEPS: u32 = 8;
 const UNKNOWN: u8 = u8::MAX;
 /// Segments that can begin in events that are ahead, and changes of power.
 const MARKS: usize = 32;
+
+/// The sooner of two moments of a wrapping clock.
+#[inline(always)]
+fn sooner(a: u32, b: u32) -> u32 {
+    if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
+}
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -221,7 +230,7 @@ impl Step {
             stepper: Stepper::new(),
             output,
             state: State::Rest,
-            timing: StepTiming::new(TICKS_PER_US, 10, 0),
+            timing: StepTiming::new(TICKS_PER_US, 100, 0),
             is_regular: false,
             one_by_one: false,
             last: 0,
@@ -322,11 +331,11 @@ impl Step {
             first_stands: wiring.ganged_motors == GangedMotors::Second,
         };
         self.output.set_polarity(wiring.step_invert, wiring.direction_invert, second);
-        self.output.set_pulse(u32::from(wiring.pulse_us));
+        self.output.set_pulse(wiring.pulse_tenths);
         self.output.set_pwm(wiring.pwm_hz, self.beam.shown);
         self.directions = UNKNOWN;
         self.probe_invert = wiring.probe_invert;
-        self.timing = StepTiming::new(TICKS_PER_US, u32::from(wiring.pulse_us), u32::from(wiring.direction_setup_us));
+        self.timing = StepTiming::new(TICKS_PER_US, wiring.pulse_tenths, u32::from(wiring.direction_setup_us));
     }
 
     /// Makes the first events, the next tick at this moment.
@@ -678,8 +687,9 @@ impl Step {
             // A run has been too short for what there is, as where segments are shorter than runs.
             State::Running if self.wants_more(now, ahead) => now,
             State::Running if !self.one_by_one && ahead > left => {
-                let (half, last_chance) = (self.output.moment_before(left), self.last_chance());
-                if half.wrapping_sub(last_chance) as i32 <= 0 { half } else { last_chance }
+                let half = self.output.moment_before(left);
+                let early = if HALF_IS_SHORT { sooner(half, self.before_two_runs()) } else { half };
+                sooner(early, self.last_chance())
             }
             State::Running if self.one_by_one && ahead > 0 => return None,
             State::Running => self.last_chance(),
@@ -689,6 +699,15 @@ impl Step {
             State::Rest => return None,
         };
         Some(later(at, now.wrapping_add(PAUSE_TICKS)))
+    }
+
+    /// Two runs before the end of what is ahead, but no sooner than there is room for a batch.
+    #[inline(never)]
+    fn before_two_runs(&self) -> u32 {
+        later(
+            self.output.moment_before(StepPins::DEPTH.saturating_sub(MOST_EVENTS)),
+            self.last.wrapping_sub(IN_TIME_TICKS),
+        )
     }
 
     /// As many segments or changes of power are ahead as can be kept in mind.

@@ -191,11 +191,12 @@ pub fn describe() -> Value {
 /// A row of the table of settings, with the default of a new controller.
 fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let (kind, min, max) = match row.entry.kind {
-        Kind::Whole(min, max) => ("whole", Some(min), Some(max)),
-        Kind::Mask(bits) => ("mask", Some(0), Some(bits)),
-        Kind::Switch => ("switch", Some(0), Some(1)),
-        Kind::Axes => ("axes", Some(0), Some((1 << LINEAR) - 1)),
-        Kind::Real | Kind::Speed => ("real", Some(0), None),
+        Kind::Whole(min, max) => ("whole", Some(json!(min)), Some(json!(max))),
+        Kind::Tenths(min, max) => ("tenths", Some(json!(f64::from(min) / 10.0)), Some(json!(f64::from(max) / 10.0))),
+        Kind::Mask(bits) => ("mask", Some(json!(0)), Some(json!(bits))),
+        Kind::Switch => ("switch", Some(json!(0)), Some(json!(1))),
+        Kind::Axes => ("axes", Some(json!(0)), Some(json!((1 << LINEAR) - 1))),
+        Kind::Real | Kind::Speed => ("real", Some(json!(0)), None),
         Kind::Place => ("place", None, None),
     };
     let (mut name, mut values) = (Text::new(), Text::new());

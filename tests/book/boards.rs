@@ -7,8 +7,8 @@ use oxmill_images::BOARDS;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Lengths of the step pulse (`$0`) whose greatest rates the table has, microseconds.
-const PULSES: [f32; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
+/// Lengths of the step pulse (`$0`) whose greatest rates the table has, tenths of a microsecond.
+const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
 /// What an image may lack, as the firmware calls it and as a reader does.
 const PARTS: [(&str, &str); 9] = [
     ("expressions", "expressions, parameters, O words"),
@@ -83,11 +83,15 @@ fn boards_table() -> String {
 }
 
 fn rates_table() -> String {
-    let heads: String = PULSES.iter().map(|pulse| format!(" `$0={pulse}` |")).collect();
+    let heads: String = PULSES.iter().map(|pulse| format!(" `$0={}` |", f32::from(*pulse) / 10.0)).collect();
     let mut table = format!("| steps/s of one axis at most |{heads}\n|---|{}\n", "---|".repeat(PULSES.len()));
     for board in real() {
-        let rates = StepRates { safe_hz: board.safe_step_hz };
-        let cells: String = PULSES.iter().map(|pulse| format!(" {:.0} |", rates.greatest_hz(*pulse).floor())).collect();
+        let rates = StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths };
+        let cell = |pulse: &u16| match *pulse < board.least_pulse_tenths {
+            true => " no |".to_owned(),
+            false => format!(" {:.0} |", rates.greatest_hz(*pulse).floor()),
+        };
+        let cells: String = PULSES.iter().map(cell).collect();
         let _ = writeln!(table, "| `{}` |{cells}", board.name);
     }
     table

@@ -165,7 +165,7 @@ impl Board {
         let mut controller = Box::new(Controller::new(Profile {
             name: "test",
             step_clock_hz: 1_000_000,
-            rates: StepRates { safe_hz: 100_000 },
+            rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
             axes: AXES,
             has_second_motor: false,
             program_pins: [0; 2],

@@ -24,5 +24,6 @@ mod rig;
 mod rotary;
 mod seed;
 mod splines;
+mod step_pulse;
 mod stream;
 mod turns;

@@ -19,6 +19,9 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
         Kind::Whole(least, greatest) => {
             1000 * (i64::from(least) + random.below(u64::from(greatest - least).min(300) + 1) as i64)
         }
+        Kind::Tenths(least, greatest) => {
+            100 * (i64::from(least) + random.below(u64::from(greatest - least).min(300) + 1) as i64)
+        }
         Kind::Switch => 1000 * random.below(2) as i64,
         Kind::Mask(bits) => 1000 * (random.below(512) as i64 & i64::from(bits)),
         Kind::Speed => 1000 * random.below(30_000) as i64,
@@ -49,7 +52,7 @@ fn any_set(random: &mut Random, listed: &Set) -> Set {
         }
     }
     // A pulse leaves room for the steps, a wire for a switch is not there, limits are where the machine is.
-    set.insert(0, 1000 * (1 + random.below(30) as i64));
+    set.insert(0, 100 * (10 + random.below(300) as i64));
     set.insert(5, 0);
     set.insert(21, 0);
     // More than four axes no machine has.

@@ -37,7 +37,9 @@ ANSWER_S = 20e-3
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 CALL_CYCLES = 212
-"""From the call of the step task to where no event begins any more, when it is at rest."""
+"""From the call of the step task to where no event begins any more, when it is at rest, at 490,000 steps/s or less."""
+FAST_CALL_CYCLES = 260
+"""The same at greater rates: each segment that has begun since the last run takes some 15, and more have."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
 
@@ -243,6 +245,11 @@ def fast(bench, acceleration, pulse_us=2):
     bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
 
 
+def hard(bench, acceleration):
+    """An acceleration that brings a board of a greater rate than 490 kHz to it in the same time, mm/s²."""
+    return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
+
+
 def pulses(bench):
     """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
     longest pulse, which is longer than the time between ticks of which not each makes a step."""
@@ -250,16 +257,19 @@ def pulses(bench):
 
 
 def safe_rate(bench):
-    """The same at the rate that the board calls safe, together and with three rates, of which none divides another."""
-    safe = bench.wiring.safe_step_hz
-    steps = round((1.1 * safe**2 / 6e6 + 2000) / 9) * 9
+    """The same with the shortest pulse at the rate that the board calls safe, together and with three rates, of which none divides
+    another."""
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 2000) / 9) * 9
     for ways in ((1, 1, 1), (9, 7, 5)):
-        yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=ways)
+        yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=ways)
 
 
 def disturbed(bench):
     """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
-    safe = bench.wiring.safe_step_hz
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
     if bench.wiring.usb:
         with_usb(bench)
     else:
@@ -277,16 +287,19 @@ def disturbed(bench):
             bench.host.send("(a)\n" * 20 + "?" * 5)
 
     disturb.asked = len(bench.host.answers)
-    steps = round((1.1 * safe**2 / 6e6 + 9000) / 9) * 9
-    yield from at_rates(bench, (safe, steps, 1), acceleration=6_000, ways=(9, 7, 5), meanwhile=disturb, boots=False)
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=disturb, boots=False)
     yield f"masked {masks} times for 20 us, {disturb.asked} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
 
 
 def tight(bench):
     """Longer pulses at the greatest rate that the settings allow with them."""
-    for pulse_us in (2, 3, 4, 5, 6, 7, 9, 10):
+    for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
+        if pulse_us < bench.wiring.least_pulse_us:
+            continue
         rate = round(bench.wiring.greatest_hz(pulse_us))
-        yield from at_rates(bench, (rate, round(1.1 * rate**2 / 3e6) + 1000, pulse_us))
+        acceleration = max(3_000, round(rate / 100 * 3))
+        yield from at_rates(bench, (rate, round(1.1 * rate**2 / acceleration / 1000) + 1000, pulse_us), acceleration=acceleration)
 
 
 def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
@@ -319,13 +332,17 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
         least, most = min(widths), max(widths)
-        found = steady(events[:steps], hz, 1 / rate, round(1.05 * rate**2 / 2 / (1000 * acceleration)) + 5)
+        ramp = round(1.05 * rate**2 / 2 / (1000 * acceleration)) + 5
+        found = steady(events[:steps], hz, 1 / rate, ramp)
         mask, where = bench.longest_mask()
         line = f"{rate:>7} steps/s: $0={pulse_us} width {us(least)} to {us(most)}; $29=10 set-up from {us(min(setups))}, hold from {us(min(holds))}"
         if found is None:
             raise Failure(f"{line}: the rate is never reached")
-        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where})"
-        if least < pulse_us * US or most > pulse_us * US + LATEST_PULSE_END_S:
+        busy, longest = step_load(board, events[ramp].at, events[steps - ramp].at)
+        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
+        # A pulse below 1 us is followed by a pause as short.
+        latest = LATEST_PULSE_END_S if pulse_us >= 1 else JITTER_S
+        if least < pulse_us * US or most > pulse_us * US + latest:
             raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
         if min(setups) < 10 * US:
             raise Failure(f"direction set-up {us(min(setups))} with $29=10")
@@ -336,6 +353,12 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
         if found["period_error"] > JITTER_S:
             raise Failure(f"a period is off by {us(found['period_error'])}, whatever is masked it may be {us(JITTER_S)}")
         bench.ask("G90")
+
+
+def step_load(board, begin, end):
+    """Share of the processor that the step task takes between two cycles, and its longest run there."""
+    runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
+    return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
 
 
 def moving(bench, feed=3000, way=100):
@@ -528,12 +551,12 @@ def stops(bench):
 
 
 def at_full_rate(bench):
-    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s, after 49 ms."""
+    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s or more, after 49 ms."""
     safe = bench.wiring.safe_step_hz
-    fast(bench, 10_000)
+    fast(bench, hard(bench, 10_000))
     rate = safe * 60 // 1000
     # The pulse first: with a longer one the rate would be refused.
-    bench.settings(s0=1)
+    bench.settings(s0=bench.wiring.least_pulse_us)
     bench.settings(s110=rate)
     return rate
 
@@ -601,7 +624,7 @@ def ring_stops(bench):
     )
     if places < 30:
         raise Failure("too few places: this proves little")
-    if cycles > CALL_CYCLES:
+    if cycles > (CALL_CYCLES if bench.wiring.safe_step_hz <= 490_000 else FAST_CALL_CYCLES):
         raise Failure(f"a stop takes {cycles} cycles from the call")
     if worst > STOP_S + RUN_CYCLES / hz:
         raise Failure("pulses after the stop")
@@ -1369,14 +1392,15 @@ def fourth_axis(bench):
 
 def all_four_fast(bench):
     """Back and forth at the safe rate, all four together: no period is off."""
-    safe = bench.wiring.safe_step_hz
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
     bench.boot()
     bench.settings(s930=4)
-    fast(bench, 6_000)
+    fast(bench, acceleration)
     greatest = round(safe * 60 / 1000, 3)
-    bench.settings(s0=1, s103=1000, s123=6_000, s110=greatest, s111=greatest, s112=greatest, s113=greatest)
+    bench.settings(s0=pulse_us, s103=1000, s123=acceleration, s110=greatest, s111=greatest, s112=greatest, s113=greatest)
     bench.forget_masks()
-    scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / 6e6 + 2000)
+    scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / acceleration / 1000 + 2000)
     way = steps / 1000
     # F is along X, Y and Z.
     for sign in ("", "-"):
@@ -1385,11 +1409,13 @@ def all_four_fast(bench):
     events, widths, _, _ = scope.read()
     if scope.counts() != [0] * 4 or len(events) != 2 * steps or any(event.axes != 15 for event in events):
         raise Failure(f"{len(events)} steps, ends at {scope.counts()}")
-    found = steady(events[:steps], bench.wiring.core_hz, 1 / safe, round(1.05 * safe**2 / 2 / 6e6) + 5)
-    if found is None or found["period_error"] > JITTER_S or max(widths) > US + LATEST_PULSE_END_S:
+    ramp = round(1.05 * safe**2 / 2 / acceleration / 1000) + 5
+    found = steady(events[:steps], bench.wiring.core_hz, 1 / safe, ramp)
+    if found is None or found["period_error"] > JITTER_S or max(widths) > pulse_us * US + JITTER_S:
         raise Failure(f"at {safe} steps/s: {found}, pulses up to {us(max(widths))}")
     mask, where = bench.longest_mask()
-    yield f"four axes at {safe} steps/s: period error {us(found['period_error'])}, pulses {us(min(widths))} to {us(max(widths))}, masked {us(mask)} ({where})"
+    busy, longest = step_load(bench.board, events[ramp].at, events[steps - ramp].at)
+    yield f"four axes at {safe} steps/s: period error {us(found['period_error'])}, pulses {us(min(widths))} to {us(max(widths))}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
 
 
 def spindle_pwm(bench):

@@ -92,8 +92,13 @@ class Wiring:
 
     def promised(self, number):
         """A number of the board's row in `profiles.rs`: what is tried is what is promised."""
-        row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1]
-        return int(re.search(rf"{number}: ([0-9_]+)", row)[1])
+        text, begin = PROFILES.read_text(), f'name: "{self.name}"'
+        while True:
+            # What a row does not have is that of the one after its two dots.
+            row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
+            if found := re.search(rf"\b{number}: ([0-9_]+)", row):
+                return int(found[1])
+            begin = f"const {rest.strip()}: Board"
 
     @property
     def safe_step_hz(self):
@@ -105,9 +110,14 @@ class Wiring:
         row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1].split("};", 1)[0]
         return 4 if "axes: AXES," in row else 3
 
+    @property
+    def least_pulse_us(self):
+        return self.promised("least_pulse_tenths") / 10
+
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
-        period = pulse_us + min(pulse_us, 1.9) + 0.04
+        pause = pulse_us - 0.04 if pulse_us < 1 else min(pulse_us, 1.9)
+        period = pulse_us + pause + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)
 
 

@@ -14,7 +14,7 @@ use crate::protocol::recorded::RECORDER;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
-use crate::units::Decimal;
+use crate::units::{DECIMAL_ONE, Decimal};
 
 /// Numbers of settings that are more than values.
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
@@ -23,6 +23,7 @@ const HOMING: u16 = Key::Homing.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
 const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const STEP_PULSE: u16 = Key::StepPulse.number();
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A line that begins with `$`.
@@ -154,6 +155,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 RESET_IS_EMERGENCY_STOP if self.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
+        }
+        // What the table of settings has is the least of all boards.
+        let least_pulse = i64::from(self.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
+        if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
+            return Err(Error::StepPulseTooShort);
         }
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;

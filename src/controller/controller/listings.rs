@@ -127,7 +127,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let axes = self.settings.axes_in_use();
         let is_there = line < descriptions::lines(what, axes);
         if is_there {
-            self.say(|out| descriptions::line::<N>(out, what, line, axes));
+            let least_pulse = self.settings_lock.least_pulse_tenths();
+            self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
         }
         is_there
     }

@@ -89,7 +89,7 @@ impl Pins {
     #[inline(never)]
     fn new_wiring<const N: usize>(&mut self, s: &Settings<N>, source: &WiringSource) -> Option<Wiring> {
         let wiring = Wiring {
-            pulse_us: s.whole(Key::StepPulse) as u8,
+            pulse_tenths: s.step_pulse_tenths(),
             direction_setup_us: s.whole(Key::DirectionSetup) as u8,
             step_invert: s.whole(Key::StepInvert) as u8,
             direction_invert: s.whole(Key::DirectionInvert) as u8,

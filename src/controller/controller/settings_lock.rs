@@ -38,6 +38,11 @@ impl SettingsLock {
         self.program_pins
     }
 
+    /// The shortest step pulse (`$0`) that the board makes, tenths of a microsecond.
+    pub(super) fn least_pulse_tenths(&self) -> u16 {
+        self.rates.least_pulse_tenths
+    }
+
     /// The setting that locks motion.
     #[inline]
     pub(super) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
@@ -82,7 +87,7 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0 }, false, [0; 2]);
+        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, least_pulse_tenths: 5 }, false, [0; 2]);
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }

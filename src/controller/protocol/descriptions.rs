@@ -44,7 +44,7 @@ impl DataType {
             Kind::Whole(..) if labelled && description.unit == "mask" => DataType::Bits,
             Kind::Whole(..) if labelled => DataType::Choice,
             Kind::Whole(..) => DataType::Integer,
-            Kind::Real | Kind::Speed | Kind::Place => DataType::Decimal,
+            Kind::Tenths(..) | Kind::Real | Kind::Speed | Kind::Place => DataType::Decimal,
         }
     }
 }
@@ -126,6 +126,7 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
         (DataType::Bits | DataType::Choice, _) => row.description.labels.as_bytes(),
         (DataType::Axes, _) => b"axes",
         (DataType::Integer, _) | (DataType::Decimal, Kind::Speed) => b"#####0",
+        (DataType::Decimal, Kind::Tenths(..)) => b"##0.0",
         (DataType::Decimal, Kind::Place) => b"-#####0.000",
         (DataType::Decimal, _) => b"#####0.000",
     }
@@ -134,13 +135,28 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
 /// The least and the greatest value, as far as there are any.
 fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     match row.entry.kind {
-        Kind::Whole(least, _) if data_type == DataType::Integer => whole(out, u64::from(least)),
-        Kind::Real | Kind::Speed => put(out, b"0"),
-        _ => {}
+        Kind::Whole(least, greatest) | Kind::Tenths(least, greatest)
+            if matches!(data_type, DataType::Integer | DataType::Decimal) =>
+        {
+            bound(out, row.entry.kind, least);
+            put(out, between);
+            bound(out, row.entry.kind, greatest);
+        }
+        Kind::Real | Kind::Speed => {
+            put(out, b"0");
+            put(out, between);
+        }
+        _ => put(out, between),
     }
-    put(out, between);
-    if let (Kind::Whole(_, greatest), DataType::Integer) = (row.entry.kind, data_type) {
-        whole(out, u64::from(greatest));
+}
+
+/// A bound of a setting: of tenths with a decimal if there is one.
+#[inline(never)]
+fn bound(out: &mut Text, kind: Kind, value: u32) {
+    let parts = if matches!(kind, Kind::Tenths(..)) { 10 } else { 1 };
+    whole(out, u64::from(value / parts));
+    if !value.is_multiple_of(parts) {
+        put(out, &[b'.', b'0' + (value % parts) as u8]);
     }
 }
 
@@ -177,10 +193,11 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
                 put(out, label.as_bytes());
             }
         }
-        (Kind::Whole(least, greatest), _) => {
-            whole(out, u64::from(least));
+        (Kind::Whole(least, greatest) | Kind::Tenths(least, greatest), _) => {
+            bound(out, entry.kind, least);
             put(out, b" to ");
-            whole(out, u64::from(greatest));
+            bound(out, entry.kind, greatest);
+            put(out, if matches!(entry.kind, Kind::Tenths(..)) { b" in tenths" } else { b"" });
         }
         (Kind::Real | Kind::Speed, _) => put(out, b"0 and above"),
         (Kind::Place, _) => put(out, b"any"),
@@ -209,8 +226,8 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
-/// One of them.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize) {
+/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond.
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, least_pulse_tenths: u16) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -218,7 +235,10 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
                 put(out, END);
             }
             (header, line) => {
-                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
+                if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
+                    if let Kind::Tenths(least, _) = &mut row.entry.kind {
+                        *least = u32::from(least_pulse_tenths);
+                    }
                     setting(out, &row, format);
                 }
             }
@@ -270,7 +290,7 @@ mod tests {
 
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted, 3);
+        line::<3>(&mut out, what, wanted, 3, 10);
         String::from_utf8(out.to_vec()).expect("text")
     }
 
@@ -288,7 +308,7 @@ mod tests {
     #[test]
     fn settings_are_described_in_the_formats_of_grblhal() {
         for (number, expected) in [
-            (0, "[SETTING:0|2|Step pulse|us|5|#####0|1|255|0|0]\r\n"),
+            (0, "[SETTING:0|2|Step pulse|us|6|##0.0|1|255|0|0]\r\n"),
             (4, "[SETTING:4|2|Enable invert||0||||0|0]\r\n"),
             (10, "[SETTING:10|1|Status report|mask|1|Machine position,Buffer state|||0|0]\r\n"),
             (11, "[SETTING:11|6|Junction deviation|mm|6|#####0.000|0||0|0]\r\n"),
@@ -305,6 +325,10 @@ mod tests {
             of(904, Format::Tabs),
             "904\tKinematics\t\tradiobuttons\tCartesian,CoreXY\t0 Cartesian, 1 CoreXY\t\t\r\n"
         );
+        // What a board of another least pulse says.
+        let mut out = Text::new();
+        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, 5);
+        assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
         assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }
 

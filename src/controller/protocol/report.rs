@@ -261,7 +261,11 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     if value < 0.0 {
         put(out, b"-");
     }
-    let places = if matches!(entry.kind, Kind::Real | Kind::Place) { 3 } else { 0 };
+    let places = match entry.kind {
+        Kind::Real | Kind::Place => 3,
+        Kind::Tenths(..) if value != value as u32 as f32 => 1,
+        _ => 0,
+    };
     real(out, value.abs(), places);
     put(out, END);
 }

@@ -12,7 +12,7 @@ fn moves_before_the_start(millimetres: f64) -> usize {
     let mut controller = Box::new(Controller::<3, BLOCKS>::new(Profile {
         name: "test",
         step_clock_hz: 1_000_000,
-        rates: StepRates { safe_hz: 100_000 },
+        rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
         axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],

@@ -27,7 +27,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
         let mut controller = Controller::new(Profile {
             name: "test",
             step_clock_hz: 1_000_000,
-            rates: StepRates { safe_hz: 100_000 },
+            rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
             axes: 3,
             has_second_motor: false,
             program_pins: [0; 2],

@@ -16,7 +16,7 @@ type Ring = Recorder<Vec<Page>>;
 const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };
 
 fn board() -> Box<Board> {
-    let rates = StepRates { safe_hz: 100_000 };
+    let rates = StepRates { safe_hz: 100_000, least_pulse_tenths: 5 };
     let profile = Profile {
         name: "test",
         step_clock_hz: 1_000_000,

@@ -10,7 +10,7 @@ use oxmill_controller::{Controller, Profile, StepRates};
 const PROFILE: Profile = Profile {
     name: "test",
     step_clock_hz: 1_000_000,
-    rates: StepRates { safe_hz: 100_000 },
+    rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
     axes: 3,
     has_second_motor: false,
     program_pins: [0; 2],

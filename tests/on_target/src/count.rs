@@ -48,7 +48,7 @@ mod boards {
     pub const PROFILE: Profile = Profile {
         name: "count",
         step_clock_hz: 96_000_000,
-        rates: StepRates { safe_hz: 490_000 },
+        rates: StepRates { safe_hz: 490_000, least_pulse_tenths: 5 },
         axes: 3,
         has_second_motor: false,
         program_pins: [0; 2],
@@ -330,7 +330,7 @@ fn step_task() {
 
 /// `$0` = 1, `$29` = 0.
 const SHORT_PULSES: Wiring = Wiring {
-    pulse_us: 1,
+    pulse_tenths: 10,
     direction_setup_us: 0,
     step_invert: 0,
     direction_invert: 0,
@@ -589,7 +589,8 @@ fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
 fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
-    const PROFILE: Profile = Profile { rates: StepRates { safe_hz: 1_000_000 }, ..boards::PROFILE };
+    const PROFILE: Profile =
+        Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
     // Computed by the compiler: the stack has no room for it.
     let controller = place.write(const { Controller::new(PROFILE) });
     let now = Instant::from_ticks(0);

@@ -40,7 +40,7 @@ impl Rig {
         let profile = Profile {
             name: "rig",
             step_clock_hz: STEP_CLOCK_HZ,
-            rates: StepRates { safe_hz: 200_000 },
+            rates: StepRates { safe_hz: 200_000, least_pulse_tenths: 10 },
             axes: 3,
             has_second_motor: false,
             program_pins: [0; 2],

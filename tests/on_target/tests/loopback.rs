@@ -100,7 +100,7 @@ impl Bench {
     /// `$0` and `$29`, from the next move on.
     fn set(&mut self, pulse_us: u8, direction_setup_us: u8) {
         let wiring = Wiring {
-            pulse_us,
+            pulse_tenths: 10 * u16::from(pulse_us),
             direction_setup_us,
             step_invert: 0,
             direction_invert: 0,
@@ -456,7 +456,7 @@ mod suite {
 
     #[test]
     fn train_at_the_safe_rate(bench: &mut Bench) {
-        train(bench, boards::PROFILE.rates.safe_hz, LONGEST_TRAIN, 1);
+        train(bench, boards::PROFILE.rates.greatest_hz(10) as u32, LONGEST_TRAIN, 1);
     }
 
     #[test]
