@@ -1,6 +1,7 @@
 //! `StepPins`, the step and direction outputs of an STM32F4, and the spindle's PWM. `fill` makes tables with the `bsrr`
 //! words of each combination of `steps`, `directions` and `both`, for each port and `Place`, with the polarity
-//! (`active_low`), a second motor and the `SAFE` levels; `set_pwm` sets `pwm_period` and prescaler of TIM3. When the
+//! (`active_low`), a second motor and the `SAFE` levels; `set_pwm` sets `pwm_period` and prescaler of TIM3, and `halt` counts the net steps that were
+//! undone. When the
 //! words come out is left to `chain.rs`; setting clocks, pins and timers up to `chip.rs`.
 
 use super::chain::Chain;

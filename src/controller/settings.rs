@@ -1,7 +1,7 @@
 //! The `$` table: a row for each `Key` and each `AxisKey` (homing, soft limits, parking, probing, door, control inputs
 //! and their pull-ups) with number, name, unit, group, labels, kind, default and whether Grbl has it, as `Entry` and
 //! `Description`. `Settings` holds the values as `scalars` and `per_axis`: it sets one after a check of its range
-//! (`InvalidStatement`), restores stored ones, gives them as whole numbers, seconds, masks or `is_on`, counts a
+//! (`InvalidStatement`), restores stored ones, gives them as whole numbers, tenths, seconds, masks or `is_on`, counts a
 //! `revision`, and says which setting makes the set unrunnable.
 //!
 //! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as

@@ -33,8 +33,8 @@ pub struct StepTiming {
 }
 
 impl StepTiming {
-    /// Turns the step pulse `$0`, tenths of a microsecond, and the direction set-up `$29`, microseconds, into timer ticks of a step
-    /// clock of so many MHz.
+    /// Turns the step pulse width `$0`, tenths of a microsecond, and the direction set-up time `$29`, microseconds, into timer ticks of a
+    /// step clock of so many MHz.
     pub const fn new(clock_mhz: u32, pulse_tenths: u16, setup_us: u32) -> StepTiming {
         let pulse = pulse_ticks(pulse_tenths, clock_mhz);
         let gap = pulse + (least_pause_ns(pulse_tenths) * clock_mhz).div_ceil(1000);

@@ -2,7 +2,7 @@
 //! bounce and the second motor, a probe plate, backlash and a racked gantry in mm, and the switches that homing asks
 //! for (`HomeSwitches`). It follows where the motors drive the carriages, tells which contacts are closed or chatter,
 //! and knows nothing of the controller. Places of contacts are compared with `driven_mm`, from `steps_per_mm`, backlash
-//! (`backlash_mm`) and the arrangement.
+//! (`backlash_mm`) and the arrangement, by the same `Kinematics` as the controller.
 
 use crate::boards::AXES;
 use crate::machine::Machine;

@@ -1,5 +1,5 @@
 //! How far and how fast the tool went, measured on the blocks and segments that the step task executed, for a
-//! `Cartesian` or CoreXY `Arrangement`. The `Meter` adds up steps (`units_done`, `pending`) to the place of each axis
+//! `Cartesian` or CoreXY `Arrangement`. The `Meter` adds up steps (`AxisSteps`, `units_done`, `pending`) to the place of each axis
 //! in mm, keeps the `Node`s (ends of segments) of a window, and a `Way` between two has time, length and an error from
 //! rounding to steps, with `doubt` and `excess`; `peak_speed` and `peak_acceleration` count only what is certain. Also
 //! distance, rapids, times of tools, and samples for a drawing.

@@ -1,6 +1,6 @@
 //! What came into a simulated machine, with its time, as text. `Recorder` writes each `Input` as a line (host bytes
 //! escaped, pins, connect, disconnect, a job) and, at rest, where the machine is: counters, place in micrometres, hash,
-//! and the words for what is on. `Recording` reads such text, or what a board has listed (`Told`), word by word, and
+//! and the words for what is on. `Recording` reads such text line by line from a reader, or what a board has listed (`Told`), word by word, and
 //! plays it into a machine that was powered up the same; it must arrive at the same place, with the same hash
 //! (`agrees`, `compare_end`).
 //!

@@ -2,7 +2,7 @@
 //! value and `crc`, written in words at the next `address` of one of two sectors of a `Flash`. A header has a
 //! `sequence`; a full sector is compacted into the `spare`, which is erased before. `survey` reads the `Outline` of
 //! each entry, finds what it replaces, and notes damage as a `Gap`, as not `appendable` or as `unsound`; one
-//! `wrong_byte` is mended by the CRC.
+//! `wrong_byte` is mended by the CRC. It takes the place of the EEPROM of Grbl.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐

@@ -27,6 +27,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if matches!(self.mode, Mode::Home(_)) {
             self.home_switch(&mut stopped);
         } else if came.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
+            // A hard limit (`$21`).
             let closed = inputs::axes_of_switches(came.limits, &self.settings);
             let limit = StopReason::Alarm(Alarm::HardLimit);
             let under_way = self.stop_under_way();

@@ -1,7 +1,7 @@
 //! The dispatcher, `Controller` with its fields (motion, door, stops, inputs, pins, task, replies, `step_supply`) and
 //! the board's `Profile`: `event` takes events in, `observed` what the tasks have done, `output` gives the next thing
 //! to be done: stops, wiring, pins, records, replies, messages to the step task. `look_round` and `settle` follow what
-//! has ended or is still running, `next_wakeup` says when to call. It hears the hosts and their heartbeat. The only
+//! has ended or is still running (motion that is idle), `next_wakeup` says when to call. It hears the hosts and their heartbeat. The only
 //! room that knows all the others.
 //!
 //! It promises that every call returns after a bounded piece of work: at most one line, one chord or one segment. What

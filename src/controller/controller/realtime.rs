@@ -1,5 +1,5 @@
 //! Realtime commands: what a byte that no line holds back does to the state: reset, stop, status, cycle start, feed
-//! hold, jog cancel, spindle stop, toggles of flood, mist and single block, overrides. Also the host: one that has left
+//! hold, jog cancel (`Mode::Jog`, which is not `cancelling` yet), spindle stop, toggles of flood, mist and single block, overrides. Also the host: one that has left
 //! or is silent (heartbeat) is a fault, or ends its jog. `look_for_silence`, `release_held`, `restore_spindle` and
 //! `set_overrides` are parts of it.
 

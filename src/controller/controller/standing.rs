@@ -1,4 +1,5 @@
-//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, its
+//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, by
+//! its mode (idle, alarm, check, sleep), its
 //! counters, place, tool and modal words; `stand` brings a machine into it. Also the pieces of a recording that is
 //! listed (`Ask`).
 

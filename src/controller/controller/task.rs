@@ -110,7 +110,7 @@ impl Job {
 /// How far a line is. What a stage waits for is in the [`Job`]: stages are passed on at each step of each line, as a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
-    /// Motion that was queued before has to end first.
+    /// Motion that was queued before has to end first: a buffer synchronise in Grbl, a queue buster in LinuxCNC.
     Drain,
     /// Another tool is being put into the spindle: ends with `~`.
     ToolChange,

@@ -1,7 +1,7 @@
 //! `Checked`, the result of a check: what a line asks for, as data that the controller carries out: spindle, speed,
 //! coolant, tool change, dwell, stored offset, flow (pause, end), pins (`ProgramPins`, `InputWait` for a rise or a
 //! level), and the `Motion` in machine coordinates per axis (target, `ArcMove`, `SplineMove`, `NurbsMove`, probe,
-//! cycle, via a point) with its `Feed`; also what it leaves `Afterwards`: modal state, rotation, G92, tool length, the
+//! cycle, via a point) with its `Feed`; also what it leaves `Afterwards`: modal state, `spindle_tool`, rotation, G92, tool length, the
 //! position arrived at, and whether the tool alone or the work offset changed.
 
 use super::control_points::Addition;

@@ -1,6 +1,6 @@
 //! Canned cycles: one line that drills, pecks or bores holes, cut into steps (`CycleStep`): rise, to the next hole in
-//! the plane, approach R, cut to the bottom or by a peck, and what follows the bottom (dwell, spindle off, pause,
-//! retract). `Cycle` has the holes left, their pitch, and the levels R, bottom and clear; `CycleWords` stay in force in
+//! the plane, approach R, cut to the bottom or by a peck, and what follows the bottom (dwell, `stops_spindle`,
+//! pause, retract). `Cycle` has the holes left, their pitch, and the levels R, bottom and clear; `CycleWords` stay in force in
 //! a series. `at_depth`, `rapid_to_clear` and `feed_to_r` give the place of a step.
 //!
 //! ```text

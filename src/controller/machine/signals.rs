@@ -59,6 +59,7 @@ impl Inputs {
         self.take_levels(active)
     }
 
+    /// Whether an armed input (hard limit, emergency stop) has become active, which stops the step task at once.
     fn take_levels(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {

@@ -1,5 +1,6 @@
 //! `ToolChange` with a tool setter (`$918=2`), phase by phase: retract, to the place of change, prompt, seek and locate
-//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates. It moves nothing
+//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates, and whether it is the first tool
+//! (`is_first_tool`). It moves nothing
 //! itself: it gives an [`ChangeOrder`] and is told how that ended.
 //!
 //! ```text

@@ -1,5 +1,5 @@
 //! An arc or helix (`ArcGeometry`: start, target, offsets, plane axes, turns) as a chain of chords, computed one at a
-//! time by `next_chord` from the share of the angle before it. Centre, radius and sweep of the plain arc come from
+//! time by `next_chord` from the share of the angle before it. The centre as two coordinates, radius and sweep of the plain arc come from
 //! exact integers of 128 bits; the direction vector (`x_turned`, `y_turned`) is turned by sine and versine of a chord
 //! in 2^-30 fixed point (`UNIT_BITS`) and kept at length 1 over all full turns. `curvature` gives the radius in space,
 //! `rotary_stretch` what rotary axes add.
@@ -161,7 +161,8 @@ impl<const N: usize> ArcGeometry<N> {
 }
 
 impl<const N: usize> Arc<N> {
-    /// Prepares the chords, none of which leaves the arc by more than `tolerance` (mm).
+    /// Prepares the chords (Grbl: arc segments), as many as the arc tolerance (`$12`, mm) asks for: none leaves the arc by more than
+    /// `tolerance`.
     pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
         let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
         let Plain { centre, first, start_radius, end_radius, sweep } = geometry.plain();

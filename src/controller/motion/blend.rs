@@ -49,7 +49,7 @@ const GENTLE2: f32 = 0.0622;
 pub struct Tolerance {
     /// In all, mm; 0: the path is exact.
     pub path: f32,
-    /// Where moves are merged, mm.
+    /// Where moves are merged (G64 Q, the naive cam tolerance of LinuxCNC), mm.
     pub merging: f32,
 }
 

@@ -383,7 +383,7 @@ impl<const N: usize> AnyMotion<N> {
         self.source.is_held()
     }
 
-    /// Factors on feeds and rapids, 1 = as programmed; they act with the next segment handed over.
+    /// Feed override and rapid override as factors, 1 = as programmed; they act with the next segment handed over.
     pub fn set_overrides(&mut self, feed: f32, rapid: f32) {
         let overrides = OverrideFactors {
             feed: bounded(feed, LEAST_OVERRIDE, GREATEST_OVERRIDE),

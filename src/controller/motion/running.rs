@@ -197,7 +197,8 @@ impl<const N: usize> Running<N> {
         self.flags >> MARK_SHIFT
     }
 
-    /// Spindle or laser power at a speed, mm/s: with M4 in laser mode the power is scaled with the speed.
+    /// Spindle or laser power at a speed, mm/s: with M4 in laser mode the power is scaled with the speed (dynamic
+    /// laser power).
     #[inline]
     pub(super) fn power_at(&self, speed: f32) -> u16 {
         if self.flags & SCALE_POWER == 0 {

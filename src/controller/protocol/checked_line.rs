@@ -1,7 +1,8 @@
 //! `LineCheck`: lines with a number, a length and a checksum (CRC-32) in a header of letter digits, for links that
 //! damage, drop or double bytes (`$LC=ON`). The `Verdict` on a line is valid, known or damaged; answers have the same
 //! form with the wanted number. A reset lets the check lapse. What is carried out is exactly what was sent, in its
-//! order and once. A line in which a byte is off is not whole (`is_whole`) and its check fails.
+//! order and once. A line in which a byte is off is not whole (`is_whole`) and its check fails. `Crc` adds bytes
+//! one by one.
 //!
 //! ```text
 //!  : NNN LL CCCCCCCC text LF
