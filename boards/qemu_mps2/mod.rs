@@ -263,7 +263,8 @@ impl StepOutput<AXES> for StepPins {
         self.set(Self::MORE, Some(moment));
     }
 
-    fn mark_at(&mut self, moment: u32) {
+    /// Power is not recorded.
+    fn mark_at(&mut self, moment: u32, _power: Option<u16>) {
         self.set(Self::MARK, Some(moment));
     }
 
