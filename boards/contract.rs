@@ -150,8 +150,9 @@ pub trait StepOutput<const N: usize> {
     fn begin(&mut self, one_by_one: bool) -> u32;
     /// Whether the parts that count events disagree, or have failed, while events are put out.
     fn fault(&self) -> bool;
-    /// No event begins after this, and no change of power comes. A pulse that is out gets its full length.
-    fn halt(&mut self) -> Undone<N>;
+    /// No event begins after this, and no change of power comes; `dark`: power is 0 right after it, if events had begun. A pulse that is out gets
+    /// its full length.
+    fn halt(&mut self, dark: bool) -> Undone<N>;
 
     /// At rest: which outputs are inverted (bit set) and what the second motor does.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);

@@ -322,7 +322,7 @@ impl StepOutput<AXES> for StepPins {
         false
     }
 
-    fn halt(&mut self) -> Undone<AXES> {
+    fn halt(&mut self, _dark: bool) -> Undone<AXES> {
         self.begun = false;
         self.set(Self::EVENT, None);
         let mut undone = Undone { events: 0, net: [0; AXES], fault: false };

@@ -23,6 +23,8 @@
 //! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM2: the streams' counts differ.
 //! * A request from before would be served at once: TIM1 is reset before each begin.
 //! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.
+//! * A stream to a peripheral holds the next word from the moment it is on: that of the beam is switched on once more for each power, and one
+//!   power is armed at a time. What is written to TIM3 at its moment acts at once.
 //!
 //! Emulated; no bench has confirmed it yet.
 
@@ -483,10 +485,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         agree
     }
 
-    /// No event begins after this. Gives how many were not out, and whether the counts disagree, and has `each` see the words of
-    /// those on each port.
-    pub(super) fn halt(&mut self, mut each: impl FnMut(&[u32; P])) -> (usize, bool) {
-        let (tail, fault) = if self.begun { self.silence() } else { (0, false) };
+    /// After [`Chain::silence`], which gives the tail: how many events were not out. Has `each` see the words of those on each port.
+    pub(super) fn undone(&mut self, tail: usize, mut each: impl FnMut(&[u32; P])) -> usize {
         let mut events = 0;
         let mut at = tail;
         while at != self.head % RING {
@@ -500,13 +500,21 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         (self.begun, self.one_by_one, self.pending) = (false, false, false);
         self.head = 0;
-        (events, fault)
+        events
     }
 
-    /// Ends what has been begun: where the event is that did not come out any more, and whether the counts disagree.
-    fn silence(&mut self) -> (usize, bool) {
+    /// Ends what has been begun, and power if it is to be dark: where the event is that did not come out any more, and whether the
+    /// counts disagree.
+    #[inline(always)]
+    pub(super) fn silence(&mut self, dark: bool) -> (usize, bool) {
+        if !self.begun {
+            return (0, false);
+        }
         write(M::TIM1 + SMCR, IGNORED);
         self.keep_power();
+        if dark {
+            write(M::TIM3 + CCR2, 0);
+        }
         // A request that came right before is served: one of TIM2 that is taken back half-way would stay.
         self.await_served(CCR1);
         write(M::TIM2 + DIER, CALLS);

@@ -239,7 +239,9 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     #[inline(never)]
-    fn halt(&mut self) -> Undone<AXES> {
+    fn halt(&mut self, dark: bool) -> Undone<AXES> {
+        // First of all: what is computed from here on delays nothing.
+        let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
         // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
@@ -249,7 +251,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
                 *mask = (of(steps, axis), of(directions, axis) & !directions[0]);
             }
         }
-        let (events, fault) = self.chain.halt(|words| {
+        let events = self.chain.undone(tail, |words| {
             for (net, masks) in net.iter_mut().zip(&masks) {
                 let (mut stepped, mut negative) = (0, 0);
                 for (word, (step, direction)) in words.iter().zip(masks) {

@@ -391,7 +391,7 @@ impl Step {
     /// Events came so late that the motors may not have followed: to the host the same as segments that come late.
     #[cold]
     fn ran_dry(&mut self) {
-        let Undone { net, fault, .. } = self.output.halt();
+        let Undone { net, fault, .. } = self.halt();
         self.break_off(net, fault);
     }
 
@@ -399,7 +399,7 @@ impl Step {
     #[inline(always)]
     fn go_on(&mut self) {
         if self.output.fault() {
-            let Undone { net, .. } = self.output.halt();
+            let Undone { net, .. } = self.halt();
             self.break_off(net, true);
             return self.call_again();
         }
@@ -421,6 +421,12 @@ impl Step {
         if self.output.ahead() >= LEAST_EVENTS {
             self.latest = None;
         }
+    }
+
+    /// No more events, and no beam.
+    #[inline(always)]
+    fn halt(&mut self) -> Undone<AXES> {
+        self.output.halt(Power::wanted().from_segments || self.beam.armed)
     }
 
     /// In the middle of a motion: no more of it.
@@ -736,7 +742,7 @@ impl Step {
             self.output.call_at(self.out_at());
             return;
         }
-        let Undone { events, net, fault } = self.output.halt();
+        let Undone { events, net, fault } = self.output.halt(false);
         self.beam.marks.clear();
         if self.beam.armed {
             // Whether it has come is not known.
@@ -774,11 +780,11 @@ impl Step {
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        self.beam_off();
-        let undone = self.output.halt();
+        let undone = self.halt();
         let mut net = undone.net;
         // What has not come out at all has moved nothing.
         let is_still = self.is_before_motion() && !undone.fault;
+        self.beam_off();
         if undone.fault {
             // Whatever the stop is for, the place is lost: a stop of its own, before it.
             self.give_up(core::mem::take(&mut net), true);

@@ -10,7 +10,8 @@ Not modelled: other sizes, double-buffer mode, FIFO, priorities of streams other
 
 Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port (ES0287 2.2.11: data may be
 corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
-switched on back to back or for one request, a word of memory changed after it was fetched.
+switched on back to back or for one request, a word of memory changed after it was fetched, a request from before that a
+stream would serve at once when it is switched on.
 """
 
 import functools

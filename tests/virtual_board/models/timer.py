@@ -188,9 +188,9 @@ class Timer(Peripheral):
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
-            # Channel 1 asks for its first word by hand: what it has to do with its flag does not matter there.
-            if channel > 1 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
-                raise Misuse(f"{self.name}: requests of channel {channel} are switched on while its flag is set")
+            # Channel 1 asks for its first word by hand right after it: whether its flag asks, too, does not matter there.
+            if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
+                raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
 
     def _compare(self, channel, at):
         """The event of a channel: its DMA request, and of the first one the trigger that others get."""
