@@ -129,8 +129,10 @@ pub trait StepOutput<const N: usize> {
     fn take(&mut self) -> Due;
     /// Calls the task at a moment; at once if it has passed.
     fn call_at(&mut self, moment: u32);
-    /// The same, for another purpose.
-    fn mark_at(&mut self, moment: u32);
+    /// The same for [`Due::MARK`], and at that very moment power changes to this one, whatever the processor is doing; if the moment has
+    /// passed, at once. One such moment is kept, the last that was given. What is set by [`StepOutput::set_power`] before it, or a
+    /// [`StepOutput::halt`], takes the change back, and not the call.
+    fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Directions of the events that are committed from here on; a set bit means negative.
     fn direct(&mut self, directions: u8);
@@ -152,8 +154,9 @@ pub trait StepOutput<const N: usize> {
     fn begin(&mut self, one_by_one: bool) -> u32;
     /// Whether the parts that count events disagree, or have failed, while events are put out.
     fn fault(&self) -> bool;
-    /// No event begins after this. A pulse that is out gets its full length.
-    fn halt(&mut self) -> Undone<N>;
+    /// No event begins after this, and no change of power comes; `dark`: power is 0 right after it, if events had begun. A pulse that is out gets
+    /// its full length.
+    fn halt(&mut self, dark: bool) -> Undone<N>;
 
     /// At rest: which outputs are inverted (bit set) and what the second motor does.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
@@ -161,7 +164,7 @@ pub trait StepOutput<const N: usize> {
     fn set_pulse(&mut self, tenths: u16);
     /// The frequency of the spindle's PWM, and the power that stays in force.
     fn set_pwm(&mut self, hz: u32, power: u16);
-    /// The power of spindle or laser, 0 to 65535.
+    /// The power of spindle or laser, 0 to 65535, from now on.
     fn set_power(&mut self, power: u16);
     /// Whether the probe's pin is low, unfiltered.
     fn probe_low(&self) -> bool;

@@ -266,7 +266,8 @@ impl StepOutput<AXES> for StepPins {
         self.set(Self::MORE, Some(moment));
     }
 
-    fn mark_at(&mut self, moment: u32) {
+    /// Power is not recorded.
+    fn mark_at(&mut self, moment: u32, _power: Option<u16>) {
         self.set(Self::MARK, Some(moment));
     }
 
@@ -324,7 +325,7 @@ impl StepOutput<AXES> for StepPins {
         false
     }
 
-    fn halt(&mut self) -> Undone<AXES> {
+    fn halt(&mut self, _dark: bool) -> Undone<AXES> {
         self.begun = false;
         self.set(Self::EVENT, None);
         let mut undone = Undone { events: 0, net: [0; AXES], fault: false };

@@ -10,6 +10,7 @@
 //!        │                                     CC4 (CC2) ─▶ DMA2 ─▶ BSRR   step off, $0 later; of two ports the first
 //!        └─▶ DMA1 S5 ─▶ TIM2_CCR1: the moment of the next event
 //!   CC2, CC3: calls at a moment   CC4: calls by software
+//!        CC3 ─▶ DMA1 S1 ─▶ TIM3_CCR2: the power of a beam at the step that begins its segment
 //! ```
 //! Moments are absolute, so no error adds up; and an event that was not committed in time has no moment: behind the last one
 //! is a moment that is just past, which the counter comes to after 2^32 ticks. So pulses end by themselves when nothing
@@ -26,6 +27,8 @@
 //! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM2: the streams' counts differ.
 //! * A request from before would be served at once: TIM1 is reset before each begin.
 //! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.
+//! * A stream to a peripheral holds the next word from the moment it is on: that of the beam is switched on once more for each power, and one
+//!   power is armed at a time. What is written to TIM3 at its moment acts at once.
 //!
 //! Emulated; no bench has confirmed it yet.
 
@@ -87,6 +90,9 @@ const fn flags_at(stream: usize) -> u32 {
 /// The stream of the moments, and its channel.
 const MOMENTS: usize = 5;
 const MOMENTS_CHANNEL: u32 = 3 << 25;
+/// The stream of the beam's power, and its channel. It waits for that of the moments.
+const BEAM: usize = 1;
+const BEAM_CHANNEL: u32 = 3 << 25;
 /// Channel of TIM1's compare events.
 const EDGES_CHANNEL: u32 = 6 << 25;
 
@@ -116,6 +122,8 @@ const ONE_PULSE: u32 = 1 << 3;
 pub(super) const COMPARE_PULSE: u32 = 0b011 << 4;
 /// DIER of TIM2: the DMA request of channel 1.
 const ASKS_FOR_MOMENT: u32 = 1 << 9;
+/// DIER of TIM2: the DMA request of channel 3.
+const ASKS_FOR_POWER: u32 = 1 << 11;
 /// DIER of TIM2: what calls at any time.
 pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
 /// RCC: reset of APB2, TIM1's bit.
@@ -130,11 +138,13 @@ pub struct Rings<const P: usize> {
     moments: [u32; RING],
     /// All pulses end.
     off: [u32; P],
+    /// The next compare value of the PWM.
+    power: u32,
 }
 
 impl<const P: usize> Rings<P> {
     /// Empty.
-    pub const EMPTY: Self = Rings { words: [[0; RING]; P], moments: [0; RING], off: [0; P] };
+    pub const EMPTY: Self = Rings { words: [[0; RING]; P], moments: [0; RING], off: [0; P], power: 0 };
 }
 
 /// The chain on `P` ports.
@@ -158,18 +168,20 @@ const fn stream(dma: usize, number: usize) -> usize {
     dma + STREAMS + STREAM_SIZE * number
 }
 
-/// Makes it start with no pulse out, and puts no edge out after it. For a program that ends: nothing is counted any more.
+/// Makes it start with no pulse out, and puts no edge and no power out after it. For a program that ends: nothing is counted any more.
 #[cfg(feature = "stm32f4")]
+#[inline(never)]
 pub(super) fn cut<M: Map>() {
     write(M::TIM1 + SMCR, 0);
     write(M::TIM1 + CR1, 0);
-    for number in [1, 2, 4, 6] {
-        write(stream(M::DMA2, number) + CR, 0);
+    let streams = [(M::DMA1, BEAM), (M::DMA2, 1), (M::DMA2, 2), (M::DMA2, 4), (M::DMA2, 6)];
+    for (dma, number) in streams {
+        write(stream(dma, number) + CR, 0);
     }
-    for number in [1, 2, 4, 6] {
+    for (dma, number) in streams {
         // A write under way ends before the stream is off. A stream that never ends would be the last thing to wait for.
         let mut looks = SERVED_CYCLES;
-        while read(stream(M::DMA2, number) + CR) & EN != 0 && looks > 0 {
+        while read(stream(dma, number) + CR) & EN != 0 && looks > 0 {
             looks -= 1;
         }
     }
@@ -208,13 +220,49 @@ impl<M: Map, const P: usize> Chain<M, P> {
         due
     }
 
-    /// Sets the moment of a compare channel that calls. The moment before, if it has come meanwhile, calls no more.
+    /// Sets the moment of the call for more. The moment before, if it has come meanwhile, calls no more.
     #[inline(always)]
-    pub(super) fn call_at(&mut self, what: Due, moment: u32) {
-        write(M::TIM2 + if what == Due::MORE { CCR2 } else { CCR3 }, moment);
-        write(M::TIM2 + SR, !what.0);
+    pub(super) fn call_at(&mut self, moment: u32) {
+        write(M::TIM2 + CCR2, moment);
+        write(M::TIM2 + SR, !Due::MORE.0);
         if read(M::TIM2 + CNT).wrapping_sub(moment) as i32 >= 0 {
-            write(M::TIM2 + EGR, what.0);
+            write(M::TIM2 + EGR, Due::MORE.0);
+        }
+    }
+
+    /// The same of a mark; with a power, its event makes DMA1 write it.
+    ///
+    /// There is one event for each moment, and so one request: the flag is cleared while none can come, and where the moment has passed
+    /// before it was set, as the flag tells, the event is made by hand. It asks for the same word.
+    pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
+        self.keep_power();
+        write(M::TIM2 + CCR3, read(M::TIM2 + CNT).wrapping_sub(1));
+        write(M::TIM2 + SR, !Due::MARK.0);
+        if let Some(power) = power {
+            self.rings.power = power;
+            // DMA reads what has been written: the word is fetched as the stream is switched on.
+            compiler_fence(Ordering::SeqCst);
+            let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
+            switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, how);
+            write(M::TIM2 + DIER, read(M::TIM2 + DIER) | ASKS_FOR_POWER);
+        }
+        write(M::TIM2 + CCR3, moment);
+        if read(M::TIM2 + CNT).wrapping_sub(moment) as i32 >= 0 && read(M::TIM2 + SR) & Due::MARK.0 == 0 {
+            write(M::TIM2 + EGR, Due::MARK.0);
+            // Of this request no moment tells.
+            cortex_m::asm::delay(SERVED_CYCLES);
+        }
+    }
+
+    /// DMA writes no power after this. A request that is about to come is served before: one that is taken back half-way, or that no
+    /// stream takes, would stay, and the next power come too soon.
+    #[inline(never)]
+    pub(super) fn keep_power(&mut self) {
+        let asks = read(M::TIM2 + DIER);
+        if asks & ASKS_FOR_POWER != 0 {
+            self.await_served(CCR3);
+            write(M::TIM2 + DIER, asks & !ASKS_FOR_POWER);
+            write(stream(M::DMA1, BEAM) + CR, 0);
         }
     }
 
@@ -317,9 +365,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         compiler_fence(Ordering::SeqCst);
     }
 
-    /// Waits until no request for a moment is under way, nor soon will be: moments are further apart than this takes.
-    fn await_served(&self) {
-        let moment = read(M::TIM2 + CCR1);
+    /// Waits until no request of a compare channel is under way, nor soon will be: moments are further apart than this takes.
+    fn await_served(&self, channel: usize) {
+        let moment = read(M::TIM2 + channel);
         // A look takes a tick at least.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM2 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
@@ -375,7 +423,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
                 return put_off;
             }
             // It has passed, or would before TIM1 listens: nothing has come out, and all of it comes later by as much.
-            self.await_served();
+            self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
             let by = again.wrapping_sub(left);
@@ -441,10 +489,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         agree
     }
 
-    /// No event begins after this. Gives how many were not out, and whether the counts disagree, and has `each` see the words of
-    /// those on each port.
-    pub(super) fn halt(&mut self, mut each: impl FnMut(&[u32; P])) -> (usize, bool) {
-        let (tail, fault) = if self.begun { self.silence() } else { (0, false) };
+    /// After [`Chain::silence`], which gives the tail: how many events were not out. Has `each` see the words of those on each port.
+    pub(super) fn undone(&mut self, tail: usize, mut each: impl FnMut(&[u32; P])) -> usize {
         let mut events = 0;
         let mut at = tail;
         while at != self.head % RING {
@@ -458,14 +504,23 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         (self.begun, self.one_by_one, self.pending) = (false, false, false);
         self.head = 0;
-        (events, fault)
+        events
     }
 
-    /// Ends what has been begun: where the event is that did not come out any more, and whether the counts disagree.
-    fn silence(&mut self) -> (usize, bool) {
+    /// Ends what has been begun, and power if it is to be dark: where the event is that did not come out any more, and whether the
+    /// counts disagree.
+    #[inline(always)]
+    pub(super) fn silence(&mut self, dark: bool) -> (usize, bool) {
+        if !self.begun {
+            return (0, false);
+        }
         write(M::TIM1 + SMCR, IGNORED);
+        self.keep_power();
+        if dark {
+            write(M::TIM3 + CCR2, 0);
+        }
         // A request that came right before is served: one of TIM2 that is taken back half-way would stay.
-        self.await_served();
+        self.await_served(CCR1);
         write(M::TIM2 + DIER, CALLS);
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();
@@ -485,6 +540,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
 }
 
 /// Programs a stream and switches it on, in direct mode as after a reset; `peripheral` and `memory` as the manual names the ports.
+#[inline(never)]
 fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, how: u32) {
     let at = stream(dma, number);
     write(at + CR, 0);

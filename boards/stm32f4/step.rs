@@ -148,6 +148,13 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
         pins
     }
 
+    /// The compare value of the PWM.
+    fn compare(&self, power: u16) -> u32 {
+        // 65535 becomes 65536/65536: fully on.
+        let share = u32::from(power) + u32::from(power >> 15);
+        (share * self.pwm_period) >> 16
+    }
+
     fn write_ports(&self, words: [u32; P]) {
         for (port, word) in self.ports.into_iter().zip(words) {
             write_bsrr::<M>(port, word);
@@ -172,12 +179,12 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(always)]
     fn call_at(&mut self, moment: u32) {
-        self.chain.call_at(Due::MORE, moment);
+        self.chain.call_at(moment);
     }
 
-    #[inline(always)]
-    fn mark_at(&mut self, moment: u32) {
-        self.chain.call_at(Due::MARK, moment);
+    #[inline(never)]
+    fn mark_at(&mut self, moment: u32, power: Option<u16>) {
+        self.chain.mark_at(moment, power.map(|power| self.compare(power)));
     }
 
     fn direct(&mut self, directions: u8) {
@@ -235,7 +242,9 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     #[inline(never)]
-    fn halt(&mut self) -> Undone<AXES> {
+    fn halt(&mut self, dark: bool) -> Undone<AXES> {
+        // First of all: what is computed from here on delays nothing.
+        let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
         // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
@@ -245,7 +254,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
                 *mask = (of(steps, axis), of(directions, axis) & !directions[0]);
             }
         }
-        let (events, fault) = self.chain.halt(|words| {
+        let events = self.chain.undone(tail, |words| {
             for (net, masks) in net.iter_mut().zip(&masks) {
                 let (mut stepped, mut negative) = (0, 0);
                 for (word, (step, direction)) in words.iter().zip(masks) {
@@ -291,16 +300,16 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
-        self.set_power(power);
+        // At rest DMA has none to write.
+        write(M::TIM3 + CCR2, self.compare(power));
         // Restarts the counter: the prescaler is taken over, and the counter cannot be beyond its end.
         write(M::TIM3 + EGR, 1);
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn set_power(&mut self, power: u16) {
-        // 65535 becomes 65536/65536: fully on.
-        let share = u32::from(power) + u32::from(power >> 15);
-        write(M::TIM3 + CCR2, (share * self.pwm_period) >> 16);
+        self.chain.keep_power();
+        write(M::TIM3 + CCR2, self.compare(power));
     }
 
     #[inline(always)]

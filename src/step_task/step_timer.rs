@@ -192,6 +192,8 @@ struct Beam {
     power: u16,
     made: u16,
     shown: u16,
+    /// The first of the changes comes by itself, at its moment.
+    armed: bool,
 }
 
 impl Beam {
@@ -244,7 +246,7 @@ impl Step {
             unsent: Unsent { touched: false, underrun: None, stopped: None },
             wake,
             begins: Begins { moments: [0; MARKS], first: 0, len: 0 },
-            beam: Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0 },
+            beam: Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0, armed: false },
             probe_invert: false,
             stops_done: 0,
         }
@@ -259,7 +261,7 @@ impl Step {
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
-        if due.has(Due::MARK) {
+        if due.has(Due::MARK) && !matches!(self.state, State::Preparing(_)) {
             self.mark();
         }
         if due.has(Due::OUT) {
@@ -370,6 +372,7 @@ impl Step {
             let by = self.output.begin(self.one_by_one);
             self.put_off(moment, by);
             self.count_anew();
+            self.arm();
         } else if is_late && !is_all {
             // Nothing is ahead yet: a little later there is, or once more segments have come.
             let waits = self.latest.is_none() && self.stepper.lacks_segment();
@@ -396,15 +399,12 @@ impl Step {
         for (at, _) in self.beam.marks.iter_mut() {
             *at = at.wrapping_add(by);
         }
-        if let Some((at, _)) = self.beam.marks.front() {
-            self.output.mark_at(*at);
-        }
     }
 
     /// Events came so late that the motors may not have followed: to the host the same as segments that come late.
     #[cold]
     fn ran_dry(&mut self) {
-        let Undone { net, fault, .. } = self.output.halt();
+        let Undone { net, fault, .. } = self.halt();
         self.break_off(net, fault);
     }
 
@@ -412,7 +412,7 @@ impl Step {
     #[inline(always)]
     fn go_on(&mut self) {
         if self.output.fault() {
-            let Undone { net, .. } = self.output.halt();
+            let Undone { net, .. } = self.halt();
             self.break_off(net, true);
             return self.call_again();
         }
@@ -434,6 +434,12 @@ impl Step {
         if self.output.ahead() >= LEAST_EVENTS {
             self.latest = None;
         }
+    }
+
+    /// No more events, and no beam.
+    #[inline(always)]
+    fn halt(&mut self) -> Undone<AXES> {
+        self.output.halt(Power::wanted().from_segments || self.beam.armed)
     }
 
     /// In the middle of a motion: no more of it.
@@ -462,12 +468,36 @@ impl Step {
         self.beam_off();
     }
 
-    /// No power from segments, until the controller asks for some.
+    /// No power from segments, at once and until the controller asks for some.
     fn beam_off(&mut self) {
         self.beam.off();
         let power = Power::wanted();
         if power.from_segments {
             Power { level: 0, ..power }.want();
+        }
+        if power.from_segments || self.beam.armed {
+            self.set_power(0);
+        }
+    }
+
+    /// Power from now on to the next change, if one is ahead.
+    #[inline(never)]
+    fn set_power(&mut self, level: u16) {
+        self.output.set_power(level);
+        self.beam.shown = level;
+        self.beam.armed = false;
+        self.arm();
+    }
+
+    /// The next change of power comes by itself; it is only noted at its moment if power does not come from segments. What may still be
+    /// put off waits until it is known when it comes.
+    #[inline(never)]
+    fn arm(&mut self) {
+        if let Some((at, power)) = self.beam.marks.front().copied()
+            && !matches!(self.state, State::Preparing(_))
+        {
+            self.beam.armed = Power::wanted().from_segments;
+            self.output.mark_at(at, self.beam.armed.then_some(power));
         }
     }
 
@@ -641,7 +671,7 @@ impl Step {
         if self.beam.marks.push_back((at, power)).is_ok() {
             self.beam.made = power;
             if self.beam.marks.len() == 1 {
-                self.output.mark_at(at);
+                self.arm();
             }
         }
     }
@@ -735,7 +765,12 @@ impl Step {
             self.output.call_at(self.out_at());
             return;
         }
-        let Undone { events, net, fault } = self.output.halt();
+        let Undone { events, net, fault } = self.output.halt(false);
+        self.beam.marks.clear();
+        if self.beam.armed {
+            // Whether it has come is not known.
+            self.set_power(0);
+        }
         if events > 0 || fault {
             self.give_up(net, true);
         }
@@ -745,7 +780,6 @@ impl Step {
         } else {
             self.state = State::Rest;
             self.begins.len = 0;
-            self.beam.marks.clear();
             self.start();
         }
     }
@@ -761,18 +795,15 @@ impl Step {
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.output.now().wrapping_add(soon));
         // The beam is off until then.
-        self.beam.marks.clear();
         self.beam.power = 0;
-        if self.beam.marks.push_back((moment, self.beam.made)).is_ok() {
-            self.output.mark_at(moment);
-        }
+        let _ = self.beam.marks.push_back((moment, self.beam.made));
         self.prepare(moment);
     }
 
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
-        let undone = self.output.halt();
+        let undone = self.halt();
         let mut net = undone.net;
         // What has not come out at all has moved nothing.
         let is_still = self.is_before_motion() && !undone.fault;
@@ -802,16 +833,21 @@ impl Step {
         self.call_again();
     }
 
-    /// The moment of a change of power has come.
+    /// The moment of a change of power has come, and maybe that of others, which come late.
     #[inline(never)]
     fn mark(&mut self) {
-        while let Some((at, power)) = self.beam.marks.front().copied() {
-            if (at.wrapping_sub(self.output.now()) as i32) > 0 {
-                self.output.mark_at(at);
-                return;
-            }
+        let before = self.beam.marks.len();
+        while let Some((at, power)) = self.beam.marks.front().copied()
+            && at.wrapping_sub(self.output.now()) as i32 <= 0
+        {
             self.beam.power = power;
             self.beam.marks.pop_front();
+        }
+        if self.beam.marks.len() < before && Power::wanted().from_segments {
+            // Once more what has come by itself: if it has not, for whatever reason, it comes now.
+            self.set_power(self.beam.power);
+        } else {
+            self.arm();
         }
     }
 
@@ -857,9 +893,8 @@ impl Step {
             (true, State::Rest) | (false, _) => power.level,
             _ => self.beam.power,
         };
-        if level != self.beam.shown {
-            self.output.set_power(level);
-            self.beam.shown = level;
+        if level != self.beam.shown || self.beam.armed && !power.from_segments {
+            self.set_power(level);
         }
     }
 

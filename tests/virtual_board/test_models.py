@@ -366,8 +366,8 @@ class TimerTraces(unittest.TestCase):
             model.write(timer.CCER, 0x0010)
             model.edge(2)
         with self.assertRaises(Unmodelled):
-            # The DMA request of a compare event of another channel than the first.
-            model.write(timer.DIER, 1 << 11)
+            # The DMA request of a compare event of channel 2 or 4.
+            model.write(timer.DIER, 1 << 12)
 
     def test_pwm_duty(self):
         bench = Bench()
@@ -641,6 +641,117 @@ class ChainTraces(unittest.TestCase):
             self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
         self.tim1.reset()
         self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
+
+
+class BeamTraces(unittest.TestCase):
+    """TIM2's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
+
+    POWER, COMPARE = 0x2000_0100, 0x4000_0438
+    HOW = 3 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
+    STREAM = 0x10 + 0x18
+
+    def setUp(self):
+        bench = self.bench = Bench()
+        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
+        self.tim3 = timer.Timer("TIM3", bench, 1, 29, False, 0x4000_0400)
+        self.dma1, = bench.dma = [dma.Dma("DMA1", bench, 21)]
+        self.stores = []
+        bench.store_by_dma = self.store
+        self.tim2.write(timer.CR1, 1)
+
+    def store(self, address, value, at):
+        self.stores.append((at, value))
+        self.assertEqual(address, self.COMPARE)
+        self.tim3.store_by_dma(address & 0x3FC, value, at)
+
+    def until(self, cycle):
+        """Both models, in the order of time."""
+        models = (self.tim2, self.dma1)
+        while (due := min(model.due for model in models)) <= cycle:
+            self.bench.now = max(self.bench.now, due)
+            next(model for model in models if model.due == due).advance(self.bench.now)
+        self.bench.now = cycle
+
+    def switch_on(self, power):
+        self.bench.write_memory(self.POWER, power.to_bytes(4, "little"))
+        for offset, value in ((dma.PAR, self.COMPARE), (dma.M0AR, self.POWER), (dma.NDTR, 128), (dma.CR, self.HOW | 1)):
+            self.dma1.write(self.STREAM + offset, value)
+        self.until(self.bench.now + 20)
+
+    def arm(self, power, moment):
+        self.switch_on(power)
+        self.tim2.write(timer.CCR3, 0xFFFF_FFFF)
+        self.tim2.write(timer.SR, ~8 & 0x1E1F)
+        self.tim2.write(timer.DIER, 1 << 11 | 8)
+        self.tim2.write(timer.CCR3, moment)
+
+    def test_a_power_at_its_moment(self):
+        self.arm(700, 1000)
+        self.until(999)
+        self.assertEqual((self.stores, self.bench.lines.get(28)), ([], False))
+        self.until(1050)
+        # 16 cycles from the match to the store on the APB, and the interrupt right at it.
+        self.assertEqual((self.stores, self.bench.lines[28]), ([(1016, 700)], True))
+        self.assertEqual(self.tim3.read(timer.CCR2), 700)
+        self.until(100_000)
+        self.assertEqual(len(self.stores), 1, "one event is one request")
+
+    def test_an_event_by_hand(self):
+        self.until(2000)
+        self.arm(300, 1000)
+        # It has passed: nothing comes by itself, and the flag says so.
+        self.until(2100)
+        self.assertEqual((self.stores, self.tim2.read(timer.SR) & 8), ([], 0))
+        self.tim2.write(timer.EGR, 8)
+        self.until(2200)
+        self.assertEqual(self.stores, [(2116, 300)])
+
+    def test_another_power_after_it(self):
+        for power, moment in ((700, 1000), (0, 1300)):
+            self.arm(power, moment)
+            self.until(moment + 50)
+            self.tim2.write(timer.DIER, 8)
+            self.dma1.write(self.STREAM + dma.CR, self.HOW)
+        self.assertEqual(self.stores, [(1016, 700), (1316, 0)])
+
+    def test_a_change_that_is_taken_back(self):
+        self.arm(700, 1000)
+        self.until(950)
+        self.tim2.write(timer.DIER, 8)
+        self.dma1.write(self.STREAM + dma.CR, 0)
+        self.until(1100)
+        self.assertEqual((self.stores, self.bench.lines[28]), ([], True), "the call stays")
+
+    def test_what_parts_punish(self):
+        self.arm(700, 1000)
+        self.until(1005)
+        with self.assertRaises(Misuse):
+            # The request is under way.
+            self.tim2.write(timer.DIER, 8)
+        self.until(1050)
+        self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
+        with self.assertRaises(Misuse):
+            # The word has been fetched for the next request.
+            self.dma1.write(self.STREAM + dma.CR, 0)
+        self.bench.write_memory(self.POWER, (700).to_bytes(4, "little"))
+        self.dma1.write(self.STREAM + dma.CR, 0)
+        self.tim2.write(timer.DIER, 8)
+        with self.assertRaises(Misuse):
+            # Whether a part asks at once, as the flag is set, nobody says.
+            self.tim2.write(timer.DIER, 1 << 11 | 8)
+        # A stream that has been switched off leaves its request to the next power, which would come at once.
+        self.arm(200, 2000)
+        self.until(1990)
+        self.dma1.write(self.STREAM + dma.CR, 0)
+        self.until(2050)
+        self.assertEqual(self.stores, [(1016, 700)])
+        with self.assertRaises(Misuse):
+            self.switch_on(400)
+
+    def test_other_channels_are_not_modelled(self):
+        for channel in (2, 4):
+            with self.assertRaises(Unmodelled):
+                self.tim2.write(timer.DIER, 1 << 8 + channel)
 
 
 class IwdgTraces(unittest.TestCase):

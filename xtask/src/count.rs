@@ -66,7 +66,7 @@ const ROWS: [Row; 20] = [
     // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_790, 4_040)),
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (495, 815)),
-    row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_530, 5_830)),
+    row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (660, 1_120))
         .beside("205 / 329", "196 / 313"),

@@ -10,7 +10,8 @@ Not modelled: other sizes, double-buffer mode, FIFO, priorities of streams other
 
 Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port (ES0287 2.2.11: data may be
 corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
-switched on back to back or for one request, a word of memory changed after it was fetched.
+switched on back to back or for one request, a word of memory changed after it was fetched, a request from before that a
+stream would serve at once when it is switched on.
 """
 
 import functools
@@ -26,8 +27,8 @@ TCIF = 1 << 5
 REQUESTS = {
     ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2",
     ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 5, 3): "TIM2_CH1",
+    ("DMA1", 1, 3): "TIM2_CH3", ("DMA2", 4, 6): "TIM1_CH4",
     ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
-    ("DMA2", 4, 6): "TIM1_CH4",
 }  # fmt: skip
 """Who asks, by (controller, stream, channel)."""
 TO_AHB, TO_APB, FETCH, BUSY = 12, 16, 10, 8
@@ -147,7 +148,7 @@ class Dma(Peripheral):
 
     def _check_fetched(self, stream, base):
         held = self.fetched[stream]
-        if held is not None and self._word(self.values[base + M0AR] + 4 * held[0]) != held[1]:
+        if held is not None and self._word(self._place(base, held[0])) != held[1]:
             raise Misuse(f"{self.name}: word {held[0]} of stream {stream} was changed after it had been fetched")
 
     def _word(self, address):
@@ -166,8 +167,11 @@ class Dma(Peripheral):
 
     def _fetch(self, stream, base, index):
         if self.values[base + CR] & EN:
-            address = self.values[base + M0AR] + (4 * index if self.values[base + CR] & MINC else 0)
-            self.fetched[stream] = (index, self._word(address))
+            self.fetched[stream] = (index, self._word(self._place(base, index)))
+
+    def _place(self, base, index):
+        """Where a stream has a word in memory."""
+        return self.values[base + M0AR] + (4 * index if self.values[base + CR] & MINC else 0)
 
     def forget(self, timer):
         """A timer is reset: its requests go."""

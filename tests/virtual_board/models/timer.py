@@ -3,8 +3,8 @@
 Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
 1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
 writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output; capture of both edges of a channel's own pin, with
-its DMA request, and overcapture; the DMA request of channel 1's compare event; that event as the trigger of other timers
-(CR2, MMS = 011).
+its DMA request, and overcapture; the DMA requests of the compare events of channels 1 and 3; that of channel 1 as the trigger
+of other timers (CR2, MMS = 011).
 Not modelled: capture of one edge or of another channel's pin, the delay of synchronizer and filter (the same for every
 edge) and what the filter removes, slave and one-pulse mode (TIM1's are in `pulse.py`), preload of compare registers, other
 triggers, DMA of other channels' compare events and of updates, counting down, edges of PWM outputs.
@@ -145,15 +145,15 @@ class Timer(Peripheral):
                 self._hold(0)
                 self._schedule()
             self.values[SR] |= value
-            if value & 2:
-                self._compare_1(self.board.now)
+            for channel in range(1, 5):
+                if value >> channel & 1:
+                    self._compare(channel, self.board.now)
             self._call()
             return
         if value & ~self.top and offset in (CNT, ARR) + COMPARE:
             raise Misuse(f"{self.name} has 16 bits: {value:#x}")
-        if offset == DIER and self.values[DIER] & ~value & 1 << 9:
-            if any(dma.under_way.get(f"{self.name}_CH1") for dma in self.board.dma):
-                raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
+        if offset == DIER:
+            self._check_requests(self.values[DIER] & ~value, value & ~self.values[DIER])
         before = self.running
         if offset == CNT:
             self._hold(value)
@@ -164,7 +164,7 @@ class Timer(Peripheral):
             self._take_prescaler()
             self.since = self.board.now
         if offset == DIER:
-            if any(value >> 8 + channel & 1 and not self.captures(channel) for channel in range(2, 5)):
+            if any(value >> 8 + channel & 1 and not self.captures(channel) for channel in (2, 4)):
                 raise Unmodelled(f"{self.name}: DMA of a compare event")
             self._call()
         if offset == CR2 and value not in (0, COMPARE_PULSE):
@@ -183,14 +183,23 @@ class Timer(Peripheral):
         self._schedule_flag(COMPARE.index(offset) + 1, at)
         self._plan()
 
-    def _compare_1(self, at):
-        """The event of channel 1: its DMA request, and the trigger that others get."""
-        if self.captures(1):
+    def _check_requests(self, off, on):
+        """DMA requests of compare events are switched off and on."""
+        for channel in range(1, 5):
+            if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
+                raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
+            # Channel 1 asks for its first word by hand right after it: whether its flag asks, too, does not matter there.
+            if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
+                raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
+
+    def _compare(self, channel, at):
+        """The event of a channel: its DMA request, and of the first one the trigger that others get."""
+        if self.captures(channel):
             return
-        if self.values[DIER] >> 9 & 1:
+        if self.values[DIER] >> 8 + channel & 1:
             for dma in self.board.dma:
-                dma.ask(f"{self.name}_CH1", at)
-        if self.values[CR2] == COMPARE_PULSE:
+                dma.ask(f"{self.name}_CH{channel}", at)
+        if channel == 1 and self.values[CR2] == COMPARE_PULSE:
             for slave in self.slaves:
                 slave.trigger(at)
 
@@ -228,8 +237,8 @@ class Timer(Peripheral):
             if at <= now:
                 self.values[SR] |= 1 << flag
                 self._schedule_flag(flag, at)
-                if flag == 1 and self.slaves:
-                    self._compare_1(at)
+                if flag:
+                    self._compare(flag, at)
         self._call()
         self._plan()
 
