@@ -26,6 +26,7 @@ const SIBLING: &[&str] = &[
     "safe rate",
     "tight pulses",
     "hard start",
+    "raster",
     "turns",
     "trips",
     "spindle PWM",
