@@ -506,7 +506,8 @@ def raster_starts(bench):
         return (clock.values[timer.CCR2] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
 
     def start(until_s=None):
-        """When the first step comes after the first segment is to begin, and the power right behind each step."""
+        """When the first step comes after the first segment is to begin, when the first power after that, and the power right behind
+        each step."""
         board.run(seconds=0.002)
         scope, known = Scope(board), len(beam.changes)
         bench.host.send("G91G1X.1F6000M4S1000\n")
@@ -525,16 +526,22 @@ def raster_starts(bench):
             while changes[0][0] < at + BEAM_S * hz:
                 shown = changes.pop(0)[1]
             powers.append(shown)
-        return (steps[0] - first) / hz, powers
+        return (steps[0] - first) / hz, (beam.changes[known][0] - steps[0]) / hz, powers
 
-    planned, usual = start()
+    planned, lights, usual = start()
     delays = []
     for until in (-200, -40, 2, 30):
-        came, powers = start(planned + until * US)
+        came, _, powers = start(planned + until * US)
         delays.append(came - planned)
         if powers != usual:
             step = next(k for k, (a, b) in enumerate(zip(powers, usual, strict=True)) if a != b)
             raise Failure(f"masked until {until} us from the first step: power is {powers[step]} at step {step + 1}, else {usual[step]}")
+    for until in (-4, 4):
+        stand_once(board, until * US)
+        came, early, powers = start()
+        delays.append(came - planned)
+        if powers != usual or early < lights - BEAM_S:
+            raise Failure(f"stood until {until} us from the first event: power comes {us(-early)} before the first step, else {us(-lights)}")
     yield f"{len(delays)} starts with interrupts masked, put off by {us(min(delays))} to {us(max(delays))}: each of {len(usual)} steps with its power"
     if max(delays) < US or len(set(usual)) < 5:
         raise Failure("no start was put off, or power was always the same: this proves nothing")
@@ -547,7 +554,7 @@ def raster_stops(bench):
     clock, beam, worst, near, takes = board.peripherals["TIM2"], BeamWatch(board), {}, [], None
     # The host's line is free again before the first of these pixels.
     row = "G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
-    for k in range(15):
+    for k in range(13):
         what = "emergency stop" if k % 5 == 4 else "0x18"
         bench.ask("$X")
         bench.host.send(row)
@@ -563,7 +570,7 @@ def raster_stops(bench):
         moment = board.now + away()
         if what == "0x18":
             # The last bit of a byte is read 9.5 bits after it begins. From there it takes as long as it took at least so far.
-            lead = 10 * US * hz if takes is None else takes + 140 - 25 * k
+            lead = 10 * US * hz if takes is None else takes + 140 - 30 * k
             heard = bench.host.send(b"\x18", at=moment - 9.5 / 115_200 * hz - lead)
         else:
             board.run(seconds=random.uniform(0, 400) * US)
@@ -583,7 +590,9 @@ def raster_stops(bench):
             board.run(seconds=0.001)
             bench.host.send("\x18")
         board.run(seconds=0.001)
-    yield f"off at most {us(worst['0x18'])} after 0x18, {us(worst['emergency stop'])} after the contact of an emergency stop, and nothing behind it"
+    yield (
+        f"off at most {us(worst['0x18'])} after 0x18, {us(worst['emergency stop'])} after the contact of an emergency stop, and nothing behind it"
+    )
     if not any(-200 < cycles < 0 for cycles in near) or not any(0 < cycles < 200 for cycles in near):
         raise Failure("no stop came right before a change, or right behind one: this proves nothing")
     if worst["0x18"] > STOP_S + RUN_CYCLES / hz or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
@@ -881,6 +890,21 @@ def masked_long(bench):
         raise Failure(f"X{told} is told after {counted} steps")
 
 
+def stand_once(board, until):
+    """The processor stands as the next motion is about to begin, until so long after the first event."""
+    tim2, moments = board.peripherals["TIM2"], board.dma[0]
+    write = moments.write
+
+    def and_stand(offset, value):
+        write(offset, value)
+        if offset == 0x10 + 0x18 * 5 + M0AR:
+            moments.write = write
+            away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / board.clocks[-1][2]
+            board.stall(away + until)
+
+    moments.write = and_stand
+
+
 def late_starts(bench):
     """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
     bench.boot()
@@ -888,21 +912,6 @@ def late_starts(bench):
     fast(bench, 10_000)
 
     tim2, hz = board.peripherals["TIM2"], bench.wiring.core_hz
-
-    moments = board.dma[0]
-
-    def stand_once(until):
-        """The processor stands as it is about to begin, until so long after the first event."""
-        write = moments.write
-
-        def and_stand(offset, value):
-            write(offset, value)
-            if offset == 0x10 + 0x18 * 5 + M0AR:
-                moments.write = write
-                away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
-                board.stall(away + until)
-
-        moments.write = and_stand
 
     def start(before_s=None, masked_s=0.0, stands_until=None):
         """How long after the first event the first step comes."""
@@ -919,7 +928,7 @@ def late_starts(bench):
         begin = away() + 450 * US
         moment = board.now + begin * hz
         if stands_until is not None:
-            stand_once(stands_until)
+            stand_once(board, stands_until)
         if before_s is not None:
             board.run(seconds=begin - before_s)
             board.mask(masked_s)

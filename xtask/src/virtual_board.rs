@@ -28,6 +28,7 @@ const SIBLING: &[&str] = &[
     "pulses",
     "safe rate",
     "hard start",
+    "raster",
     "turns",
     "trips",
     "spindle PWM",
