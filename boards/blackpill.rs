@@ -1,7 +1,8 @@
-//! What the WeAct Black Pills V2/V3 share, with STM32F411CE or STM32F401CC. `setup` assigns the pins of ports A and B
-//! (`pb7`, `pa15`), takes the clocks from a 25 MHz crystal, and puts the `Parts` together: `StepPins<1>` with all step
-//! pins on one port, `USART1`, and the `UsbPort` on OTG_FS, which the Nucleo boards do not have. Compare the drawing
-//! with the print on yours before you wire it.
+//! What the WeAct Black Pills V2/V3 share, with STM32F411CE or STM32F401CC. `setup` takes the `pac` `device` of an
+//! STM32F4, assigns the pins of ports A and B (`pb7`, `pa15`, `split`), takes the clocks (`rcc`, `Config`, `PWR`,
+//! `require_pll48clk`) from a 25 MHz crystal, and puts the `Parts` together: `StepPins<1>` with all step pins on one
+//! port, `USART1` (`SerialPort`, `tx`, `rx`), and the `UsbPort` on OTG_FS, which the Nucleo boards do not have. Compare
+//! the drawing with the print on yours before you wire it.
 //!
 //! ```text
 //!                              ┌──[USB-C]──┐

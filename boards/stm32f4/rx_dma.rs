@@ -1,6 +1,8 @@
 //! Received bytes while the processor is stalled by a flash operation: `shelter` has a DMA stream (`par`, `m0ar`,
 //! `ndtr`) copy what a USART receives into RAM, up to `ROOM` bytes, while the `work` is done, and notes their `END`;
-//! `Taken` gives them out afterwards. `Sheltered` names the stream of each USART.
+//! `Taken` gives them out afterwards. `Sheltered` names the stream of each USART. It reads and writes the
+//! `RegisterBlock` raw (`w`, `CR`, `LIFCR`, `HIFCR`), a stream of DMA1 or `DMA2` by `switch_on`, and its atomics are
+//! `Relaxed`.
 //!
 //! ```text
 //!  USART ──byte──▶ interrupt ──▶ serial task           always

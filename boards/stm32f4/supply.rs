@@ -1,6 +1,8 @@
 //! The supply of an STM32F4: `full_core_voltage` sets the scale of the core's own, `watch_voltage` has the programmable
 //! voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls, and `restart` waits until
-//! `voltage_is_low` no more, for `RISE_MS`, before it resets.
+//! `voltage_is_low` no more, for `RISE_MS`, before it resets. `PWR` is clocked (`apb1enr`, `pwren`, `modify(|_, w|
+//! w..set_bit())`), `pls` and `pvde` switch the detector on, `pvdo` is its bit; the vector has the `export_name` `PVD`
+//! or, on F401, `EXTI16_PVD`.
 
 use super::safe_state;
 use core::cell::Cell;

@@ -2,7 +2,9 @@
 //! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received` packet,
 //! what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some OTG
 //! registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. What a closed port still
-//! sends is dropped.
+//! sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
+//! `enable_endpoint` sets `ENABLED_AGAIN`; `is_configured`, `dtr` and `LATE_BYTES_TICKS` tell whether a host listens,
+//! and setting it up twice is `unreachable!`.
 //!
 //! ```text
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it

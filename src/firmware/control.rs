@@ -1,8 +1,11 @@
-//! The control task: carries to the controller what other tasks have queued in its `Ends` of the channels, and carries
-//! out what it decides, in the order of [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by
-//! `Source` (hosts that came and went, owed commands, realtime, signals, step events), `next_line_byte` from `LINES` or
-//! a preloaded `Job`, `observe`, `record`, `make_room`, and `carry` for each `Output` (segments, replies, wakeup,
-//! pins). It also sends `unsent_wiring`, and `erases` flash when nothing waits.
+//! The control task: carries to the controller (`BoardController`) what other tasks have queued in its `Ends` of the
+//! channels (`Receiver`s, `Sender`s, `step_wiring`, `input_wiring`), and carries out what it decides, in the order of
+//! [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by `Source` (hosts that came and went, owed
+//! commands, realtime, signals, step events), `next_line_byte` from the lines (`line_bytes_out`, `lines_in`) or a
+//! preloaded `Job`, `observe` (`Observed`: `arrived`, `received`, `heard`, `step_idle`, loaded from `SERIAL` and `STEP`
+//! with `Ordering::Relaxed`), `record` by the `recorder`, `make_room`, and `carry` for each `Output` (segments,
+//! replies, wakeup, `ReadPins`, `clear_noise`). A `turn` notes when the `round_began` and its place; it sends
+//! `unsent_wiring`, and `erase_ahead` erases flash when `nothing_waits`.
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;

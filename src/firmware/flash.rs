@@ -1,6 +1,7 @@
 //! The `Settings` store of the firmware: opens the `Log` of `oxmill-store` in the board's flash and restores each
 //! `Record` into the controller, stores a change, finds a `record` by number, and erases a sector before it is needed
-//! (`wants_erase`, `wants_erase_soon`), unless the flash is `worn`: one erase has failed.
+//! (`wants_erase`, `wants_erase_soon`), unless the flash is `worn`: one erase has failed. `defmt` logs what cannot be
+//! stored or found; a number is found by `seek`.
 //!
 //! A write is a few words and is made when the controller asks for it. An erase deafens the processor for a quarter of a
 //! second on the STM32 boards, so it is made ahead of need and only when the caller says that nothing moves, turns, burns

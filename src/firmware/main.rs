@@ -1,7 +1,7 @@
 //! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`step`, `serial`, `usb`,
 //! `inputs`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
 //! calls `startup`, `control` waits to be `woken`, `idle` watches the stack. This file is the wiring diagram and
-//! nothing else.
+//! nothing else. Each task takes its context `cx`.
 #![no_std]
 #![no_main]
 #![allow(unsafe_op_in_unsafe_fn, clippy::undocumented_unsafe_blocks, reason = "code that RTIC generates in this file")]

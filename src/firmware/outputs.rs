@@ -1,5 +1,6 @@
 //! `Outputs` writes the outputs that change slowly (`SlowOutputs` to `SlowLevels`): driver enable with its
-//! `enable_invert`, spindle and `spindle_reversed`, coolant, outputs of programs.
+//! `enable_invert`, spindle and `spindle_reversed`, coolant, outputs of programs. `show` writes what is `wanted`:
+//! `drivers`, `flood`, `mist`, `digital`.
 
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};

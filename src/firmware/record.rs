@@ -1,6 +1,7 @@
 //! The last words before a reset, in RAM that the start-up code leaves alone (`.uninit`): `keep` writes a `Kept` record
 //! with `mark`, `kind`, `text`, `place`, `line`, `moment` and a Fletcher `sum`, and `take` gives it back as a `Crash`.
-//! The pages of the `recorder`, the recording of what came in, are there as well.
+//! The pages of the `recorder`, the recording of what came in, are there as well. Numbers are put as bytes
+//! (`to_le_bytes`, `flat_map`), `fmt::Write` cuts a long text.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host

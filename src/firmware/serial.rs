@@ -1,7 +1,9 @@
 //! The links to the host. `Serial` runs two `Ported` links, `uart` and `usb`: each takes bytes from its `port`, and a
 //! `Link` splits them into realtime commands and bytes of lines, which `ToControl` puts into its `queues`. The
 //! `HostArbiter` decides which link has the machine. `sending` is the `Chunk` of answers that goes out, to
-//! `sending_to`. Commands that find no room may be owed (`may_owe`), and bytes are held (`USB_HELD`).
+//! `sending_to`. Commands that find no room may be owed (`may_owe`), and bytes are held (`USB_HELD`). Other tasks hear
+//! through `SERIAL` (`Ordering::Relaxed` counters), `Sender` and `Receiver` of each `LineByte`; `to_usb` and the
+//! `holder` say who is answered.
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART

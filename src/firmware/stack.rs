@@ -1,4 +1,5 @@
-//! `Watch` looks from time to time how deep the stack has been, and logs it when the depth has grown.
+//! `Watch` looks from time to time how deep the stack has been, and logs it when the depth has grown. It is `looked` at
+//! by `clock_ticks` while the step task is `at_rest`, and `defmt::info!` writes `used` of `size`.
 
 use crate::boards::{self, stack};
 use crate::shared::STEP;

@@ -1,6 +1,6 @@
 //! `Supervisor` sees to it that every task still does its work: it asks step, serial and control ten times a second
 //! (`PERIOD`), and feeds the hardware `Watchdog` only when all have answered. A task `unanswered` for longer than
-//! `PATIENCE` is `stuck`, which is a failure.
+//! `PATIENCE` is `stuck`, which is a failure. `ASKED`, `STEP_ASKED` and `wants` are loaded and stored `Relaxed`.
 //!
 //! ```text
 //!  step, serial, control ──each run wipes its mark out──┐

@@ -1,8 +1,11 @@
-//! A board's recording, as `$REC` has listed it, played into the simulator, and whether the simulator parts from the
-//! board or why it cannot be played (`Arrival` with notes). What was told is first put in order: stops behind their
-//! reset (`ordered_stops`), begins of lines. `Playing` brings the recorded state about, sends bytes and inputs at their
-//! time, earlier or later by the `slack`, and meets the places where the board was cut off or stopped; it compares
-//! counters, blocks and `Standing` here and there at each rest.
+//! A board's recording, as `$REC` has listed it, played into the simulator, and whether the simulator has `parted` from
+//! the board or why it cannot be played (`Arrival` with notes). What was `Told` or `Noted` is first put in order
+//! (`in_order`, `ordered`): stops (`is_stop`, `0x18`, `tripped` inputs) behind their reset, begins of lines
+//! (`is_of_line`, `is_begin`). `Playing` brings the recorded state about (`begin_of`, `stand`), sends bytes and inputs
+//! (`set_pins`, `active ^ inverted`, connect, disconnect) at their time plus a `shift`, earlier or later by the `slack`
+//! (`SLACK_PARTS` of `hz`), and meets the places where the board was cut off or stopped (`Stopping`) with a clone that
+//! runs `ahead` until it `is_there`, then `advance`s the `clock`; it compares counters (`as_on_board`), blocks and
+//! `Standing` `here` at each rest.
 //!
 //! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
 //! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,

@@ -1,8 +1,11 @@
-//! `Check`: a job text through the controller, a number of rounds at a time, and the report about it. `Outcome`
-//! collects refused lines with their advice, what was said, notes and the alarm with its code; a pause is ended by
-//! cycle start, and a block left open is an error. `summary` puts the meter's times (feed, rapid, dwell, spin-up,
-//! tools), steps, pulses, distances, extents, peaks and hashes together. It uses no files, threads or clock of the
-//! host; whoever drives it shows the progress.
+//! `Check`: a `JobText` through the controller, a number of rounds at a time (`advance`, `run_slice`), and the report
+//! about it. `Outcome` collects refused lines (`LineError`, `KEPT_ERRORS`) with their advice, what was `Said`
+//! (`KEPT_MESSAGES`), notes and the alarm with its code (`AlarmReport`); a pause is ended by `CycleStart` and noted at
+//! the `oldest_unanswered` line, and a block left open (`open_since`, `look_for_open_block`) is an error; `behind_end`
+//! counts lines after M2 or M30. `summary` puts what the meter `measured` and its times (`ToolTime`: feed, rapid,
+//! dwell, spin-up), steps since `began_at`, pulses, distances, extents (`named`), peaks (`to_vec`, rounded) and the
+//! hashes of the `trace` (`{:016x}`) together. It uses no files, threads or clock of the host; whoever drives it shows
+//! the progress.
 
 use crate::advice;
 use crate::boards::AXES;

@@ -1,6 +1,9 @@
 //! The host's end of the link: bytes wait in its port, the boards' own `Link` fetches them, and the queues of realtime
 //! commands and line bytes (`ToControl`) follow; a second link is unused. A host can connect, disconnect, lose bytes
-//! and be silent; tells what is received, heard and unread.
+//! and be silent; tells what is received, heard and unread. The `arbiter` of hosts is asked by `pass_on`, `command` and
+//! when the link `went`; realtime commands and each `LineByte` are in a `VecDeque` (`push_back`, `pop_front`) with its
+//! depth as room; `fetch` is told whether the `controller_is_free`, and `next_event` gives `Disconnected` or
+//! `Connected`.
 //!
 //! ```text
 //!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task

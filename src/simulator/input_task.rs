@@ -1,6 +1,7 @@
 //! The input task: the boards' own filter and polarity, sampled at the moment that is due, over pins that a hand moves
 //! and the machine's contacts. It counts the noise of each input that the filter rejected, and tells whether an armed
 //! input stops the step task. `sample_due` is the next moment; contacts are settled once they are steady.
+//! `sample_contacts` and `sample_at` a tick note what is `sensed`; `set_hand` is what the hand holds.
 
 use crate::clock::Clock;
 use crate::fittings::Fittings;

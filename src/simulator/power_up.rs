@@ -1,5 +1,7 @@
 //! A simulator as its user wants it: a board by its name, the `Dialect` (Grbl, Oxmill, seed), and settings `n=v` that
-//! are applied as if a host had sent them (`apply_setting`), or why one was refused.
+//! are applied as if a host had sent them (`apply_setting`), or why one was refused. `SettingRefused` is
+//! `NoAssignment`, an `Error(code)` with its `error_text`, or `PowerGone`; `assignment` is the `$n=v` of a dialect
+//! (`by_name`), and `board_named` lists the boards.
 
 use crate::boards::{self, Board};
 use crate::simulator::Simulator;

@@ -1,8 +1,12 @@
-//! `serve`: the simulator as a Grbl device on TCP, a pseudo terminal (`pty`, its `master`) or standard input and
-//! output. Threads read a stream into the `Inbox` of each `Client` and write its answers; what `happened` comes to the
-//! `Device` loop through a channel (`sender`, `receiver`): an `Incoming` link to admit, turn away or keep waiting, one
-//! that has `hung_up`, and lines that move pins. It fetches bytes for the simulator and lets virtual time pass. Also
-//! `poll`, time-outs, keep-alive, and notice of what went unrecorded.
+//! `serve`: the simulator as a Grbl device on TCP (`listen`, `TcpListener`, `address`), a pseudo terminal (`pty`, its
+//! `master`) or standard input and output. Threads read a stream, a `PIECE` at a time, into the `Inbox` of each
+//! `Client` (its `state`, `LONGEST_LINE`, `AHEAD`) and write its answers; what `happened` comes to the `Device` loop
+//! through a channel (`sender`, `receiver`): an `Incoming` `Connection` (`Program`, or `Page` with its socket) to
+//! admit, to turn away (`TURNED_AWAY`) or to keep waiting, of as many as there are `Places`, one that has `hung_up`,
+//! `ended` or is `closed`, and lines that move pins (`PIN_LINE`, `PIN_BUFFER`). It records each `Input`, sends bytes to
+//! the simulator, and lets virtual time pass in a `SLICE` from its `anchor`, at a `Speed`. Also `poll`, time-outs
+//! (`Duration::from_secs`, `from_millis`, `UNREAD`), keep-alive (`target_os = "linux"`), and notice of what went
+//! `UNRECORDED`.
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.

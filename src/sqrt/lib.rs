@@ -1,4 +1,5 @@
-//! The square root of an `f32`: one instruction (`vsqrt`) on the processors of the boards, `libm`'s elsewhere.
+//! The square root of an `f32`: one instruction (`vsqrt`) on the processors of the boards, `libm`'s elsewhere. The
+//! choice is by `target_arch = "arm"`, `target_abi = "eabihf"` and `target_os`.
 //!
 //! IEEE 754 rounds it correctly, so the instruction and the library give the same bits for every number and results do
 //! not depend on the machine. It is a crate of its own because the instruction needs `unsafe`, which the controller

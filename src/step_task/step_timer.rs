@@ -1,9 +1,12 @@
-//! The step task. `Step` receives `segments` and wiring, has the stepper make ticks ahead of their `moment`
-//! (`make_batch`, `make_one`, `Made`), and commits them as events to the `StepPins`, which call it again (`call_again`,
-//! `next_call`). Its `State` is Rest, Starting, Preparing, Running or Ending; it can `put_off` a late event (`latest`,
-//! `soonest`, `free_from`), run dry, take back `undone` steps, `give_up`, `stop` or `resume`. `Begins` notes when
-//! segments begin, `Beam` shows the laser's power at `marks`, `Unsent` keeps step events. Times are in ticks
-//! (`RUN_TICKS`).
+//! The step task. `Step` receives `segments` and `wiring` (each a `Receiver`), has the stepper make ticks ahead of
+//! their `moment` (`make_batch`, `make_one`, `Made`; `SEGMENT_SHARE`, `LEAST_EVENTS`, `MOST_EVENTS`, `is_far_ahead`),
+//! and commits them as events to the `StepPins`, its `output`, which calls it again (`call_at`, `next_call`,
+//! `last_chance`, `sooner`, `later`, `joins_until`). Its `State` is Rest, Starting, Preparing, Running or Ending; it
+//! can `put_off` a late event (`latest`, `soonest`, `free_from`), step `one_by_one`, `turn` directions, run dry
+//! (`underrun`), `halt`, `take_back_segments` and the `net` steps `undone`, `break_off`, `give_up`, `stop`
+//! (`stops_done`) or `resume`; `is_before_motion`, `come_to_rest` and `at_rest` tell of motion. `Begins` notes when
+//! segments begin, `Beam` shows the laser's power at `marks`, `Unsent` keeps each `StepEvent`. `timing` (`StepTiming`)
+//! is in ticks (`TICKS_PER_US`, `RUN_TICKS`).
 //!
 //! ```text
 //!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make

@@ -1,8 +1,11 @@
 //! Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` of key,
-//! value and `crc`, written in words at the next `address` of one of two sectors of a `Flash`. A header has a
-//! `sequence`; a full sector is compacted into the `spare`, which is erased before. `survey` reads the `Outline` of
-//! each entry, finds what it replaces, and notes damage as a `Gap`, as not `appendable` or as `unsound`; one
-//! `wrong_byte` is mended by the CRC. It takes the place of the EEPROM of Grbl.
+//! value and `crc` (`POLYNOMIAL`), written in words (`first_word`, `LONGEST_WORDS`, `to_le_bytes`, `from_le_bytes`) at
+//! the next `address` of one of two sectors of a `Flash` (`F`, `F::Error`, `StoreError`, `sector_size`, `erase`). A
+//! header has a `sequence`; a full sector is compacted with the `coming` entry into the `spare`, which is erased before
+//! (`wipe`, `needs_erase`). `survey` reads the `Outline` of each entry, finds what it replaces, `look_behind` the end
+//! reads whether that is clean (`Ok((false, true))`), and damage is noted as a `Gap`, as not `appendable`, `unmapped`
+//! or `unsound`; one `wrong_byte` is mended by the `difference` of the CRC `sum` from the words `covered`. It takes the
+//! place of the EEPROM of Grbl.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
