@@ -2,7 +2,11 @@
 //! `LineByte`, `ToStep` with `AxisSteps` and `Segment`, `StepEvent`; the bits of input pins (`input::PROBE`,
 //! `AT_SPEED`, `DRIVER_FAULT`) as `Signals`, `Sensed` and `PinView`; `Event` and `Output` of the controller,
 //! `SlowOutputs`, and `Wiring` with its inverts and pull-ups; how a start came about (`Restart`, `Crash`, `CrashKind`,
-//! `ResetCause`); `Record` of the store; and the entries of a recording (`Noted`, `Standing`).
+//! `ResetCause`); `Record` of the store; and the entries of a recording (`Noted`, `Standing`). Bits and depths are
+//! `STEP_BITS`, `PARTS`, `FARTHEST`, `FLAG_NEW_BLOCK`, `FLAG_LAST`, `FLAG_WAIT`, `FLAG_RAPID`, `REALTIME_DEPTH`,
+//! `REPLIES_DEPTH`, `HOST_BYTES`; inputs also `EMERGENCY_STOP`, `SECOND_PROGRAM`, `SECOND_SWITCH`, `HOLD`. `Observed`,
+//! `Room`, `Chunk`, `Coolant`, `SpindleDirection`, `InputWiring`, `GangedMotors`, `Stopping` and `Recorded` too;
+//! `JogCancel` or a reset `opens_epoch`. Lists are of `heapless`.
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first

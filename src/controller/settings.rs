@@ -2,7 +2,11 @@
 //! and their pull-ups) with number, name, unit, group, labels, kind, default and whether Grbl has it, as `Entry` and
 //! `Description`. `Settings` holds the values as `scalars` and `per_axis`: it sets one after a check of its range
 //! (`InvalidStatement`), restores stored ones, gives them as whole numbers, tenths, seconds, masks or `is_on`, counts a
-//! `revision`, and says which setting makes the set unrunnable.
+//! `revision`, and says which setting makes the set unrunnable. Groups are `General`, `Steppers`, `Spindle`, `Limits`,
+//! `Homing`, `GangedAxis`, `ControlInputs`, `Axes` and `Program`; kinds are `Switch`, `Real`, `Whole`, `Tenths` and
+//! `Mask`. Names in words, such as "Maximum rate", with units such as mm or steps/mm, are in the rows. It also gives
+//! `axes_in_use`, the `ganged_axis` and the `arrangement` (`core_xy`); `crawls` finds rates such as `HomingSeek` or
+//! `HomingLocate` outside `RATES`.
 //!
 //! `$$`, the checks of `$n=v` and the documents come from this one table. A setting that is legal alone is stored, as
 //! senders restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].

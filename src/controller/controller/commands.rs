@@ -1,7 +1,12 @@
 //! `$` commands are carried out, each arm of `System::...`: set the setting of a `Key` (`$n=v`), store it and bring
 //! about what changes with it, unlock (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore defaults
 //! (`$RST`), tell the restart (`$RC`), ask for the view of pins, begin a listing, check lines (`$LC`), save startup
-//! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`).
+//! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`). `system` sets the `task` to
+//! `Task::Listing` or `Task::Storing`, `set_setting` looks at numbers such as `DOOR_FITTED`, `KINEMATICS`,
+//! `REPORT_INCHES`, `STEP_PULSE` and `RESET_IS_EMERGENCY_STOP`, at the `dialect` and at the `least_pulse`; `changed`
+//! acts on it and asks whether it `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`,
+//! `restore_defaults` (`Restore::All`), `check_lines`, `report_build_info` and `ask_view`. Too long a text is
+//! `LineTooLong`.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};

@@ -1,8 +1,13 @@
 //! The dispatcher, `Controller` with its fields (motion, door, stops, inputs, pins, task, replies, `step_supply`) and
 //! the board's `Profile`: `event` takes events in, `observed` what the tasks have done, `output` gives the next thing
 //! to be done: stops, wiring, pins, records, replies, messages to the step task. `look_round` and `settle` follow what
-//! has ended or is still running (motion that is idle), `next_wakeup` says when to call. It hears the hosts and their heartbeat. The only
-//! room that knows all the others.
+//! has ended or is still running (motion that is idle), `next_wakeup` says when to call. It hears the hosts and their
+//! heartbeat. The only room that knows all the others. `Event` is `Realtime`, `Line`, `Signals`, `Pins`, `Step`,
+//! `Stored`, `Connected` or `Disconnected`; `Output` is `Reply`, `Wiring`, `Store`, `Stop` or `Worked`. `step_message`
+//! gives a `ToStep` (`Watch`, `Resume`, `Segment`) in its turn (`message_in_turn`); `wants_line`,
+//! `is_short_of_segments`, `may_have_changed` and `auto_start` ask; `settle` matches each `Mode` and a jog that is
+//! `cancelling`. Also `accessories`, `interpreter`, `records`, `settings_lock`, `reference`, `ZEROS` by `offset_of`,
+//! and what it has `stored` and does `restore`.
 //!
 //! It promises that every call returns after a bounded piece of work: at most one line, one chord or one segment. What
 //! has to wait (room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued

@@ -1,7 +1,9 @@
 //! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
 //! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
 //! (move, wait, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
-//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
+//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors. In it are
+//! `HomingSettings`, `Pass`, `SEEK_TRAVELS`, `LOCATE_PULL_OFFS`, `switches_of_cycle`, `towards`, `locate`, `approach`,
+//! `pull_off`, `travel`, `places`; `HomingWait` (`wait_for`, `is_reached`, `wakeup`).
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):

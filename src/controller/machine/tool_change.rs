@@ -1,7 +1,8 @@
 //! `ToolChange` with a tool setter (`$918=2`), phase by phase: retract, to the place of change, prompt, seek and locate
-//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates, and whether it is the first tool
-//! (`is_first_tool`). It moves nothing
-//! itself: it gives an [`ChangeOrder`] and is told how that ended.
+//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates, and whether it is the
+//! first tool (`is_first_tool`). It moves nothing itself: it gives an [`ChangeOrder`] and is told how that ended.
+//! `ChangePhase` is where it is; in it are `way_back`, `over`, `along`, `lowest`, `corners`, `is_set_up`, `is_probing`,
+//! `PULL_OFF` and `ALONG`, the tool's axis.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)

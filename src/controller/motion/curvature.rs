@@ -2,7 +2,9 @@
 //! of straight path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`,
 //! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
 //! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
-//! explains are noise.
+//! explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales of a `SHORTEST`
+//! length and more), `PathPiece`, `note_turn`, `limit_of_turn`, `limit_after`, `take_span`, `corner2`,
+//! `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`, `NOTICEABLE`, `DIGITS_ASIDE`.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
 //! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,

@@ -1,7 +1,8 @@
 //! The S-curve, mathematics only: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
 //! inverse `ramp_speed` (by Newton's method) belong to ramps that begin and end without acceleration. From a
 //! `PathState` of speed and acceleration there are the `summit` or `valley` at which it is eased off, its gain or loss,
-//! whether it `lands` or falls to a target in time, and the acceleration `towards` a nominal speed.
+//! whether it `lands` or falls to a target in time, and the acceleration `towards` a nominal speed. In it are `NEWTON`,
+//! `cube_root`, `landing` and bounds that are `rounded_down`.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___

@@ -2,7 +2,11 @@
 //! gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous` speed) from
 //! which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a `Bend` lowers
 //! corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`, summit), and
-//! groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`).
+//! groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`). A `Target` is the
+//! next anchor, `beyond` or `nearest`, and `is_met` or not by a `PathState`; `Lowered` is what a bend has lowered.
+//! Others are `end_at_border`, `sum_up`, `group_size`, `bounds_within`, `straight_acceleration`. Limits have `changed`
+//! from a place on; `lower_settled`, `replan`, `push`, `pop`, `take_back`, `newest` and `free` act on the ring. A
+//! block's own `Bounds`, its `valley`, `ramp_distance` and `ramp_speed` are from `jerk`.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |

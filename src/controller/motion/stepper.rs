@@ -2,7 +2,11 @@
 //! courses, of the current and the next) and segments from `ToStep` into `next_piece` (increments, units, ramp,
 //! threshold), counts plain and rare ticks left, begins the next segment or `new_block`, and tells a `StepEvent` for an
 //! underrun or when it comes to rest; stops with the gate shut until `Resume`, and takes back undone steps. While it
-//! `is_watching` the probe it notes the touch, and brakes.
+//! `is_watching` the probe it notes the touch, and brakes. In it are `load_block`, `load_segment`, `rare_tick`,
+//! `set_out`, `lacks_segment`, `ends_segment`, `begin_segment`, `run_out`, `step_interval`, `moments_into` (many plain
+//! moments at once), `take_back_segments`, `underrun_event`, `probed_event`, `is_rest_told`, `is_moving` and
+//! `segments_begun`. `steps_by_axis` are `AxisSteps`; `MAX_LEVEL`, `LONGEST_BRAKING` and `INTERVAL_FRACTION_BITS` are
+//! bounds and shifts; `Contact` is where the probe touched.
 //!
 //! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
 //! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves which axis steps at a tick to `dda`,

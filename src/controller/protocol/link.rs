@@ -2,7 +2,10 @@
 //! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
 //! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
 //! hosts is the `holder` (claim, seize, leave, cut), `weak` or not. `Owed` are commands (reset, feed hold, safety door)
-//! that found no room. Lives in the serial task.
+//! that found no room. Lives in the serial task. `Queues` says whether all `is_free`, and takes a `Realtime` command or
+//! a `LineByte`; functions are `take`, `pass_on`, `void_line`, `turn_to`, `came`, `went`, `owes_cut`, `is_waiting`,
+//! `forget`. A command without room is `stuck` (`FeedHold`, `SafetyDoor`), bytes may be `lost`; `OTHER` belongs to the
+//! other link, `RESETS` is a count.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines

@@ -1,6 +1,9 @@
 //! `$` lines: which `System` command it is (help, settings, startup line, macro, home, jog, restore, sleep, `$n=v`) and
 //! with what, or why not; the states a command is `Allowed` in, by its letter, the format of descriptions, and what
-//! Grbl knows of them. Whether the machine's state allows it now is not known here.
+//! Grbl knows of them. Whether the machine's state allows it now is not known here. Errors are `InvalidStatement` and
+//! `BadNumber`. Commands are `SetStartupLine`, `SetMacro`, `SetBuildInfo`, `BuildInfo`, `MoreBuildInfo`, `CheckMode`,
+//! `CheckLines`, `ClearNoise`, `ParserState`, `Parameters`, `Recording`, `ResetCause`, `Unlock`, `Describe`
+//! (`Described`); a command is `alone` or has a `rest` of its text, `numbered` reads an index, `known_to_grbl` tells.
 
 use crate::axes::Axis;
 use crate::error::Error;

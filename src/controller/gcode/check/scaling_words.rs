@@ -1,5 +1,7 @@
 //! G51 with factors and centre (`new_scaling`) and G50, and where they act on the values of a line: a scaled length,
 //! vector or size, the rest kept, mirrored arcs, and what scaling forbids (`ScalingActs`, `UnequalScaling`).
+//! `scaling_of`, `scaled_word`, `scaled_length`, `scaled_vector`, `scaled_size`, `keep_rest`, `mirrors`,
+//! `written_vector` and `needs_no_scaling` are its functions.
 
 use super::line::{CENTRE, Check, Purpose};
 use crate::axes::Axis;

@@ -1,7 +1,10 @@
 //! Values as programs compute them: `[#1 + 2] * 3` and what RS274NGC knows beside it. A `Reader` takes operands; what
 //! waits for them (negation, bracket, `Function` such as ABS or ATAN, `Binary` operator with its left side and level)
 //! is kept in a list. The tables of functions and operators (`Plus`, `Over`, `GreaterEqual`, `And`); a parameter is
-//! looked up by number or name (`ParameterReference`). Text that is none gives `ExpressionSyntax`.
+//! looked up by number or name (`ParameterReference`). Text that is none gives `ExpressionSyntax`. `Waiting` is that
+//! list, `DEPTH` its length; `FUNCTIONS` and `BINARIES` are the tables (`ROUND`, `EXISTS`, `MOD`, `Modulo`); functions
+//! are `takes`, `wait`, `operand`, `close`, `operator`, `parameter`, `complete`, `exists`, `level`, `left_sides`,
+//! `truth`; errors `UnknownOperation`, `TooDeep`, `InvalidArgument`.
 //!
 //! ```text
 //!  value     = number | [ sum ] | # value | #<name> | function[ sum ] | ATAN[ sum ]/[ sum ] | EXISTS[#...] | - value | + value

@@ -2,7 +2,10 @@
 //! (`Frame`: if, while, do, repeat, call) with their labels and passes, and the `State` of a program's lines:
 //! streaming, recording, running or skipped. The `Keyword` table, an `OWord` with label and arguments cut from a line
 //! without its remarks, and finding, pushing, dropping and going back behind or after a place of the held text;
-//! `OutOfMemory` and `TooDeep`.
+//! `OutOfMemory` and `TooDeep`. Functions are `find_sub`, `find_own`, `find_from`, `end_of_sub`, `drop_sub`,
+//! `ends_skipping`, `is_ended_by`, `is_well_formed`, `has_computed_label`, `label_length`, `ends_program`,
+//! `leaves_lines_out`, `is_of_last`, `of_stream`, `recorded_from`, `go_back` and `hold`. `EndSub` closes a sub;
+//! `PASSES`, `LABELS`, `ARGUMENTS`, `DEPTH`, `TEXT`, `SPARE` and `MOST_MACROS` are the room that there is.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
