@@ -132,9 +132,9 @@ pub trait StepOutput<const N: usize> {
     fn take(&mut self) -> Due;
     /// Calls the task at a moment; at once if it has passed.
     fn call_at(&mut self, moment: u32);
-    /// The same for [`Due::MARK`], and at that very moment power changes to this one, whatever the processor is doing; if the moment has
-    /// passed, at once. One such moment is kept, the last that was given. What is set by [`StepOutput::set_power`] before it, or a
-    /// [`StepOutput::halt`], takes the change back, and not the call.
+    /// The same for [`Due::MARK`]; if a power is given, it changes at that very moment, whatever the processor is doing, or at once if the
+    /// moment has passed. One such moment is kept, the last that was given. [`StepOutput::set_power`] and [`StepOutput::halt`] before it
+    /// take the change back, and not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Directions of the events that are committed from here on; a set bit means negative.

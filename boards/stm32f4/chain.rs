@@ -215,6 +215,10 @@ impl<M: Map, const P: usize> Chain<M, P> {
             // Events that follow by themselves raise the flag, too, and DMA1 may be about to take it for its request.
             due = Due(due.0 & !Due::OUT.0);
         }
+        if due.has(Due::MARK) {
+            // The same: its request is served before the flag goes.
+            self.keep_power();
+        }
         // Flags are cleared by writing 0; a 1 leaves them alone.
         write(M::TIM2 + SR, !due.0);
         if due.has(Due::OUT) {

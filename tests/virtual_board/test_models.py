@@ -728,6 +728,9 @@ class BeamTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             # The request is under way.
             self.tim2.write(timer.DIER, 8)
+        with self.assertRaises(Misuse):
+            # Whether it stays without its flag nobody says.
+            self.tim2.write(timer.SR, ~8 & 0x1E1F)
         self.until(1050)
         self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
         with self.assertRaises(Misuse):

@@ -132,6 +132,9 @@ class Timer(Peripheral):
 
     def write(self, offset, value):
         if offset == SR:
+            cleared = self.values[SR] & ~value
+            if cleared & 8 and any(dma.under_way.get(f"{self.name}_CH3") for dma in self.board.dma):
+                raise Misuse(f"{self.name}: the flag of channel 3 is cleared while its request of DMA is under way")
             self.values[SR] &= value | ~0x1E1F
             self._call()
             return
