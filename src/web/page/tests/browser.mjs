@@ -33,8 +33,10 @@ export async function open(browser, file, { viewport = { width: 1440, height: 90
 
 /** Waits until the job that is shown has been checked; gives its summary. */
 export async function checked(page, name = "") {
-  await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name), name, { timeout: PATIENCE });
-  return page.evaluate(() => oxmill.app.checked.summary);
+  // In one look: another check may begin right behind it.
+  const found = await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name) && oxmill.app.checked.summary,
+    name, { timeout: PATIENCE });
+  return found.jsonValue();
 }
 
 /** Drops a job on the page. */
