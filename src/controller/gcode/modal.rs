@@ -242,7 +242,7 @@ pub enum PathControl {
     /// G61: through all points. So is G64 without a tolerance.
     #[default]
     ExactPath,
-    /// G61.1: and to rest at each.
+    /// G61.1, exact stop: and to rest at each.
     ExactStop,
     /// G64 P: near all points.
     Within(PathTolerance),

@@ -78,6 +78,7 @@ impl<const N: usize> TurnRule<N> {
 
     /// Greatest acceleration that every axis takes in any direction of the plane of a turn: with the normal n and the
     /// tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the bend. So the speed on a circle is even.
+    /// It bounds the centripetal acceleration of a bend.
     #[inline(never)]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
@@ -94,7 +95,8 @@ impl<const N: usize> TurnRule<N> {
         square_root(least2)
     }
 
-    /// J² of a turn: v² = a·d·s / (1 - s). 1 - s is a small difference for gentle turns; with q² = 4·(1 - s²) it is
+    /// J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:
+    /// v² = a·d·s / (1 - s). 1 - s is a small difference for gentle turns; with q² = 4·(1 - s²) it is
     /// computed as q² / (4·(1 + s)) instead.
     #[inline]
     pub(super) fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {

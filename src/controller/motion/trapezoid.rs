@@ -1,4 +1,4 @@
-//! The speed curve within a block (`Trapezoid`): speed² as a function of the distance left, with a slope of twice the
+//! The speed curve (velocity profile) within a block (`Trapezoid`): speed² as a function of the distance left, with a slope of twice the
 //! acceleration between nominal and exit speed. `phase` tells by its sign whether it accelerates, cruises or brakes
 //! next, `advance` the exact time of a piece. `Pace` is a speed and its square; `lesser` and `greater` compare two
 //! numbers.

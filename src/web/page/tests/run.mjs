@@ -13,25 +13,19 @@ import * as use from "./use.test.mjs";
 const wanted = process.argv.slice(2);
 const tests = Object.entries({ ...module, ...check, ...machine, ...material, ...pictures, ...sender, ...site, ...use }).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 assert(tests.length > 0, "no test of this name");
-// Two at a time, each in a browser of its own, whose pages are closed behind each test: tests wait as much as they work.
-const waiting = [...tests];
+const browser = await launch();
 let failed = 0;
-async function lane() {
-  const browser = await launch();
-  for (let next = waiting.shift(); next; next = waiting.shift()) {
-    const [name, test] = next;
-    const began = performance.now();
-    try {
-      await test(browser);
-      console.log(`ok      ${name} (${((performance.now() - began) / 1000).toFixed(1)} s)`);
-    } catch (error) {
-      failed++;
-      console.log(`FAILED  ${name}\n${error.stack}`);
-    }
-    for (const context of browser.contexts()) await context.close();
+for (const [name, test] of tests) {
+  const began = performance.now();
+  try {
+    await test(browser);
+    console.log(`ok      ${name} (${((performance.now() - began) / 1000).toFixed(1)} s)`);
+  } catch (error) {
+    failed++;
+    console.log(`FAILED  ${name}\n${error.stack}`);
   }
-  await browser.close();
+  for (const context of browser.contexts()) await context.close();
 }
-await Promise.all([lane(), lane()]);
+await browser.close();
 console.log(`${tests.length - failed} of ${tests.length} tests passed`);
 process.exit(failed ? 1 : 0);
