@@ -53,4 +53,4 @@ pub use motion::stepper::{Stepper, Tick};
 pub use protocol::link::{HostArbiter, Link, Owed, Queues};
 pub use protocol::realtime::Received;
 pub use step_rates::StepRates;
-pub use step_timing::{StepTiming, later};
+pub use step_timing::{StepTiming, later, sooner};

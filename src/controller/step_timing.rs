@@ -80,6 +80,12 @@ pub fn later(a: u32, b: u32) -> u32 {
     if a.wrapping_sub(b) as i32 >= 0 { a } else { b }
 }
 
+/// The sooner of two moments of a wrapping clock.
+#[inline]
+pub fn sooner(a: u32, b: u32) -> u32 {
+    if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -99,12 +99,18 @@ macro_rules! stretches {
 
 /// Builds the controller in its place, of which all bytes are 0: it is too big for the stack, and tens of kilobytes of zeros would
 /// be for flash.
-pub fn build<const BLOCKS: usize>(place: &mut MaybeUninit<Controller<AXES, BLOCKS>>) -> &mut Controller<AXES, BLOCKS> {
+///
+/// # Safety
+/// All bytes of `place` are 0: what is 0 in a new controller is not written.
+pub unsafe fn build<const BLOCKS: usize>(
+    place: &mut MaybeUninit<Controller<AXES, BLOCKS>>,
+) -> &mut Controller<AXES, BLOCKS> {
     const { assert!(LOOK_AHEAD_AT == Controller::<AXES, BLOCKS>::LOOK_AHEAD_AT && LOOK_AHEAD_AT <= size_of::<Head>()) };
     let stretches: [_; WRITTEN.len()] = stretches!(0 1 2 3 4 5 6 7);
     // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks and what is not written
     // to be valid when all bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the
-    // same types, blocks are plain numbers, and what is not written is 0 in a new one (a test on the target compares).
+    // same types, blocks are plain numbers, and what is not written is 0 in a new one (a test on the target compares) as it is in
+    // `place`.
     unsafe {
         for (at, bytes) in stretches {
             let to = place.as_mut_ptr().cast::<MaybeUninit<u8>>().add(at);
@@ -122,7 +128,9 @@ pub fn start(
     channels: Channels,
     controller: &'static mut MaybeUninit<BoardController>,
 ) -> Tasks {
-    let controller = build(controller);
+    // SAFETY: unsafe because `build` takes memory that is 0 for granted; safe because RTIC keeps this place in .bss, which the start-up
+    // code has cleared, and gives it out once.
+    let controller = unsafe { build(controller) };
     let parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();

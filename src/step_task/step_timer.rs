@@ -32,7 +32,7 @@ use crate::boards::{
 use crate::shared::{self, Power, STEP, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{EVENTS_DEPTH, GangedMotors, SEGMENTS_DEPTH, StepEvent, ToStep, Wiring};
-use oxmill_controller::{StepTiming, Stepper, later};
+use oxmill_controller::{StepTiming, Stepper, later, sooner};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// Step-clock ticks in a microsecond.
@@ -84,12 +84,6 @@ const MOST_LATE_STEPS: u32 = 8;
 const UNKNOWN: u8 = u8::MAX;
 /// Segments that can begin in events that are ahead, and changes of power.
 const MARKS: usize = 32;
-
-/// The sooner of two moments of a wrapping clock.
-#[inline(always)]
-fn sooner(a: u32, b: u32) -> u32 {
-    if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
-}
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {

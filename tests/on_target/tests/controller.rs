@@ -106,7 +106,8 @@ mod suite {
     fn the_firmware_builds_a_new_controller_in_memory_that_is_0() {
         static NEW: Controller<AXES, 1> = Controller::new(PROFILE);
         let mut place = MaybeUninit::zeroed();
-        let built: &mut Controller<AXES, 1> = build(&mut place);
+        // SAFETY: unsafe because `build` takes memory that is 0 for granted; safe because this is.
+        let built: &mut Controller<AXES, 1> = unsafe { build(&mut place) };
         let (built, new) = ((&raw const *built).cast::<u8>(), (&raw const NEW).cast::<u8>());
         let mut written = 0;
         for at in 0..Controller::<AXES, 1>::LOOK_AHEAD_AT {
