@@ -814,7 +814,8 @@ def ring_stops(bench):
         f"{most} stops, half of them at {bench.wiring.safe_step_hz} steps/s, at {places} of 128 places of the ring: counts exact; at most {us(slowest)} "
         f"from the call, pulses end at most {us(max(worst, 0))} after the byte"
     )
-    if places < 30:
+    # Of 24 stops at random 22 places are to be expected, of 48 40.
+    if places < min(30, most // 2):
         raise Failure("too few places: this proves little")
     if cycles > (CALL_CYCLES if bench.wiring.safe_step_hz <= 490_000 else FAST_CALL_CYCLES):
         raise Failure(f"a stop takes {cycles} cycles from the call")

@@ -4,7 +4,7 @@
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
@@ -18,7 +18,7 @@ const BOARDS: [(&str, &[&str]); 5] = [
 ];
 
 /// Cases that take longest are left out where the part has the same chain of timers as that of another board: `.ci/nightly` has them.
-const LONGEST: &[&str] = &["-bursts of overrides", "-late starts"];
+const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-tight pulses"];
 
 /// What may differ between boards whose parts and pins have been tried already on others: clocks, rates, memory. A board that is
 /// named has all cases.
@@ -66,7 +66,7 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         runs.push((board, command));
     }
     let failed = two_at_a_time(runs);
-    if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed: {}", failed.join(", "))) }
+    if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed:\n{}", failed.join("\n"))) }
 }
 
 /// Plays a script beside one board, to the first rest after so many seconds if they are given: what it said, and the notes of
@@ -86,8 +86,8 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     Ok((read(&answers)?, read(&report)?))
 }
 
-/// Runs the commands, a new one as soon as one of two has ended, and prints what each says at its end: the names of those that
-/// failed.
+/// Runs the commands, a new one as soon as one of two has ended, and prints what each says at its end. Those that failed, and
+/// what in them: it is said once more behind all the reports, where the end of a long log shows it.
 fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     let waiting = Mutex::new(runs.into_iter());
     let failed = Mutex::new(Vec::new());
@@ -103,7 +103,7 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
                     print!("{}", String::from_utf8_lossy(&output.stdout));
                     if !output.status.success() {
                         eprint!("{}", String::from_utf8_lossy(&output.stderr));
-                        failed.push(board.to_string());
+                        failed.push(format!("{board} ({}): {}", output.status, failures(&output)));
                     }
                 }
                 Err(error) => failed.push(format!("{board} ({}: {error})", command.get_program().to_string_lossy())),
@@ -115,6 +115,20 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
         work();
     });
     failed.into_inner().expect("no worker panics with the lock")
+}
+
+/// The cases that a report says failed, each with the line behind it, which says why; and the last line of an exception.
+fn failures(output: &Output) -> String {
+    let report = String::from_utf8_lossy(&output.stdout);
+    let mut lines = report.lines();
+    let mut found = Vec::new();
+    while let Some(line) = lines.next() {
+        if line.contains("FAILED") {
+            found.push(format!("{line} {}", lines.next().unwrap_or_default().trim()));
+        }
+    }
+    found.extend(String::from_utf8_lossy(&output.stderr).lines().last().map(str::to_string));
+    found.join("; ")
 }
 
 fn module(python: &Path, name: &str) -> Command {
