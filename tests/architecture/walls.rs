@@ -87,7 +87,11 @@ const INCLUDED: &[(&str, &str, &str)] = &[
     ("tests/bench/motion.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
     ("tests/machine/examples.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
     ("tests/on_target/src/count.rs", "../../../src/step_task/shared.rs", "the step task for registers in memory"),
-    ("tests/on_target/src/count.rs", "../../../src/step_task/step_timer.rs", "the step task for registers in memory"),
+    (
+        "tests/on_target/src/count.rs",
+        "../../../src/step_task/step_timer/mod.rs",
+        "the step task for registers in memory",
+    ),
     ("xtask/src/recordings.rs", "../../tests/recordings/differences.rs", "one list of differences for both runs"),
     ("xtask/src/recordings.rs", "../../tests/recordings/record.rs", "one reader of the recordings"),
     ("xtask/src/recordings.rs", "../../tests/recordings/rules.rs", "one list of rules for both runs"),

@@ -65,7 +65,7 @@ const ROWS: [Row; 20] = [
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (895, 1_245)).beside("2656 / 3808", "3520 / 5440"),
     // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_790, 4_040)),
-    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (495, 815)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (515, 850)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (660, 1_120))

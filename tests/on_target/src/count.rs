@@ -2,7 +2,7 @@
 //! each instruction, and takes those between the entry of a function `unit_*` and its return for the row that the last
 //! `row_*` named.
 //!
-//! The step interrupt is the firmware's own code (`step_timer.rs`), with the registers of an STM32F4 that is not there in
+//! The step interrupt is the firmware's own code (`step_timer`), with the registers of an STM32F4 that is not there in
 //! a piece of memory: the same instructions, whatever answers at the addresses. What a row needs is written into those
 //! registers before the call, so each row has the same input in each run.
 #![no_std]
@@ -31,7 +31,7 @@ use step_timer::Step;
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/step_task/shared.rs"]
 mod shared;
-#[path = "../../../src/step_task/step_timer.rs"]
+#[path = "../../../src/step_task/step_timer/mod.rs"]
 mod step_timer;
 
 /// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
