@@ -300,7 +300,8 @@ mod held {
         let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
     };
 
-    const _: [fn(&board::InputPins) -> u32; 2] = [board::InputPins::read, board::InputPins::fitted];
+    const _: fn(&mut board::InputPins) -> u32 = board::InputPins::read;
+    const _: fn(&board::InputPins) -> u32 = board::InputPins::fitted;
     const _: fn(&mut board::InputPins, u32, u32) = board::InputPins::set_pulls;
     const _: fn(&mut board::SlowPins, SlowLevels) = board::SlowPins::write;
     const _: [fn(&mut board::Watchdog); 2] = [board::Watchdog::start, board::Watchdog::feed];

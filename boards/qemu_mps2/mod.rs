@@ -403,7 +403,7 @@ pub struct InputPins;
 
 impl InputPins {
     /// Which pins are low: none.
-    pub fn read(&self) -> u32 {
+    pub fn read(&mut self) -> u32 {
         0
     }
 

@@ -216,6 +216,10 @@ pub struct InputPins {
     /// How many of them there are.
     count: usize,
     probe: Place,
+    /// Pins of ports A, B and C that are inputs, those that were high at the last reading, and the word of it: they change seldom.
+    used: [u16; 3],
+    high: [u16; 3],
+    word: u32,
     _pins: [Option<ErasedPin<Input>>; MOST_INPUTS],
 }
 
@@ -225,8 +229,15 @@ impl InputPins {
         use crate::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
         let nowhere = Place { port: 0, pin: 0 };
         let [_, _, _, probe, ..] = pins.each_ref().map(Place::from);
-        let inputs =
-            InputPins { places: [(nowhere, 0); MOST_INPUTS], count: 0, probe, _pins: [const { None }; MOST_INPUTS] };
+        let inputs = InputPins {
+            places: [(nowhere, 0); MOST_INPUTS],
+            count: 0,
+            probe,
+            used: [0; 3],
+            high: [0; 3],
+            word: 0,
+            _pins: [const { None }; MOST_INPUTS],
+        };
         let bits = [LIMITS, LIMITS + 1, LIMITS + 2, PROBE, DOOR, HOLD, START, RESET];
         pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
     }
@@ -248,6 +259,10 @@ impl InputPins {
         if let (Some(slot), Some(place)) = (self.places.get_mut(self.count), place) {
             *slot = (place, bit);
             self.count += 1;
+            if let Some(used) = self.used.get_mut(place.port) {
+                *used |= 1 << place.pin;
+            }
+            self.word = self.word_of_pins();
         }
         self
     }
@@ -258,14 +273,23 @@ impl InputPins {
 
     /// Which pins are low, as `input_bits`.
     #[inline]
-    pub fn read(&self) -> u32 {
-        let ports = [0, 1, 2].map(read_idr::<Chip>);
-        let mut word = 0;
-        for (place, bit) in self.places.iter().take(self.count) {
-            let level = ports.get(place.port).copied().unwrap_or(u32::MAX) >> place.pin & 1;
-            word |= (level ^ 1) << bit;
+    pub fn read(&mut self) -> u32 {
+        let [a, b, c] = self.used;
+        let high = [read_idr::<Chip>(0) as u16 & a, read_idr::<Chip>(1) as u16 & b, read_idr::<Chip>(2) as u16 & c];
+        if high != self.high {
+            self.high = high;
+            self.word = self.word_of_pins();
         }
-        word
+        self.word
+    }
+
+    /// The word of the pins that are high.
+    #[inline(never)]
+    fn word_of_pins(&self) -> u32 {
+        self.places.iter().take(self.count).fold(0, |word, (place, bit)| {
+            let high = self.high.get(place.port).copied().unwrap_or(u16::MAX) >> place.pin & 1;
+            word | u32::from(high ^ 1) << bit
+        })
     }
 
     /// Which pins there are.

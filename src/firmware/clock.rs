@@ -20,22 +20,27 @@ static ALARM_SET: AtomicBool = AtomicBool::new(false);
 
 /// The time since power-up.
 pub struct Clock {
+    /// Ticks at the last question, and those of them that do not make a microsecond.
     seen: u32,
-    ticks: u64,
+    rest: u32,
+    micros: u64,
 }
 
 impl Clock {
     /// Begins at 0.
     pub fn new() -> Clock {
-        Clock { seen: boards::clock_ticks(), ticks: 0 }
+        Clock { seen: boards::clock_ticks(), rest: 0, micros: 0 }
     }
 
     /// The time.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
-        self.ticks += u64::from(ticks.wrapping_sub(self.seen));
+        // In 32 bits, by a constant: no division.
+        let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
-        Instant::from_ticks(self.ticks / u64::from(boards::CLOCK_TICKS_PER_US))
+        self.rest = passed % boards::CLOCK_TICKS_PER_US;
+        self.micros += u64::from(passed / boards::CLOCK_TICKS_PER_US);
+        Instant::from_ticks(self.micros)
     }
 
     /// Sets the alarm; without a moment it still goes off before the counter wraps.

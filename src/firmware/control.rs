@@ -77,6 +77,8 @@ pub struct Control {
     stored: Option<bool>,
     /// The controller has asked to see the inputs.
     pins_asked: bool,
+    /// There will soon be no room for settings without an erase. Changes between rounds only.
+    wants_erase_soon: bool,
 }
 
 /// A preloaded job and how far it has been read.
@@ -113,6 +115,7 @@ impl Control {
             owed: Owed::default(),
             stored: None,
             pins_asked: false,
+            wants_erase_soon: false,
         }
     }
 
@@ -140,8 +143,8 @@ impl Control {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        let answered = self.controller.is_free() && self.ends.replies.is_empty();
-        shared::set_free(heard, nothing_waits && answered && observed.step_idle);
+        // Whether the answers have gone out, too, the serial task knows.
+        shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observe().step_idle
@@ -273,6 +276,7 @@ impl Pump<AXES, BLOCKS> for Control {
         ASKED.control.store(false, Ordering::Relaxed);
         self.lines_in = SERIAL.bytes_queued.load(Ordering::Relaxed);
         self.owes = shared::owes();
+        self.wants_erase_soon = self.settings.wants_erase_soon();
         self.round_began = self.clock.now();
         self.round_began
     }
@@ -300,7 +304,7 @@ impl Pump<AXES, BLOCKS> for Control {
     #[inline(always)]
     fn next_line_byte(&mut self) -> Option<LineByte> {
         // A host that sends one setting after the other is made to wait before there is no room for them.
-        if self.settings.wants_erase_soon() && self.controller.is_nearly_quiet() {
+        if self.wants_erase_soon && self.controller.is_nearly_quiet() {
             return None;
         }
         if let Some(job) = &mut self.job {

@@ -68,21 +68,28 @@ impl Inputs {
         }
         INPUTS.low.store(low, Ordering::Relaxed);
         self.count_noise();
-        // Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
-        let sensed = self.inputs.sensed();
-        if sensed != self.sent
-            && let Some(sensed) = sensed
-            && self.signals.try_send(sensed).is_ok()
-        {
-            self.inputs.told();
-            self.sent = self.inputs.sensed();
-            self.wake.write(());
+        if self.inputs.is_untold() {
+            self.tell();
         }
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {
             self.inputs.wire(&wiring);
             self.pins.set_pulls(wiring.inputs.no_pull_up, wiring.inputs.pull_down);
+        }
+    }
+
+    /// Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
+    #[inline(never)]
+    fn tell(&mut self) {
+        let Some(sensed) = self.inputs.sensed() else { return };
+        let is_known = self.sent == Some(sensed);
+        if is_known || self.signals.try_send(sensed).is_ok() {
+            self.inputs.told();
+            self.sent = self.inputs.sensed();
+            if !is_known {
+                self.wake.write(());
+            }
         }
     }
 

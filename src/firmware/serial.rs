@@ -34,20 +34,22 @@ const USB: usize = 1;
 struct ToControl {
     /// What finds no room may be owed: the link that is being read cannot wait.
     may_owe: bool,
-    /// No answer is half sent.
+    /// No answer waits, or is half sent.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineByte, LINES_DEPTH>,
+    /// Line bytes queued in this run.
+    bytes_queued: u32,
 }
 
-/// Adds 1 to a count whose only writer is this task.
-fn count(counter: &AtomicU32) {
-    counter.store(counter.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+/// Adds to a count whose only writer is this task.
+fn count(counter: &AtomicU32, by: u32) {
+    counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
 }
 
 impl Queues for ToControl {
     fn realtime(&mut self, command: Realtime) -> bool {
-        count(&SERIAL.heard);
+        count(&SERIAL.heard, 1);
         let queued = !shared::owes() && self.realtime.try_send(command).is_ok();
         let owed = !queued && self.may_owe && shared::owe(command);
         if owed {
@@ -58,10 +60,7 @@ impl Queues for ToControl {
 
     fn line(&mut self, byte: LineByte) -> bool {
         let queued = self.lines.try_send(byte).is_ok();
-        if queued {
-            count(&SERIAL.heard);
-            count(&SERIAL.bytes_queued);
-        }
+        self.bytes_queued += u32::from(queued);
         queued
     }
 
@@ -70,7 +69,7 @@ impl Queues for ToControl {
     }
 
     fn is_free(&self) -> bool {
-        self.flushed && shared::is_free()
+        self.flushed && self.bytes_queued == 0 && shared::is_free()
     }
 
     fn stop(&mut self) {
@@ -79,7 +78,7 @@ impl Queues for ToControl {
     }
 
     fn ignored(&mut self) {
-        count(&SERIAL.bytes_ignored);
+        count(&SERIAL.bytes_ignored, 1);
     }
 }
 
@@ -171,7 +170,7 @@ impl Serial {
             arbiter: HostArbiter::new(),
             uart: Ported::new(UART, uart),
             usb: Ported::new(USB, usb),
-            queues: ToControl { may_owe: false, flushed: true, realtime, lines },
+            queues: ToControl { may_owe: false, flushed: true, realtime, lines, bytes_queued: 0 },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
             sent: 0,
@@ -185,10 +184,14 @@ impl Serial {
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
         let Serial { arbiter, uart, usb, queues, .. } = self;
-        queues.flushed = self.sent >= self.sending.as_bytes().len();
+        queues.flushed = self.sent >= self.sending.as_bytes().len() && self.replies.is_empty();
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
         news |= usb.receive(arbiter, &mut uart.link, queues);
+        // What takes them out, or reads the counts, does not preempt this task.
+        let queued = core::mem::take(&mut queues.bytes_queued);
+        count(&SERIAL.heard, queued);
+        count(&SERIAL.bytes_queued, queued);
         SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
         let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;
@@ -217,11 +220,13 @@ impl Serial {
                 break;
             }
             let Some(byte) = self.sending.as_bytes().get(self.sent).copied() else {
+                let was_full = self.replies.is_full();
                 let Ok(chunk) = self.replies.try_recv() else { break };
                 self.sending = chunk;
                 self.sent = 0;
                 self.sending_to = holder;
-                room = true;
+                // Whoever found it full waits to be woken.
+                room |= was_full;
                 continue;
             };
             let taken = if to_usb { self.usb.port.send(byte) } else { self.uart.port.send(byte) };

@@ -2,6 +2,7 @@
 fails with a `Failure`."""
 
 import csv
+import json
 import math
 import os
 import subprocess
@@ -40,6 +41,8 @@ CALL_CYCLES = 212
 """From the call of the step task to where no event begins any more, when it is at rest, at 490,000 steps/s or less."""
 FAST_CALL_CYCLES = 260
 """The same at greater rates: each segment that has begun since the last run takes some 15, and more have."""
+LINES_S = 2500
+"""Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
 
@@ -183,16 +186,22 @@ def duty(board):
 JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 1000, "s122": 1000}
 
 
+def in_simulator(bench, job, settings, *options):
+    """Runs a job in the simulator, as this board; what it says."""
+    command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, *options]
+    for name, value in settings.items():
+        command += ["--set", f"{name[1:]}={value}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Failure(f"the simulator failed: {done.stderr}")
+    return done.stdout
+
+
 def simulated(bench, job, settings=JOB_SETTINGS):
     """(axes, negative) of each step event of the job in the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "trace.csv"
-        command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, "--trace", str(trace)]
-        for name, value in settings.items():
-            command += ["--set", f"{name[1:]}={value}"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise Failure(f"the simulator failed: {done.stderr}")
+        in_simulator(bench, job, settings, "--trace", str(trace))
         rows, before = [], (0, 0, 0)
         with open(trace, newline="") as file:
             for row in csv.DictReader(file):
@@ -1961,6 +1970,46 @@ def usb_flood(bench):
     yield "closed while it waited: held; opened again, reset, and answered"
 
 
+def chords(count, chord_mm, feed):
+    """A program that moves along a circle of 100 mm in chords."""
+    lines = [f"G90G1F{feed:.0f}"]
+    for k in range(1, count + 1):
+        angle = k * chord_mm / 100
+        lines.append(f"X{100 * (math.cos(angle) - 1):.3f}Y{100 * math.sin(angle):.3f}")
+    return "\n".join(lines)
+
+
+BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000, "s120": 4000, "s121": 4000}
+"""A machine for many lines a second, whose motors have few steps to do for each."""
+
+
+def usb_lines(bench):
+    """Short lines over USB by character counting: up to the rate that is promised a job takes the time of its motion, because the
+    look-ahead never runs low. And how many a second there are when the motion would take more."""
+    board, host = with_usb(bench)
+    bench.settings(**BELTS)
+    for rate in (LINES_S, 4 * LINES_S):
+        text = chords(1200, 0.05, 0.05 * rate * 60)
+        with tempfile.TemporaryDirectory() as folder:
+            job = Path(folder) / "chords.nc"
+            job.write_text(text)
+            expected = json.loads(in_simulator(bench, job, BELTS, "--json"))["duration_s"]
+        before, scope, begin = len(host.answers), Scope(board), board.now
+        host.stream(text)
+        bench.wait(lambda: host.all_answered, 60, "the last answer")
+        lines = (len(host.answers) - before) / ((board.now - begin) / bench.wiring.core_hz)
+        bench.wait_state("Idle", 60)
+        if any(answer != "ok" for answer in host.answers[before:]):
+            raise Failure(f"answers: {set(host.answers[before:])}")
+        rising = [step.at for step in scope.steps()]
+        took = (rising[-1] - rising[0]) / bench.wiring.core_hz
+        yield f"{rate} lines/s of {len(text) // text.count(chr(10))} bytes asked for: {lines:.0f} lines/s answered; {took:.3f} s of motion, {expected:.3f} s in the simulator"
+        if rate == LINES_S and took > 1.002 * expected:
+            raise Failure("the machine has waited for lines")
+        bench.ask("G90G1X0Y0F9000")
+        bench.wait_state("Idle", 60)
+
+
 def usb_unplugged(bench):
     """The cable is pulled in mid-job: a hold, and the UART or the next host takes over."""
     board, host = with_usb(bench)
@@ -2111,6 +2160,7 @@ def all_cases(root):
         ("low supply at power-up", low_at_power_up),
         ("usb", usb_port),
         ("usb flood", usb_flood),
+        ("usb lines", usb_lines),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
     ]

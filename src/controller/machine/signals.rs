@@ -24,6 +24,8 @@ pub struct Inputs {
     armed: u32,
     sensed: Sensed,
     active: u32,
+    /// `sensed` may be another since it was told.
+    untold: bool,
 }
 
 impl Default for Inputs {
@@ -42,6 +44,7 @@ impl Inputs {
             armed: 0,
             sensed: Sensed { signals: Signals::NONE, trips: 0, tripped: 0 },
             active: 0,
+            untold: true,
         }
     }
 
@@ -66,6 +69,7 @@ impl Inputs {
             return false;
         }
         self.active = active;
+        self.untold = true;
         self.sensed.signals = Signals::of_word(active);
         let tripped = changed & active & self.armed;
         if tripped != 0 {
@@ -85,9 +89,16 @@ impl Inputs {
         (self.settling == 0).then_some(self.sensed)
     }
 
+    /// Whether [`Inputs::sensed`] may be another than it knows: asked at each sample, and seldom so.
+    #[inline]
+    pub fn is_untold(&self) -> bool {
+        self.untold
+    }
+
     /// It knows [`Inputs::sensed`].
     pub fn told(&mut self) {
         self.sensed.tripped = 0;
+        self.untold = false;
     }
 }
 

@@ -22,7 +22,7 @@
 //! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
-use crate::protocol::realtime::Received;
+use crate::protocol::realtime::{Received, is_plain};
 
 /// The way to `control`.
 pub trait Queues {
@@ -89,6 +89,17 @@ impl HostArbiter {
         }
         self.cut = false;
         queues.line(byte)
+    }
+
+    /// A host sends a line: whether it has the floor.
+    #[inline]
+    fn claim<const OTHER: usize>(&mut self, link: usize, other: &mut Link<OTHER>, queues: &impl Queues) -> bool {
+        // Nearly always, and nothing changes by it.
+        if self.floor.is_held_by(link) {
+            return true;
+        }
+        let free = queues.is_free();
+        self.turn_to(other, |floor| floor.claim(link, free, true))
     }
 
     /// Lets `ask` ask for the floor. Where another host takes over, the one that loses it is cut short: its half line, the partial
@@ -165,6 +176,9 @@ impl<const HELD: usize> Link<HELD> {
         other: &mut Link<OTHER>,
         queues: &mut impl Queues,
     ) -> bool {
+        if self.is_plain(byte, arbiter) && queues.line(LineByte { byte, epoch: arbiter.epoch, damaged: false }) {
+            return true;
+        }
         match Received::of(byte) {
             Received::Nothing => {
                 queues.ignored();
@@ -196,9 +210,7 @@ impl<const HELD: usize> Link<HELD> {
                     }
                 } else {
                     self.refusing_line &= self.mid_line;
-                    let free = queues.is_free();
-                    self.refusing_line =
-                        self.refusing_line || !arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
+                    self.refusing_line = self.refusing_line || !arbiter.claim(self.number, other, queues);
                 }
                 self.mid_line = !is_end(byte);
                 if self.refusing_line {
@@ -214,6 +226,17 @@ impl<const HELD: usize> Link<HELD> {
                 queued
             }
         }
+    }
+
+    /// Nearly all bytes: of the middle of a line, of the host with the floor, and nothing waits. What becomes of such a byte needs no
+    /// other question than whether there is room.
+    #[inline]
+    fn is_plain(&self, byte: u8, arbiter: &HostArbiter) -> bool {
+        is_plain(byte)
+            && self.mid_line
+            && !(self.refusing_line || self.lost || arbiter.cut)
+            && self.held.is_empty()
+            && arbiter.floor.is_held_by(self.number)
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
@@ -368,6 +391,12 @@ impl Floor {
     /// Who gets the answers.
     fn holder(&self) -> usize {
         self.holder
+    }
+
+    /// The host of `link` has it, and more than asked for a report.
+    #[inline]
+    fn is_held_by(&self, link: usize) -> bool {
+        self.holder == link && !self.weak
     }
 
     /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.

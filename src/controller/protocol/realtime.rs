@@ -26,6 +26,12 @@ impl Received {
     }
 }
 
+/// Whether a byte is part of a line, neither a command nor its end.
+#[inline]
+pub const fn is_plain(byte: u8) -> bool {
+    matches!(byte, b' '..=b'}') && !matches!(byte, b'!' | b'?')
+}
+
 /// The realtime command of a byte (Grbl 1.1 interface, realtime commands).
 pub const fn command(byte: u8) -> Option<Realtime> {
     Some(match byte {
@@ -80,6 +86,14 @@ mod tests {
         }
         assert_eq!(commands, [Realtime::Status, Realtime::JogCancel, Realtime::FeedHold, Realtime::Stop]);
         assert_eq!(line, b"G1X2\n");
+    }
+
+    #[test]
+    fn plain_bytes_are_those_of_lines_that_end_none() {
+        for byte in 0..=0xFF {
+            let of_line = Received::of(byte) == Received::Line(byte);
+            assert_eq!(is_plain(byte), of_line && (b' '..=b'}').contains(&byte), "{byte:#x}");
+        }
     }
 
     #[test]
