@@ -298,37 +298,27 @@ impl<const N: usize> SegmentSource<N> {
         true
     }
 
-    /// The next segment of the running block.
+    /// The next segment of the running block: a piece of it, or of the time until a tick that is far away, or that tick.
+    #[inline]
     fn segment(&mut self, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
         let braking = self.state == FeedState::Braking;
-        if let Some(long) = self.long_tick {
-            return self.segment_of(long, braking, planner, backlash);
-        }
-        let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
-        let time = self.pacer.fixed(cut.seconds);
-        if cut.ticks == 1 && time > self.far() {
-            return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
+        let (cut, time) = match self.long_tick {
+            Some(LongTick { cut, time }) => (cut, time),
+            None => {
+                let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
+                (cut, self.pacer.fixed(cut.seconds))
+            }
+        };
+        if cut.ticks == 1 && (time > self.far() || self.long_tick.is_some()) {
+            if braking {
+                return self.rest_here(backlash);
+            }
+            if time > self.far() {
+                return self.wait(cut, time, backlash);
+            }
+            self.long_tick = None;
         }
         self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
-    }
-
-    /// The next part of the time until a tick that is far away, or that tick.
-    #[inline(never)]
-    fn segment_of(
-        &mut self,
-        LongTick { cut, time }: LongTick,
-        braking: bool,
-        planner: &mut Planner<N, [Block<N>]>,
-        backlash: &Backlash<N>,
-    ) -> Segment {
-        if braking {
-            return self.rest_here(backlash);
-        }
-        if time > self.far() {
-            return self.wait(cut, time, backlash);
-        }
-        self.long_tick = None;
-        self.emit(&cut, time as u32, planner, backlash)
     }
 
     /// Time of a tick that is far away, in fixed point.
