@@ -202,19 +202,14 @@ impl Pacer {
         clocks.saturating_mul(ONE)
     }
 
-    /// Spreads a time over ticks with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    /// Spreads a time over 65535 ticks at most with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    #[inline]
     pub(super) fn intervals(&mut self, time: u32, ticks: u32, ramp: f32) -> Intervals {
         let least = ticks.saturating_mul(ONE);
         let total = time.saturating_add(self.remainder).max(least);
-        let average = total / ticks;
-        let pairs = ticks - 1;
-        // Whatever the curve says, the shortest tick keeps a quarter of the average.
-        let steepest = (average - average / 4).saturating_sub(ONE).checked_div(pairs).unwrap_or(0);
-        let steepest = steepest.min(i32::MAX as u32) as i32;
-        let ramp = ((ramp * self.per_second) as i32).clamp(-steepest, steepest);
-        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2.
-        let rise = i64::from(ramp) * i64::from(pairs) / 2 * i64::from(ticks)
-            + i64::from(ramp) * i64::from(pairs) % 2 * i64::from(ticks) / 2;
+        let ramp = self.ramp(ramp, total, ticks);
+        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2, a product that is even.
+        let rise = i64::from(ramp) * i64::from(ticks.wrapping_mul(ticks - 1) / 2);
         let flat = (i64::from(total) - rise).max(0) as u64;
         let (interval, remainder) = match u32::try_from(flat) {
             Ok(flat) => (flat / ticks, flat % ticks),
@@ -222,6 +217,20 @@ impl Pacer {
         };
         self.remainder = remainder;
         Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
+    }
+
+    /// A change of the interval, in seconds, in fixed point. Whatever the curve says, the shortest tick keeps a quarter of the
+    /// average.
+    #[inline]
+    fn ramp(&self, ramp: f32, total: u32, ticks: u32) -> i32 {
+        let ramp = (ramp * self.per_second) as i32;
+        if ramp == 0 {
+            return 0;
+        }
+        let average = total / ticks;
+        let steepest = (average - average / 4).saturating_sub(ONE).checked_div(ticks - 1).unwrap_or(0);
+        let steepest = steepest.min(i32::MAX as u32) as i32;
+        ramp.clamp(-steepest, steepest)
     }
 }
 
