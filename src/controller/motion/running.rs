@@ -217,6 +217,9 @@ impl<const N: usize> Running<N> {
         for (bit, (value, (axis_steps, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
             let taken = if self.done == self.total {
                 axis_steps.steps()
+            } else if *rate == 0 {
+                // It does not move: an axis with steps has a rate, wherever its ends are.
+                0
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)
             };
