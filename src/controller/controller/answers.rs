@@ -152,6 +152,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    // Cold: asked for a few times in a second, and looked for before each output.
+    #[cold]
     #[inline(never)]
     pub(super) fn report_status(&mut self) {
         let busy = self.step_supply.is_running()

@@ -423,6 +423,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The same before all else. By itself, so that a motion under way costs no call.
+    #[cold]
     #[inline(never)]
     fn urgent_message(&mut self) -> Option<ToStep> {
         self.step_message()

@@ -5,7 +5,7 @@
 //! (`step_clock_hz`), and knows the motors at the block's start and at the last rest. It has a `BlockStage`, a
 //! `PathMotion` (pace, nominal) and `SegmentsInFlight`. `clocks_per_us`, `JOIN_MS`, `SHORT_MS`, `REST_US`, `FAR_MS` and
 //! `WAIT_MS` are its times; `run_out`, `wants_more`, `waits_for_rest`, `is_short_of_segments`, `path_state`,
-//! `set_nominal`, `motors_in_block`, `next_cut`, `segment_of`, `holds_time` and `ends_at_rest` its questions and steps,
+//! `set_nominal`, `motors_in_block`, `next_cut`, `holds_time` and `ends_at_rest` its questions and steps,
 //! with `restart`, `hold`, `resume` and `stop`.
 
 use super::backlash::{Backlash, Motors};
@@ -120,10 +120,11 @@ impl<const N: usize> SegmentSource<N> {
         self.in_flight.queued() / self.clocks_per_us
     }
 
-    /// Whether that is at least so many microseconds, without a division.
+    /// Whether that is at least so many microseconds, a second at most, without a division.
     #[inline]
     pub(super) fn holds_time(&self, us: u32) -> bool {
-        self.in_flight.queued() >= us.saturating_mul(self.clocks_per_us)
+        // In a microsecond there are 4294 clocks at most, for in a second they fit 32 bits.
+        self.in_flight.queued() >= us.wrapping_mul(self.clocks_per_us)
     }
 
     /// The running block is forgotten; the machine rests with the motors here.
