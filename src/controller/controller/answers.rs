@@ -49,11 +49,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The message of a line that is carried out, with its mark; one that would leave the travel is not. What was queued
     /// before it may still move.
+    #[inline]
     pub(super) fn tell_remark(&mut self, remark: &[u8]) {
-        let left_out = self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_));
-        let Some((mark, written)) = remark.split_first().filter(|_| !left_out) else { return };
+        if let Some((mark, written)) = remark.split_first() {
+            self.tell_message(*mark, written);
+        }
+    }
+
+    // By itself: few lines have a message, and it takes much stack.
+    #[inline(never)]
+    fn tell_message(&mut self, mark: u8, written: &[u8]) {
+        if self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
+            return;
+        }
         let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
-        if *mark == WITH_VALUES {
+        if mark == WITH_VALUES {
             self.interpreter.expand(written, &mut text);
         } else {
             let _ = text.extend_from_slice(written);
@@ -142,6 +152,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    // Cold: asked for a few times in a second, and looked for before each output.
+    #[cold]
     #[inline(never)]
     pub(super) fn report_status(&mut self) {
         let busy = self.step_supply.is_running()

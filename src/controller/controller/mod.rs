@@ -339,7 +339,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let urgent = short && !self.motion.ends_at_rest();
         if urgent
             && room.step
-            && let Some(message) = self.step_message()
+            && let Some(message) = self.urgent_message()
         {
             return Some(Output::Step(message));
         }
@@ -422,6 +422,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         None
     }
 
+    /// The same before all else. By itself, so that a motion under way costs no call.
+    #[cold]
+    #[inline(never)]
+    fn urgent_message(&mut self) -> Option<ToStep> {
+        self.step_message()
+    }
+
+    #[inline(always)]
     fn step_message(&mut self) -> Option<ToStep> {
         let mut message = if self.pins.are_calm() { self.motion.next_message() } else { self.message_in_turn() };
         if let Some(ToStep::Segment(segment)) = &mut message {

@@ -167,7 +167,7 @@ impl CurveLoad {
     }
 
     #[inline(always)]
-    fn left_of(self, along: f32, speed2: f32) -> f32 {
+    pub(super) fn left_of(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / of_upper(self.speed2), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)

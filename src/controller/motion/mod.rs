@@ -465,7 +465,7 @@ impl<const N: usize> AnyMotion<N> {
         self.source.is_on()
     }
 
-    /// Whether at least so many microseconds have been handed over and not begun.
+    /// Whether at least so many microseconds, a second at most, have been handed over and not begun.
     #[inline]
     pub fn holds_time(&self, us: u32) -> bool {
         self.source.holds_time(us)

@@ -217,6 +217,9 @@ impl<const N: usize> Running<N> {
         for (bit, (value, (axis_steps, (rate, credit)))) in position.iter_mut().zip(axes).enumerate() {
             let taken = if self.done == self.total {
                 axis_steps.steps()
+            } else if *rate == 0 {
+                // It does not move: an axis with steps has a rate, wherever its ends are.
+                0
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)
             };
@@ -277,7 +280,8 @@ impl<const N: usize> Running<N> {
         match planner.first() {
             Some(block) if !block.curve.is_none() => {
                 let speed2 = pace.speed2 / (self.scale * self.scale);
-                let planned = block.acceleration_at(lesser(speed2, exit2)) * self.scale;
+                // Without a call, for which all segments would save registers.
+                let planned = block.curve.left_of(block.acceleration, lesser(speed2, exit2)) * self.scale;
                 let (exit2, twice_left) = (exit2 * self.scale * self.scale, 2.0 * self.left() as f32);
                 if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {
                     return planned;

@@ -15,11 +15,16 @@ use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 const SEGMENT_TIME: f32 = 0.001;
 /// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
 const SMOOTH_RATE: f32 = 8000.0;
+/// That speed in units/s, at ticks of a whole step.
+const COARSEST: f32 = SMOOTH_RATE * UNITS_PER_STEP as f32;
 /// Share of speed²/acceleration that one segment may cover: its speed then changes by a tenth, and evenly
 /// changing intervals follow the curve within 0.3 % (the intervals of a longer piece bend).
 const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the nearest tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
+
+/// A speed in units/s that no machine comes near.
+const ENDLESS: f32 = 1.0e18;
 
 /// A piece of a block.
 #[derive(Clone, Copy, Debug)]
@@ -36,19 +41,19 @@ pub(super) struct Cut {
     pub acceleration: f32,
 }
 
-/// Speed in units/s above which `level` is not needed.
+/// Speed in units/s above which a level is not needed.
+#[inline]
 fn amass_level_speed(level: u8) -> f32 {
-    // The power of two by its exponent: no conversion and no division.
-    SMOOTH_RATE * UNITS_PER_STEP as f32 * f32::from_bits((127 - u32::from(level)) << 23)
+    // Half of a number has an exponent that is less by one: no conversion and no division.
+    f32::from_bits(COARSEST.to_bits() - (u32::from(level) << 23))
 }
 
 /// The AMASS level of a segment: the coarsest one whose ticks are fast enough.
+#[inline]
 fn amass_level_for(speed: f32) -> u8 {
-    let mut level = 0;
-    while level < MAX_LEVEL && speed < amass_level_speed(level) {
-        level += 1;
-    }
-    level
+    // Positive numbers are ordered as their bits are.
+    let below = COARSEST.to_bits() as i32 - speed.to_bits() as i32;
+    (((below - 1) >> 23) + 1).clamp(0, i32::from(MAX_LEVEL)) as u8
 }
 
 /// Units of a tick of this level `done` units after the start of a block, or as many as the place and the `left` units
@@ -124,17 +129,16 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace) -> Cut {
     // A braking that ends within the time: all of it.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * SEGMENT_TIME } else { speed * SEGMENT_TIME };
     if phase.sign != 0.0 {
-        reach = lesser(reach, EVEN * speed2 / curve.acceleration);
+        // The speed at which the level ends. Twice the acceleration times the way is the change of speed².
         let edge = if phase.sign > 0.0 {
-            if level > 0 { amass_level_speed(level - 1) } else { f32::MAX }
+            if level > 0 { amass_level_speed(level - 1) } else { ENDLESS }
         } else if level < MAX_LEVEL {
             amass_level_speed(level)
         } else {
             0.0
         };
-        if edge < 1.0e9 {
-            reach = lesser(reach, (edge * edge - speed2).abs() / (2.0 * curve.acceleration));
-        }
+        let change2 = lesser(EVEN * speed2, 0.5 * (edge * edge - speed2).abs());
+        reach = lesser(reach, change2 / curve.acceleration);
     }
 
     let (grain, limit) = grain(level, done, left);
@@ -202,19 +206,14 @@ impl Pacer {
         clocks.saturating_mul(ONE)
     }
 
-    /// Spreads a time over ticks with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    /// Spreads a time over 65535 ticks at most with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    #[inline]
     pub(super) fn intervals(&mut self, time: u32, ticks: u32, ramp: f32) -> Intervals {
         let least = ticks.saturating_mul(ONE);
         let total = time.saturating_add(self.remainder).max(least);
-        let average = total / ticks;
-        let pairs = ticks - 1;
-        // Whatever the curve says, the shortest tick keeps a quarter of the average.
-        let steepest = (average - average / 4).saturating_sub(ONE).checked_div(pairs).unwrap_or(0);
-        let steepest = steepest.min(i32::MAX as u32) as i32;
-        let ramp = ((ramp * self.per_second) as i32).clamp(-steepest, steepest);
-        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2.
-        let rise = i64::from(ramp) * i64::from(pairs) / 2 * i64::from(ticks)
-            + i64::from(ramp) * i64::from(pairs) % 2 * i64::from(ticks) / 2;
+        let ramp = self.ramp(ramp, total, ticks);
+        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2, a product that is even.
+        let rise = i64::from(ramp) * i64::from(ticks.wrapping_mul(ticks - 1) / 2);
         let flat = (i64::from(total) - rise).max(0) as u64;
         let (interval, remainder) = match u32::try_from(flat) {
             Ok(flat) => (flat / ticks, flat % ticks),
@@ -223,11 +222,35 @@ impl Pacer {
         self.remainder = remainder;
         Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
     }
+
+    /// A change of the interval, in seconds, in fixed point. Whatever the curve says, the shortest tick keeps a quarter of the
+    /// average.
+    #[inline]
+    fn ramp(&self, ramp: f32, total: u32, ticks: u32) -> i32 {
+        let ramp = (ramp * self.per_second) as i32;
+        if ramp == 0 {
+            return 0;
+        }
+        let average = total / ticks;
+        let steepest = (average - average / 4).saturating_sub(ONE).checked_div(ticks - 1).unwrap_or(0);
+        let steepest = steepest.min(i32::MAX as u32) as i32;
+        ramp.clamp(-steepest, steepest)
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{ONE, Pacer};
+    use super::{COARSEST, MAX_LEVEL, ONE, Pacer, amass_level_for, amass_level_speed};
+
+    #[test]
+    fn a_level_ends_at_its_speed() {
+        for level in 0..MAX_LEVEL {
+            let edge = amass_level_speed(level);
+            assert_eq!(edge, COARSEST / f32::from(1_u8 << level));
+            assert_eq!((amass_level_for(edge), amass_level_for(edge.next_down())), (level, level + 1));
+        }
+        assert_eq!([f32::MAX, f32::MIN_POSITIVE, 0.0].map(amass_level_for), [0, MAX_LEVEL, MAX_LEVEL]);
+    }
 
     #[test]
     fn no_part_of_a_tick_is_lost() {

@@ -5,7 +5,7 @@
 //! (`step_clock_hz`), and knows the motors at the block's start and at the last rest. It has a `BlockStage`, a
 //! `PathMotion` (pace, nominal) and `SegmentsInFlight`. `clocks_per_us`, `JOIN_MS`, `SHORT_MS`, `REST_US`, `FAR_MS` and
 //! `WAIT_MS` are its times; `run_out`, `wants_more`, `waits_for_rest`, `is_short_of_segments`, `path_state`,
-//! `set_nominal`, `motors_in_block`, `next_cut`, `segment_of`, `holds_time` and `ends_at_rest` its questions and steps,
+//! `set_nominal`, `motors_in_block`, `next_cut`, `holds_time` and `ends_at_rest` its questions and steps,
 //! with `restart`, `hold`, `resume` and `stop`.
 
 use super::backlash::{Backlash, Motors};
@@ -120,10 +120,11 @@ impl<const N: usize> SegmentSource<N> {
         self.in_flight.queued() / self.clocks_per_us
     }
 
-    /// Whether that is at least so many microseconds, without a division.
+    /// Whether that is at least so many microseconds, a second at most, without a division.
     #[inline]
     pub(super) fn holds_time(&self, us: u32) -> bool {
-        self.in_flight.queued() >= us.saturating_mul(self.clocks_per_us)
+        // In a microsecond there are 4294 clocks at most, for in a second they fit 32 bits.
+        self.in_flight.queued() >= us.wrapping_mul(self.clocks_per_us)
     }
 
     /// The running block is forgotten; the machine rests with the motors here.
@@ -298,37 +299,27 @@ impl<const N: usize> SegmentSource<N> {
         true
     }
 
-    /// The next segment of the running block.
+    /// The next segment of the running block: a piece of it, or of the time until a tick that is far away, or that tick.
+    #[inline]
     fn segment(&mut self, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
         let braking = self.state == FeedState::Braking;
-        if let Some(long) = self.long_tick {
-            return self.segment_of(long, braking, planner, backlash);
-        }
-        let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
-        let time = self.pacer.fixed(cut.seconds);
-        if cut.ticks == 1 && time > self.far() {
-            return if braking { self.rest_here(backlash) } else { self.wait(cut, time, backlash) };
+        let (cut, time) = match self.long_tick {
+            Some(LongTick { cut, time }) => (cut, time),
+            None => {
+                let Some(cut) = self.next_cut(braking, planner) else { return self.rest_here(backlash) };
+                (cut, self.pacer.fixed(cut.seconds))
+            }
+        };
+        if cut.ticks == 1 && (time > self.far() || self.long_tick.is_some()) {
+            if braking {
+                return self.rest_here(backlash);
+            }
+            if time > self.far() {
+                return self.wait(cut, time, backlash);
+            }
+            self.long_tick = None;
         }
         self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
-    }
-
-    /// The next part of the time until a tick that is far away, or that tick.
-    #[inline(never)]
-    fn segment_of(
-        &mut self,
-        LongTick { cut, time }: LongTick,
-        braking: bool,
-        planner: &mut Planner<N, [Block<N>]>,
-        backlash: &Backlash<N>,
-    ) -> Segment {
-        if braking {
-            return self.rest_here(backlash);
-        }
-        if time > self.far() {
-            return self.wait(cut, time, backlash);
-        }
-        self.long_tick = None;
-        self.emit(&cut, time as u32, planner, backlash)
     }
 
     /// Time of a tick that is far away, in fixed point.

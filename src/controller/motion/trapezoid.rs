@@ -98,45 +98,58 @@ impl Trapezoid {
 
     /// Advances by `distance` of the `left` units, beginning in `phase`: seconds and the pace after it. Exact also from and to
     /// rest.
-    #[inline]
-    pub(super) fn advance(
-        &self,
-        from: Pace,
-        mut phase: TrapezoidPhase,
-        mut left: f32,
-        mut distance: f32,
-    ) -> (f32, Pace) {
-        let slope = 2.0 * self.acceleration;
-        let Pace { mut speed, mut speed2 } = from;
-        let mut time = 0.0;
-        for _ in 0..MOST_PHASES {
+    #[inline(always)]
+    pub(super) fn advance(&self, from: Pace, phase: TrapezoidPhase, left: f32, distance: f32) -> (f32, Pace) {
+        let whole = phase.length <= distance;
+        let piece = if whole { phase.length } else { distance };
+        let (time, pace) = self.within(from, phase, piece, whole);
+        if !whole || distance - piece <= 0.0 {
+            return (time, pace);
+        }
+        self.advance_on((time, pace), left - piece, distance - piece)
+    }
+
+    /// The same beyond the first phase: from what that took, and the pace at its end.
+    // By itself: few segments come here, and all would save more registers for it.
+    #[inline(never)]
+    fn advance_on(self, (mut time, mut pace): (f32, Pace), mut left: f32, mut distance: f32) -> (f32, Pace) {
+        for _ in 1..MOST_PHASES {
+            let phase = self.phase(pace.speed2, left);
             let whole = phase.length <= distance;
             let piece = if whole { phase.length } else { distance };
-            let end2 = if whole {
-                phase.end2
-            } else if phase.sign < 0.0 {
-                // Measured from the phase's end, where it must arrive exactly.
-                phase.end2 + slope * (phase.length - piece)
-            } else {
-                speed2 + phase.sign * slope * piece
-            };
-            let end = square_root(end2);
-            let sum = speed + end;
-            if piece > 0.0 {
-                // The second form is for a rest that rounding made of a crawl.
-                time += if sum > 0.0 { 2.0 * piece / sum } else { square_root(2.0 * piece / self.acceleration) };
-            }
-            speed2 = end2;
-            speed = end;
+            let (more, end) = self.within(pace, phase, piece, whole);
+            time += more;
+            pace = end;
             left -= piece;
             distance -= piece;
             if !whole || distance <= 0.0 {
-                return (time, Pace { speed, speed2 });
+                return (time, pace);
             }
-            phase = self.phase(speed2, left);
         }
-        if speed > 0.0 {
-            time += distance / speed;
+        if pace.speed > 0.0 {
+            time += distance / pace.speed;
+        }
+        (time, pace)
+    }
+
+    /// Advances by a piece of a phase, or the whole of it.
+    #[inline(always)]
+    fn within(&self, from: Pace, phase: TrapezoidPhase, piece: f32, whole: bool) -> (f32, Pace) {
+        let slope = 2.0 * self.acceleration;
+        let speed2 = if whole {
+            phase.end2
+        } else if phase.sign < 0.0 {
+            // Measured from the phase's end, where it must arrive exactly.
+            phase.end2 + slope * (phase.length - piece)
+        } else {
+            from.speed2 + phase.sign * slope * piece
+        };
+        let speed = square_root(speed2);
+        let sum = from.speed + speed;
+        let mut time = 0.0;
+        if piece > 0.0 {
+            // The second form is for a rest that rounding made of a crawl.
+            time = if sum > 0.0 { 2.0 * piece / sum } else { square_root(2.0 * piece / self.acceleration) };
         }
         (time, Pace { speed, speed2 })
     }
