@@ -3,7 +3,7 @@
 //! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
 //! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
 //! explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales of a `SHORTEST`
-//! length and more), `PathPiece`, `note_turn`, `limit_of_turn`, `limit_after`, `take_span`, `corner2`,
+//! length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`, `take_span`, `corner2`,
 //! `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`, `NOTICEABLE`, `DIGITS_ASIDE`.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
@@ -150,17 +150,27 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`. Most
-    /// turns are none at all: no call for them.
+    /// Whether a span before, with so much path `between` them, may set a limit below `fast2`: most turns are noise, or bends
+    /// that are surely faster. No call for them.
     #[inline(always)]
-    fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+    fn may_be_limited(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> bool {
         let all2 = turn2(&old.direction, &self.direction);
         let noise = old.noise + self.noise;
-        if is_noise(all2, noise) { None } else { self.limit_of_turn(old, all2, between, fast2, rule) }
+        if is_noise(all2, noise) {
+            return false;
+        }
+        let (least, length) = (rule.least_of(&old.direction, &self.direction), between + old.half() + self.half());
+        // Less noise, the turn is no larger, and √x is no less than x.
+        if rule.is_surely_faster(least, length, all2, 1.0 - 0.25 * all2, fast2) {
+            return false;
+        }
+        certain(all2, noise).is_some_and(|(turn2, sine)| !rule.is_surely_faster(least, length, turn2, sine, fast2))
     }
 
+    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
     #[inline(never)]
-    fn limit_of_turn(&self, old: &Self, all2: f32, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+    fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+        let all2 = turn2(&old.direction, &self.direction);
         let (turn2, sine) = certain(all2, old.noise + self.noise)?;
         let radius = (between + old.half() + self.half()) * radius_of(turn2, sine);
         let bend2 = rule.in_plane(&old.direction, &self.direction, all2) * rule.curve_share * radius;
@@ -231,6 +241,47 @@ impl<const N: usize> History<N> {
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
+        if self.may_limit(&new, rule) {
+            self.compare(&new, behind, rule, found);
+        }
+        if !bend.is_none() {
+            let own = usize::from(new.blocks);
+            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
+            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
+            let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
+            let speed2 = greater(bend.speed2(), square);
+            found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
+        }
+        let [first, second, third, fourth] = &mut self.0;
+        // One after the other: an array of them would be made elsewhere first.
+        *fourth = *third;
+        *third = *second;
+        *second = *first;
+        *first = new;
+    }
+
+    /// Whether there may be a limit for a new span: what [`History::compare`] then asks of all spans.
+    #[inline(always)]
+    fn may_limit(&self, new: &Span<N>, rule: &TurnRule<N>) -> bool {
+        let (mut between, mut fast2) = (0.0, new.fast2);
+        for (index, old) in self.0.iter().enumerate() {
+            if old.blocks == 0 || !new.straight {
+                return false;
+            }
+            fast2 = greater(fast2, old.fast2);
+            let corner = index == 0 && new.blocks == 1 && old.blocks == 1;
+            if old.straight && !corner && new.may_be_limited(old, between, fast2, rule) {
+                return true;
+            }
+            between += old.path;
+        }
+        false
+    }
+
+    /// Compares a new span with those before it.
+    #[inline(never)]
+    fn compare(&self, new: &Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+        let [first, ..] = &self.0;
         let own = usize::from(new.blocks);
         let (mut between, mut blocks, mut fast2, mut turned2) = (0.0, 0, new.fast2, new.turned2);
         for (index, old) in self.0.iter().enumerate() {
@@ -262,19 +313,6 @@ impl<const N: usize> History<N> {
             blocks += usize::from(old.blocks);
             turned2 = old.turned2;
         }
-        if !bend.is_none() {
-            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
-            let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
-            let speed2 = greater(bend.speed2(), square);
-            found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
-        }
-        let [first, second, third, fourth] = &mut self.0;
-        // One after the other: an array of them would be made elsewhere first.
-        *fourth = *third;
-        *third = *second;
-        *second = *first;
-        *first = new;
     }
 }
 

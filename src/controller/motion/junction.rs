@@ -16,6 +16,10 @@ const STRAIGHT: f32 = 2.0e-6;
 /// q² beyond which a move turns back on itself.
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
 
+/// Share of a bend's speed² that rounding leaves for certain. Of unit vectors that are off by the last bit, the normal and the tangent of a
+/// turn of q² = [`STRAIGHT`] are square to each other within 0.0007.
+const SURELY: f32 = 0.99;
+
 /// What the rule must know of the machine.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TurnRule<const N: usize> {
@@ -93,6 +97,26 @@ impl<const N: usize> TurnRule<N> {
             }
         }
         square_root(least2)
+    }
+
+    /// The least acceleration of the axes that move before or after a turn.
+    #[inline]
+    pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
+        let mut least = UNLIMITED2;
+        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
+            if (*before != 0.0 || *after != 0.0) && limit < least {
+                least = limit;
+            }
+        }
+        least
+    }
+
+    /// Whether the bend of a turn within a length is surely faster than `fast2`, by squares: without division or root. In the plane of
+    /// the turn the axes give the `least` of them or more; s is no less than `sine`.
+    #[inline]
+    pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
+        let bend = SURELY * least * self.curve_share * length * (2.0 + sine);
+        bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
     /// J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:
