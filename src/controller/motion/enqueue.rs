@@ -9,7 +9,7 @@
 //! `begin_taking_up`, `take_up_before_plunge` and `finish_taking_up`; `kinematics`, `limits` and `backlash` are asked.
 
 use super::arc::Curvature;
-use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
+use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::curvature::{NOTICEABLE, PathPiece};
@@ -197,7 +197,7 @@ impl<const N: usize> AnyQueue<N> {
         let promised2 =
             if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
-        let path = self.path_to(&m.target);
+        let mut path = self.path_to(&m.target);
         self.end.planned = m.target;
         let (mut motors, sizes) = self.steps_to(target_steps);
         if sizes.dominant == 0 {
@@ -215,8 +215,12 @@ impl<const N: usize> AnyQueue<N> {
         let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };
-        let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, curve_speed2);
+        if path.length < length {
+            path.way = self.way_of_steps(&motors, length, &path.way);
+        }
+        let is_straight = path.straight == length && path.length == length;
+        let shares = if is_straight { unit.map(f32::abs) } else { shares(&path.way, length) };
+        let rapid = self.set_speeds(&mut block, m, &path, &shares, &mut motors, curve_speed2);
         block.flags = rapid
             | if m.no_feed_override { NO_OVERRIDE } else { 0 }
             | if m.scale_power { SCALE_POWER } else { 0 }
@@ -239,26 +243,26 @@ impl<const N: usize> AnyQueue<N> {
         block.corner2 = greater(self.entry_corner2(&piece, &path, sizes.coarsest_mm), promised2);
         self.end.direction = unit;
         if curve_speed2 < NOTICEABLE * piece.fast2 {
-            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&moved));
+            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&shares));
         }
         self.push(block, &piece);
     }
 
-    /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
-    /// steps. Gives the flag of a rapid.
+    /// Sets what bounds a block's speed, with the shares of the axes in it, and how fast it is meant to be; with backlash adds
+    /// what it takes up to the motors' steps. Gives the flag of a rapid.
     #[inline]
     fn set_speeds(
         &mut self,
         block: &mut Block<N>,
         m: &Move<N>,
         path: &Path<N>,
-        moved: &PerAxis<f32, N>,
+        moved: &[f32; N],
         motors: &mut MotorSteps<N>,
         curve_speed2: f32,
     ) -> u8 {
         let length = block.length;
-        let (mut acceleration, mut limit) = self.limits.along(moved, length);
-        block.jerk = self.limits.jerk_along(moved, length, acceleration);
+        let (mut acceleration, mut limit) = self.limits.along_shares(moved);
+        block.jerk = self.limits.jerk_along(moved, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
@@ -266,9 +270,10 @@ impl<const N: usize> AnyQueue<N> {
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
-            if let Some(way) = self.take_up(motors, moved, length, acceleration, speed) {
-                (acceleration, limit) = self.limits.along(&way, length);
-                block.jerk = self.limits.jerk_along(&way, length, acceleration);
+            if let Some(way) = self.take_up(motors, &path.way, length, acceleration, speed) {
+                let moved = shares(&way, length);
+                (acceleration, limit) = self.limits.along_shares(&moved);
+                block.jerk = self.limits.jerk_along(&moved, acceleration);
                 self.join.close();
             }
         }
@@ -325,7 +330,7 @@ impl<const N: usize> AnyQueue<N> {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
         let mut sizes = StepSizes { dominant: 0, least_mm: 0.0, coarsest_mm: 0.0 };
         let places = target_steps.iter().zip(self.end.planned_steps.iter());
-        let axes = motors.steps.iter_mut().zip(self.kinematics.least_mm);
+        let axes = motors.steps.iter_mut().zip(&self.kinematics.least_mm);
         for (bit, ((to, from), (steps, mm))) in places.zip(axes).enumerate() {
             *steps = to.abs_diff(*from);
             if to < from {
@@ -333,7 +338,7 @@ impl<const N: usize> AnyQueue<N> {
             }
             if *steps > 0 {
                 sizes.least_mm = greater((*steps as f32 - 0.5) * mm, sizes.least_mm);
-                sizes.coarsest_mm = greater(mm, sizes.coarsest_mm);
+                sizes.coarsest_mm = greater(*mm, sizes.coarsest_mm);
             }
             sizes.dominant = sizes.dominant.max(*steps);
         }
@@ -474,8 +479,9 @@ impl<const N: usize> AnyQueue<N> {
         block.steps_by_axis = steps.map(AxisSteps::on_steps);
         block.line_number = line_number;
         block.length = length;
-        (block.acceleration, block.limit) = self.limits.along(&way, length);
-        block.jerk = self.limits.jerk_along(&way, length, block.acceleration);
+        let shares = shares(&way, length);
+        (block.acceleration, block.limit) = self.limits.along_shares(&shares);
+        block.jerk = self.limits.jerk_along(&shares, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE | self.marked;
         // The tool does not move: a beam would burn a hole.

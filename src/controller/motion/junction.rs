@@ -44,7 +44,7 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
 /// Whether a turn is none, or may be the work of noise alone.
 #[inline]
 pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
-    turn2 < STRAIGHT || turn2 <= noise * noise
+    turn2 <= noise * noise || turn2 < STRAIGHT
 }
 
 /// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
@@ -71,7 +71,7 @@ impl<const N: usize> TurnRule<N> {
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         let mut least = UNLIMITED2;
-        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
+        for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();
             if part * least > limit * turn {
                 least = limit * turn / part;
@@ -89,7 +89,7 @@ impl<const N: usize> TurnRule<N> {
         // Of a turn straight back only the normal is known; the shorter spans know the rest.
         let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
         let mut least2 = UNLIMITED2;
-        for ((a, b), limit) in before.iter().zip(after).zip(self.acceleration) {
+        for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let (difference, sum) = (b - a, b + a);
             let share2 = difference * difference * normal + sum * sum * tangent;
             if share2 * least2 > limit * limit {
@@ -103,9 +103,9 @@ impl<const N: usize> TurnRule<N> {
     #[inline]
     pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
         let mut least = UNLIMITED2;
-        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
-            if (*before != 0.0 || *after != 0.0) && limit < least {
-                least = limit;
+        for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
+            if (*before != 0.0 || *after != 0.0) && *limit < least {
+                least = *limit;
             }
         }
         least

@@ -4,6 +4,7 @@
 //! chain the finished piece.
 
 use super::Move;
+use super::axis_limits::shares;
 use super::curvature::PathPiece;
 use super::queue::AnyQueue;
 use super::trapezoid::{lesser, square_root};
@@ -135,13 +136,14 @@ impl<const N: usize> AnyQueue<N> {
         }
         // From the speed at which the old block could have been braked to a stop, this one can.
         let last = self.planner.last()?;
-        let (acceleration, _) = self.limits.along(&way, length);
+        let shares = shares(&way, length);
+        let (acceleration, _) = self.limits.along_shares(&shares);
         let promised = last.acceleration * last.length;
         if acceleration * length < promised {
             return None;
         }
         let eased = last.jerk * last.length * last.length;
-        if self.planner.jerk_limited && self.limits.jerk_along(&way, length, acceleration) * length * length < eased {
+        if self.planner.jerk_limited && self.limits.jerk_along(&shares, acceleration) * length * length < eased {
             return None;
         }
         let promised = lesser(last.max_entry2, 2.0 * promised);
