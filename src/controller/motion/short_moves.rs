@@ -24,9 +24,7 @@ impl<const N: usize> AnyQueue<N> {
     /// that one did. Gives the speed² at which the blocks before may already count on entering it.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
-        let ends = m.target.iter().zip(self.end.block_end.iter());
-        let ways: i64 = ends.map(|(to, from)| (to.0 - from.0).abs()).sum();
-        if is_line && !m.no_feed_override && ways <= MOST_PIECE {
+        if is_line && !m.no_feed_override && self.is_short(m) {
             return self.join_short(m, target_steps);
         }
         self.join.open = false;
@@ -34,6 +32,16 @@ impl<const N: usize> AnyQueue<N> {
             self.end_join();
         }
         0.0
+    }
+
+    /// Whether the sum of its ways is short, from the end of the last block. Most moves are too long in their first axis.
+    #[inline]
+    fn is_short(&self, m: &Move<N>) -> bool {
+        let mut ways = 0;
+        m.target.iter().zip(self.end.block_end.iter()).all(|(to, from)| {
+            ways += (to.0 - from.0).abs();
+            ways <= MOST_PIECE
+        })
     }
 
     #[inline(never)]
