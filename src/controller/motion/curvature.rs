@@ -37,6 +37,19 @@ use crate::units::Coordinate;
 /// radian of a bend of R = 100 mm.
 const SCALES: usize = 14;
 const SHORTEST: f32 = 1.0 / 256.0;
+/// Length of the spans of a scale, mm.
+#[inline]
+fn scale_length(scale: usize) -> f32 {
+    SHORTEST * (1_u32 << scale) as f32
+}
+
+/// Scales that are no longer than a piece, by its binary exponent.
+#[inline]
+fn scales_within(length: f32) -> usize {
+    let exponent = |length: f32| (length.to_bits() >> 23) as usize;
+    (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
+}
+
 /// Spans that a new one is compared with.
 const HISTORY: usize = 4;
 /// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
@@ -75,7 +88,7 @@ pub(super) struct Bend {
 
 /// A span of the path with the direction from its start to its end.
 #[derive(Clone, Copy, Debug)]
-struct Span<const N: usize> {
+pub(super) struct Span<const N: usize> {
     /// Unit vector.
     direction: [f32; N],
     /// By how much the rounding of its ends may have turned it, rad.
@@ -115,7 +128,8 @@ impl<const N: usize> Span<N> {
     };
 
     /// A single piece.
-    fn of(piece: &PathPiece<'_, N>) -> Self {
+    #[inline]
+    pub(super) fn of(piece: &PathPiece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
         let noise = if straight { DIGITS_ASIDE * piece.digit / piece.length } else { 0.0 };
         Self {
@@ -138,10 +152,15 @@ impl<const N: usize> Span<N> {
     /// Greatest speed² at the corner with the piece before; both are single pieces.
     #[inline]
     fn corner2(&self, before: &Self, rule: &TurnRule<N>) -> f32 {
-        let all2 = turn2(&before.direction, &self.direction);
         if !before.straight || !self.straight {
             return UNLIMITED2;
         }
+        let all2 = turn2(&before.direction, &self.direction);
+        if is_noise(all2, before.noise + self.noise) { UNLIMITED2 } else { self.corner_of_turn(before, all2, rule) }
+    }
+
+    #[inline(never)]
+    fn corner_of_turn(&self, before: &Self, all2: f32, rule: &TurnRule<N>) -> f32 {
         let Some((turn2, sine)) = certain(all2, before.noise + self.noise) else { return UNLIMITED2 };
         if turn2 > REVERSAL {
             return 0.0;
@@ -423,35 +442,36 @@ impl<const N: usize> Chain<N> {
         self.digit = digit;
     }
 
-    /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.
-    #[inline(never)]
-    pub(super) fn corner2(&self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>) -> f32 {
+    /// Greatest speed² at the corner before a piece, which is a span by itself; [`Chain::extend`] has to follow.
+    #[inline]
+    pub(super) fn corner2(&self, piece: &Span<N>, rule: &TurnRule<N>) -> f32 {
         let [before, ..] = &self.pieces.0;
-        if before.blocks == 0 { UNLIMITED2 } else { Span::of(piece).corner2(before, rule) }
+        if before.blocks == 0 { UNLIMITED2 } else { piece.corner2(before, rule) }
     }
 
     /// Adds the newest block, which has been pushed already, and tells what bends are found.
     #[inline(never)]
-    pub(super) fn extend(&mut self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+    pub(super) fn extend(
+        &mut self,
+        piece: &PathPiece<'_, N>,
+        new: Span<N>,
+        rule: &TurnRule<N>,
+        found: &mut dyn FnMut(Bend),
+    ) {
         let digit = piece.digit;
-        let new = Span::of(piece);
-        let mut scale_length = SHORTEST;
-        let mut whole = 0;
-        while whole < SCALES && scale_length <= piece.length {
-            scale_length *= 2.0;
-            whole += 1;
-        }
+        let whole = scales_within(piece.length);
+        let mut scale_length = scale_length(whole);
         if self.whole < whole {
             self.end_before(piece, &new, whole, rule, found);
         }
-        for scale in self.scales.iter_mut().take(self.whole).skip(whole) {
+        for scale in self.scales.get_mut(whole..self.whole).unwrap_or_default() {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
         self.pieces.take_span(new, 0, rule, found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
-        for scale in self.scales.iter_mut().skip(whole) {
+        for scale in self.scales.get_mut(whole..).unwrap_or_default() {
             scale.path += path;
             scale.fast2 = greater(scale.fast2, fast2);
             scale.blocks = scale.blocks.saturating_add(blocks);

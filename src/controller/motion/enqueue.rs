@@ -12,7 +12,7 @@ use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
-use super::curvature::{NOTICEABLE, PathPiece};
+use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
 use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
@@ -240,12 +240,13 @@ impl<const N: usize> AnyQueue<N> {
             fast2: fastest * fastest,
             digit: self.chain.last_digit(m.digit),
         };
-        block.corner2 = greater(self.entry_corner2(&piece, &path, sizes.coarsest_mm), promised2);
+        let span = Span::of(&piece);
+        block.corner2 = greater(self.entry_corner2(&piece, &span, &path, sizes.coarsest_mm), promised2);
         self.end.direction = unit;
         if curve_speed2 < NOTICEABLE * piece.fast2 {
             block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&shares));
         }
-        self.push(block, &piece);
+        self.push(block, &piece, span);
     }
 
     /// Sets what bounds a block's speed, with the shares of the axes in it, and how fast it is meant to be; with backlash adds
@@ -286,11 +287,11 @@ impl<const N: usize> AnyQueue<N> {
     /// Greatest speed² at the corner before the piece of a path, on which the coarsest motor has steps of so many mm. A block
     /// that takes the time of moves that led nowhere has corners before and behind it.
     #[inline]
-    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
+    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
             self.chain.restart(piece.start);
         }
-        let mut corner2 = self.chain.corner2(piece, &self.limits.turns);
+        let mut corner2 = self.chain.corner2(span, &self.limits.turns);
         let waits = path.leads_nowhere(coarsest_mm);
         if waits || self.end.had_stepless_moves {
             corner2 = lesser(corner2, self.limits.turns.square_corner2());
@@ -302,11 +303,11 @@ impl<const N: usize> AnyQueue<N> {
 
     /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
     #[inline]
-    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>) {
+    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>, span: Span<N>) {
         self.planner.push(block, self.overrides);
         if self.looks_ahead() && !self.join.keeps(piece) {
             let planner = &mut self.planner;
-            self.chain.extend(piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+            self.chain.extend(piece, span, &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
         self.planner.plan();
     }

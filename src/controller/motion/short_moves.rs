@@ -5,7 +5,7 @@
 
 use super::Move;
 use super::axis_limits::shares;
-use super::curvature::PathPiece;
+use super::curvature::{PathPiece, Span};
 use super::queue::AnyQueue;
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
@@ -84,7 +84,7 @@ impl<const N: usize> AnyQueue<N> {
                 digit: join.digit,
             };
             let planner = &mut self.planner;
-            self.chain.extend(&piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+            self.chain.extend(&piece, Span::of(&piece), &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
     }
 
