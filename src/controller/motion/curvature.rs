@@ -29,6 +29,7 @@
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
+use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
@@ -359,7 +360,7 @@ impl<const N: usize> Scale<N> {
     /// Ends the span and begins the next.
     #[inline(never)]
     fn end(&mut self, end: &PerAxis<Coordinate, N>, digit: f32) -> Span<N> {
-        let way = end.zip(&self.start, |to, from| (to - from).to_mm());
+        let way = end.zip(&self.start, way_mm);
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let straight = length > 0.0 && length >= STRAIGHTNESS * self.path;
         let shortness = if straight { 1.0 / length } else { 0.0 };

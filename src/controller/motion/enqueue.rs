@@ -15,6 +15,7 @@ use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER}
 use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
+use super::path_end::way_mm;
 use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
@@ -315,7 +316,7 @@ impl<const N: usize> AnyQueue<N> {
     /// The path from the end of the last block.
     #[inline]
     fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
-        let way: PerAxis<f32, N> = target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
+        let way = target.zip(&self.end.block_end, way_mm);
         let mut square = 0.0;
         for part in way.iter() {
             square += part * part;
