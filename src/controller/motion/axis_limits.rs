@@ -4,7 +4,7 @@
 
 use super::MotionSettings;
 use super::junction::TurnRule;
-use super::trapezoid::lesser;
+use super::trapezoid::{lesser, quotient};
 use crate::axes::PerAxis;
 
 /// Least speed, mm/s: a step per minute with 40,000 steps/mm.
@@ -96,10 +96,10 @@ impl<const N: usize> AxisLimits<N> {
                 continue;
             }
             if share * acceleration > *most {
-                acceleration = most / share;
+                acceleration = quotient(*most, *share);
             }
             if share * limit > *rate {
-                limit = rate / share;
+                limit = quotient(*rate, *share);
             }
         }
         (acceleration, limit)
@@ -112,7 +112,7 @@ impl<const N: usize> AxisLimits<N> {
         if self.jerk_limited {
             for (share, most) in shares.iter().zip(&self.jerk) {
                 if share * jerk > *most {
-                    jerk = most / share;
+                    jerk = quotient(*most, *share);
                 }
             }
         }

@@ -3,7 +3,7 @@
 //! allow for a turn, and `junction2` is the speed² of the corner, from sine, cosine and deviation. [`super::curvature`]
 //! says where the rule is from and applies it to the whole path.
 
-use super::trapezoid::{greater, lesser, square_root};
+use super::trapezoid::{greater, lesser, quotient, square_root};
 
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
@@ -74,7 +74,7 @@ impl<const N: usize> TurnRule<N> {
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();
             if part * least > limit * turn {
-                least = limit * turn / part;
+                least = quotient(limit * turn, part);
             }
         }
         least
@@ -93,7 +93,7 @@ impl<const N: usize> TurnRule<N> {
             let (difference, sum) = (b - a, b + a);
             let share2 = difference * difference * normal + sum * sum * tangent;
             if share2 * least2 > limit * limit {
-                least2 = limit * limit / share2;
+                least2 = quotient(limit * limit, share2);
             }
         }
         square_root(least2)
@@ -104,7 +104,9 @@ impl<const N: usize> TurnRule<N> {
     pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
         let mut least = UNLIMITED2;
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
-            if (*before != 0.0 || *after != 0.0) && *limit < least {
+            // Zeros of either sign.
+            let moves = (before.to_bits() | after.to_bits()) << 1 != 0;
+            if moves && *limit < least {
                 least = *limit;
             }
         }
