@@ -679,14 +679,16 @@ impl Lowered {
         for (index, block) in blocks.iter_mut().enumerate() {
             // Most blocks in a long bend are as low already. No entry is above its corner.
             let is_tighter = bend.curve.is_tighter(block.curve);
-            if speed2 >= block.corner2.to_bits() && !is_tighter {
+            if speed2 < block.corner2.to_bits() {
+                block.corner2 = bend.speed2;
+            } else if !is_tighter {
                 continue;
             }
-            block.corner2 = lesser(block.corner2, bend.speed2);
-            if speed2 >= block.max_entry2.to_bits() && !is_tighter {
+            if speed2 < block.max_entry2.to_bits() {
+                block.max_entry2 = bend.speed2;
+            } else if !is_tighter {
                 continue;
             }
-            block.max_entry2 = lesser(block.max_entry2, bend.speed2);
             block.curve = block.curve.tighter(bend.curve);
             self.first.get_or_insert(from + index);
             // A block that came after the last walk has no entry.
