@@ -4,7 +4,7 @@
 
 use super::MotionSettings;
 use super::junction::TurnRule;
-use super::trapezoid::lesser;
+use super::trapezoid::{lesser, quotient};
 use crate::axes::PerAxis;
 
 /// Least speed, mm/s: a step per minute with 40,000 steps/mm.
@@ -32,6 +32,12 @@ pub(super) fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
 #[inline]
 pub(super) fn bounded_speed(speed: f32) -> f32 {
     bounded(speed, LEAST_SPEED, GREATEST_SPEED)
+}
+
+/// How much of a way of this length each axis takes.
+#[inline]
+pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32; N] {
+    way.0.map(|part| part.abs() / length)
 }
 
 /// The limits of all axes.
@@ -76,44 +82,47 @@ impl<const N: usize> AxisLimits<N> {
     }
 
     /// Greatest acceleration and speed along a way of this length.
-    #[inline]
     pub(super) fn along(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
+        self.along_shares(&shares(way, length))
+    }
+
+    /// The same with the share of each axis in the way.
+    #[inline]
+    pub(super) fn along_shares(&self, shares: &[f32; N]) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
-        for ((part, most), rate) in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {
-            if *part == 0.0 {
+        for ((share, most), rate) in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate) {
+            if *share == 0.0 {
                 continue;
             }
-            let share = part.abs() / length;
-            if share * acceleration > most {
-                acceleration = most / share;
+            if share * acceleration > *most {
+                acceleration = quotient(*most, *share);
             }
-            if share * limit > rate {
-                limit = rate / share;
+            if share * limit > *rate {
+                limit = quotient(*rate, *share);
             }
         }
         (acceleration, limit)
     }
 
-    /// Greatest jerk along a way of this length, which has this acceleration.
+    /// Greatest jerk along a way with these shares of the axes, which has this acceleration.
     #[inline]
-    pub(super) fn jerk_along(&self, way: &PerAxis<f32, N>, length: f32, acceleration: f32) -> f32 {
+    pub(super) fn jerk_along(&self, shares: &[f32; N], acceleration: f32) -> f32 {
         let mut jerk = acceleration / LEAST_EASE;
         if self.jerk_limited {
-            for (part, most) in way.iter().zip(self.jerk) {
-                let share = part.abs() / length;
-                if share * jerk > most {
-                    jerk = most / share;
+            for (share, most) in shares.iter().zip(&self.jerk) {
+                if share * jerk > *most {
+                    jerk = quotient(*most, *share);
                 }
             }
         }
         jerk
     }
 
-    /// The acceleration that all axes of a way take, whatever its direction.
+    /// The acceleration that all axes with a share in a way take, whatever its direction.
     #[inline(never)]
-    pub(super) fn least_acceleration(&self, way: &PerAxis<f32, N>) -> f32 {
-        let moving = way.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);
+    pub(super) fn least_acceleration(&self, shares: &[f32; N]) -> f32 {
+        let moving = shares.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);
         moving.fold(GREATEST_ACCELERATION, |least, (_, own)| lesser(own, least))
     }
 }
@@ -136,8 +145,8 @@ mod tests {
         let limits = limits([0.0; 2]);
         assert_eq!(limits.along(&PerAxis([-2.0, 0.0]), 2.0), (500.0, 100.0));
         assert_eq!(limits.along(&PerAxis([0.0, 3.0]), 3.0), (100.0, 50.0));
-        assert_eq!(limits.least_acceleration(&PerAxis([1.0, 0.0])), 500.0);
-        assert_eq!(limits.least_acceleration(&PerAxis([1.0, 1.0e-3])), 100.0);
+        assert_eq!(limits.least_acceleration(&[1.0, 0.0]), 500.0);
+        assert_eq!(limits.least_acceleration(&[1.0, 1.0e-3]), 100.0);
     }
 
     #[test]
@@ -148,10 +157,10 @@ mod tests {
 
     #[test]
     fn jerk_is_that_of_the_axis_that_has_least_for_its_share() {
-        let way = PerAxis([3.0, -4.0]);
-        assert_eq!(limits([0.0; 2]).jerk_along(&way, 5.0, 100.0), 100.0 / LEAST_EASE);
-        assert_eq!(limits([600.0, 0.0]).jerk_along(&way, 5.0, 100.0), 600.0 / 0.6);
-        assert_eq!(limits([600.0, 400.0]).jerk_along(&way, 5.0, 100.0), 400.0 / 0.8);
+        let way = shares(&PerAxis([3.0, -4.0]), 5.0);
+        assert_eq!(limits([0.0; 2]).jerk_along(&way, 100.0), 100.0 / LEAST_EASE);
+        assert_eq!(limits([600.0, 0.0]).jerk_along(&way, 100.0), 600.0 / 0.6);
+        assert_eq!(limits([600.0, 400.0]).jerk_along(&way, 100.0), 400.0 / 0.8);
     }
 
     #[test]

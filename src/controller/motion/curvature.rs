@@ -3,7 +3,7 @@
 //! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
 //! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
 //! explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales of a `SHORTEST`
-//! length and more), `PathPiece`, `note_turn`, `limit_of_turn`, `limit_after`, `take_span`, `corner2`,
+//! length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`, `take_span`, `corner2`,
 //! `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`, `NOTICEABLE`, `DIGITS_ASIDE`.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
@@ -29,6 +29,7 @@
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
+use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
@@ -37,6 +38,19 @@ use crate::units::Coordinate;
 /// radian of a bend of R = 100 mm.
 const SCALES: usize = 14;
 const SHORTEST: f32 = 1.0 / 256.0;
+/// Length of the spans of a scale, mm.
+#[inline]
+fn scale_length(scale: usize) -> f32 {
+    SHORTEST * (1_u32 << scale) as f32
+}
+
+/// Scales that are no longer than a piece, by its binary exponent.
+#[inline]
+fn scales_within(length: f32) -> usize {
+    let exponent = |length: f32| (length.to_bits() >> 23) as usize;
+    (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
+}
+
 /// Spans that a new one is compared with.
 const HISTORY: usize = 4;
 /// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
@@ -75,7 +89,7 @@ pub(super) struct Bend {
 
 /// A span of the path with the direction from its start to its end.
 #[derive(Clone, Copy, Debug)]
-struct Span<const N: usize> {
+pub(super) struct Span<const N: usize> {
     /// Unit vector.
     direction: [f32; N],
     /// By how much the rounding of its ends may have turned it, rad.
@@ -115,7 +129,8 @@ impl<const N: usize> Span<N> {
     };
 
     /// A single piece.
-    fn of(piece: &PathPiece<'_, N>) -> Self {
+    #[inline]
+    pub(super) fn of(piece: &PathPiece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
         let noise = if straight { DIGITS_ASIDE * piece.digit / piece.length } else { 0.0 };
         Self {
@@ -138,10 +153,15 @@ impl<const N: usize> Span<N> {
     /// Greatest speed² at the corner with the piece before; both are single pieces.
     #[inline]
     fn corner2(&self, before: &Self, rule: &TurnRule<N>) -> f32 {
-        let all2 = turn2(&before.direction, &self.direction);
         if !before.straight || !self.straight {
             return UNLIMITED2;
         }
+        let all2 = turn2(&before.direction, &self.direction);
+        if is_noise(all2, before.noise + self.noise) { UNLIMITED2 } else { self.corner_of_turn(before, all2, rule) }
+    }
+
+    #[inline(never)]
+    fn corner_of_turn(&self, before: &Self, all2: f32, rule: &TurnRule<N>) -> f32 {
         let Some((turn2, sine)) = certain(all2, before.noise + self.noise) else { return UNLIMITED2 };
         if turn2 > REVERSAL {
             return 0.0;
@@ -150,17 +170,27 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`. Most
-    /// turns are none at all: no call for them.
+    /// Whether a span before, with so much path `between` them, may set a limit below `fast2`: most turns are noise, or bends
+    /// that are surely faster. No call for them.
     #[inline(always)]
-    fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+    fn may_be_limited(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> bool {
         let all2 = turn2(&old.direction, &self.direction);
         let noise = old.noise + self.noise;
-        if is_noise(all2, noise) { None } else { self.limit_of_turn(old, all2, between, fast2, rule) }
+        if is_noise(all2, noise) {
+            return false;
+        }
+        let (least, length) = (rule.least_of(&old.direction, &self.direction), between + old.half() + self.half());
+        // Less noise, the turn is no larger, and √x is no less than x.
+        if rule.is_surely_faster(least, length, all2, 1.0 - 0.25 * all2, fast2) {
+            return false;
+        }
+        certain(all2, noise).is_some_and(|(turn2, sine)| !rule.is_surely_faster(least, length, turn2, sine, fast2))
     }
 
+    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
     #[inline(never)]
-    fn limit_of_turn(&self, old: &Self, all2: f32, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+    fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
+        let all2 = turn2(&old.direction, &self.direction);
         let (turn2, sine) = certain(all2, old.noise + self.noise)?;
         let radius = (between + old.half() + self.half()) * radius_of(turn2, sine);
         let bend2 = rule.in_plane(&old.direction, &self.direction, all2) * rule.curve_share * radius;
@@ -231,6 +261,47 @@ impl<const N: usize> History<N> {
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
+        if self.may_limit(&new, rule) {
+            self.compare(&new, behind, rule, found);
+        }
+        if !bend.is_none() {
+            let own = usize::from(new.blocks);
+            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
+            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
+            let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
+            let speed2 = greater(bend.speed2(), square);
+            found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
+        }
+        let [first, second, third, fourth] = &mut self.0;
+        // One after the other: an array of them would be made elsewhere first.
+        *fourth = *third;
+        *third = *second;
+        *second = *first;
+        *first = new;
+    }
+
+    /// Whether there may be a limit for a new span: what [`History::compare`] then asks of all spans.
+    #[inline(always)]
+    fn may_limit(&self, new: &Span<N>, rule: &TurnRule<N>) -> bool {
+        let (mut between, mut fast2) = (0.0, new.fast2);
+        for (index, old) in self.0.iter().enumerate() {
+            if old.blocks == 0 || !new.straight {
+                return false;
+            }
+            fast2 = greater(fast2, old.fast2);
+            let corner = index == 0 && new.blocks == 1 && old.blocks == 1;
+            if old.straight && !corner && new.may_be_limited(old, between, fast2, rule) {
+                return true;
+            }
+            between += old.path;
+        }
+        false
+    }
+
+    /// Compares a new span with those before it.
+    #[inline(never)]
+    fn compare(&self, new: &Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+        let [first, ..] = &self.0;
         let own = usize::from(new.blocks);
         let (mut between, mut blocks, mut fast2, mut turned2) = (0.0, 0, new.fast2, new.turned2);
         for (index, old) in self.0.iter().enumerate() {
@@ -262,19 +333,6 @@ impl<const N: usize> History<N> {
             blocks += usize::from(old.blocks);
             turned2 = old.turned2;
         }
-        if !bend.is_none() {
-            let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
-            let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
-            let speed2 = greater(bend.speed2(), square);
-            found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
-        }
-        let [first, second, third, fourth] = &mut self.0;
-        // One after the other: an array of them would be made elsewhere first.
-        *fourth = *third;
-        *third = *second;
-        *second = *first;
-        *first = new;
     }
 }
 
@@ -302,7 +360,7 @@ impl<const N: usize> Scale<N> {
     /// Ends the span and begins the next.
     #[inline(never)]
     fn end(&mut self, end: &PerAxis<Coordinate, N>, digit: f32) -> Span<N> {
-        let way = end.zip(&self.start, |to, from| (to - from).to_mm());
+        let way = end.zip(&self.start, way_mm);
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let straight = length > 0.0 && length >= STRAIGHTNESS * self.path;
         let shortness = if straight { 1.0 / length } else { 0.0 };
@@ -385,35 +443,36 @@ impl<const N: usize> Chain<N> {
         self.digit = digit;
     }
 
-    /// Greatest speed² at the corner before a piece; [`Chain::extend`] has to follow.
-    #[inline(never)]
-    pub(super) fn corner2(&self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>) -> f32 {
+    /// Greatest speed² at the corner before a piece, which is a span by itself; [`Chain::extend`] has to follow.
+    #[inline]
+    pub(super) fn corner2(&self, piece: &Span<N>, rule: &TurnRule<N>) -> f32 {
         let [before, ..] = &self.pieces.0;
-        if before.blocks == 0 { UNLIMITED2 } else { Span::of(piece).corner2(before, rule) }
+        if before.blocks == 0 { UNLIMITED2 } else { piece.corner2(before, rule) }
     }
 
     /// Adds the newest block, which has been pushed already, and tells what bends are found.
     #[inline(never)]
-    pub(super) fn extend(&mut self, piece: &PathPiece<'_, N>, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+    pub(super) fn extend(
+        &mut self,
+        piece: &PathPiece<'_, N>,
+        new: Span<N>,
+        rule: &TurnRule<N>,
+        found: &mut dyn FnMut(Bend),
+    ) {
         let digit = piece.digit;
-        let new = Span::of(piece);
-        let mut scale_length = SHORTEST;
-        let mut whole = 0;
-        while whole < SCALES && scale_length <= piece.length {
-            scale_length *= 2.0;
-            whole += 1;
-        }
+        let whole = scales_within(piece.length);
+        let mut scale_length = scale_length(whole);
         if self.whole < whole {
             self.end_before(piece, &new, whole, rule, found);
         }
-        for scale in self.scales.iter_mut().take(self.whole).skip(whole) {
+        for scale in self.scales.get_mut(whole..self.whole).unwrap_or_default() {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
         self.pieces.take_span(new, 0, rule, found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
-        for scale in self.scales.iter_mut().skip(whole) {
+        for scale in self.scales.get_mut(whole..).unwrap_or_default() {
             scale.path += path;
             scale.fast2 = greater(scale.fast2, fast2);
             scale.blocks = scale.blocks.saturating_add(blocks);

@@ -9,12 +9,13 @@
 //! `begin_taking_up`, `take_up_before_plunge` and `finish_taking_up`; `kinematics`, `limits` and `backlash` are asked.
 
 use super::arc::Curvature;
-use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed};
+use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
-use super::curvature::{NOTICEABLE, PathPiece};
+use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
+use super::path_end::way_mm;
 use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
@@ -197,7 +198,7 @@ impl<const N: usize> AnyQueue<N> {
         let promised2 =
             if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
-        let path = self.path_to(&m.target);
+        let mut path = self.path_to(&m.target);
         self.end.planned = m.target;
         let (mut motors, sizes) = self.steps_to(target_steps);
         if sizes.dominant == 0 {
@@ -215,8 +216,12 @@ impl<const N: usize> AnyQueue<N> {
         let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
         // What the axes move: in a block that is taken as longer, that is the way of its steps.
-        let moved = if path.length < length { self.way_of_steps(&motors, length, &path.way) } else { path.way };
-        let rapid = self.set_speeds(&mut block, m, &path, &moved, &mut motors, curve_speed2);
+        if path.length < length {
+            path.way = self.way_of_steps(&motors, length, &path.way);
+        }
+        let is_straight = path.straight == length && path.length == length;
+        let shares = if is_straight { unit.map(f32::abs) } else { shares(&path.way, length) };
+        let rapid = self.set_speeds(&mut block, m, &path, &shares, &mut motors, curve_speed2);
         block.flags = rapid
             | if m.no_feed_override { NO_OVERRIDE } else { 0 }
             | if m.scale_power { SCALE_POWER } else { 0 }
@@ -236,29 +241,30 @@ impl<const N: usize> AnyQueue<N> {
             fast2: fastest * fastest,
             digit: self.chain.last_digit(m.digit),
         };
-        block.corner2 = greater(self.entry_corner2(&piece, &path, sizes.coarsest_mm), promised2);
+        let span = Span::of(&piece);
+        block.corner2 = greater(self.entry_corner2(&piece, &span, &path, sizes.coarsest_mm), promised2);
         self.end.direction = unit;
         if curve_speed2 < NOTICEABLE * piece.fast2 {
-            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&moved));
+            block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&shares));
         }
-        self.push(block, &piece);
+        self.push(block, &piece, span);
     }
 
-    /// Sets what bounds a block's speed and how fast it is meant to be; with backlash adds what it takes up to the motors'
-    /// steps. Gives the flag of a rapid.
+    /// Sets what bounds a block's speed, with the shares of the axes in it, and how fast it is meant to be; with backlash adds
+    /// what it takes up to the motors' steps. Gives the flag of a rapid.
     #[inline]
     fn set_speeds(
         &mut self,
         block: &mut Block<N>,
         m: &Move<N>,
         path: &Path<N>,
-        moved: &PerAxis<f32, N>,
+        moved: &[f32; N],
         motors: &mut MotorSteps<N>,
         curve_speed2: f32,
     ) -> u8 {
         let length = block.length;
-        let (mut acceleration, mut limit) = self.limits.along(moved, length);
-        block.jerk = self.limits.jerk_along(moved, length, acceleration);
+        let (mut acceleration, mut limit) = self.limits.along_shares(moved);
+        block.jerk = self.limits.jerk_along(moved, acceleration);
         let (programmed, rapid) = match m.speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
@@ -266,9 +272,10 @@ impl<const N: usize> AnyQueue<N> {
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);
-            if let Some(way) = self.take_up(motors, moved, length, acceleration, speed) {
-                (acceleration, limit) = self.limits.along(&way, length);
-                block.jerk = self.limits.jerk_along(&way, length, acceleration);
+            if let Some(way) = self.take_up(motors, &path.way, length, acceleration, speed) {
+                let moved = shares(&way, length);
+                (acceleration, limit) = self.limits.along_shares(&moved);
+                block.jerk = self.limits.jerk_along(&moved, acceleration);
                 self.join.close();
             }
         }
@@ -281,11 +288,11 @@ impl<const N: usize> AnyQueue<N> {
     /// Greatest speed² at the corner before the piece of a path, on which the coarsest motor has steps of so many mm. A block
     /// that takes the time of moves that led nowhere has corners before and behind it.
     #[inline]
-    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
+    fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
             self.chain.restart(piece.start);
         }
-        let mut corner2 = self.chain.corner2(piece, &self.limits.turns);
+        let mut corner2 = self.chain.corner2(span, &self.limits.turns);
         let waits = path.leads_nowhere(coarsest_mm);
         if waits || self.end.had_stepless_moves {
             corner2 = lesser(corner2, self.limits.turns.square_corner2());
@@ -297,11 +304,11 @@ impl<const N: usize> AnyQueue<N> {
 
     /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
     #[inline]
-    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>) {
+    fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>, span: Span<N>) {
         self.planner.push(block, self.overrides);
         if self.looks_ahead() && !self.join.keeps(piece) {
             let planner = &mut self.planner;
-            self.chain.extend(piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+            self.chain.extend(piece, span, &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
         self.planner.plan();
     }
@@ -309,7 +316,7 @@ impl<const N: usize> AnyQueue<N> {
     /// The path from the end of the last block.
     #[inline]
     fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
-        let way: PerAxis<f32, N> = target.zip(&self.end.block_end, |to, from| (to - from).to_mm());
+        let way = target.zip(&self.end.block_end, way_mm);
         let mut square = 0.0;
         for part in way.iter() {
             square += part * part;
@@ -325,7 +332,7 @@ impl<const N: usize> AnyQueue<N> {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
         let mut sizes = StepSizes { dominant: 0, least_mm: 0.0, coarsest_mm: 0.0 };
         let places = target_steps.iter().zip(self.end.planned_steps.iter());
-        let axes = motors.steps.iter_mut().zip(self.kinematics.least_mm);
+        let axes = motors.steps.iter_mut().zip(&self.kinematics.least_mm);
         for (bit, ((to, from), (steps, mm))) in places.zip(axes).enumerate() {
             *steps = to.abs_diff(*from);
             if to < from {
@@ -333,7 +340,7 @@ impl<const N: usize> AnyQueue<N> {
             }
             if *steps > 0 {
                 sizes.least_mm = greater((*steps as f32 - 0.5) * mm, sizes.least_mm);
-                sizes.coarsest_mm = greater(mm, sizes.coarsest_mm);
+                sizes.coarsest_mm = greater(*mm, sizes.coarsest_mm);
             }
             sizes.dominant = sizes.dominant.max(*steps);
         }
@@ -474,8 +481,9 @@ impl<const N: usize> AnyQueue<N> {
         block.steps_by_axis = steps.map(AxisSteps::on_steps);
         block.line_number = line_number;
         block.length = length;
-        (block.acceleration, block.limit) = self.limits.along(&way, length);
-        block.jerk = self.limits.jerk_along(&way, length, block.acceleration);
+        let shares = shares(&way, length);
+        (block.acceleration, block.limit) = self.limits.along_shares(&shares);
+        block.jerk = self.limits.jerk_along(&shares, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE | self.marked;
         // The tool does not move: a beam would burn a hole.

@@ -3,7 +3,7 @@
 //! allow for a turn, and `junction2` is the speed² of the corner, from sine, cosine and deviation. [`super::curvature`]
 //! says where the rule is from and applies it to the whole path.
 
-use super::trapezoid::{greater, lesser, square_root};
+use super::trapezoid::{greater, lesser, quotient, square_root};
 
 /// Speed² of a corner that sets no limit; the nominal speeds do.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
@@ -15,6 +15,10 @@ const CERTAIN: f32 = 1.0 / 64.0;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² beyond which a move turns back on itself.
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
+
+/// Share of a bend's speed² that rounding leaves for certain. Of unit vectors that are off by the last bit, the normal and the tangent of a
+/// turn of q² = [`STRAIGHT`] are square to each other within 0.0007.
+const SURELY: f32 = 0.99;
 
 /// What the rule must know of the machine.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +44,7 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
 /// Whether a turn is none, or may be the work of noise alone.
 #[inline]
 pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
-    turn2 < STRAIGHT || turn2 <= noise * noise
+    turn2 <= noise * noise || turn2 < STRAIGHT
 }
 
 /// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
@@ -67,10 +71,10 @@ impl<const N: usize> TurnRule<N> {
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         let mut least = UNLIMITED2;
-        for ((before, after), limit) in before.iter().zip(after).zip(self.acceleration) {
+        for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();
             if part * least > limit * turn {
-                least = limit * turn / part;
+                least = quotient(limit * turn, part);
             }
         }
         least
@@ -85,14 +89,36 @@ impl<const N: usize> TurnRule<N> {
         // Of a turn straight back only the normal is known; the shorter spans know the rest.
         let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
         let mut least2 = UNLIMITED2;
-        for ((a, b), limit) in before.iter().zip(after).zip(self.acceleration) {
+        for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let (difference, sum) = (b - a, b + a);
             let share2 = difference * difference * normal + sum * sum * tangent;
             if share2 * least2 > limit * limit {
-                least2 = limit * limit / share2;
+                least2 = quotient(limit * limit, share2);
             }
         }
         square_root(least2)
+    }
+
+    /// The least acceleration of the axes that move before or after a turn.
+    #[inline]
+    pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
+        let mut least = UNLIMITED2;
+        for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
+            // Zeros of either sign.
+            let moves = (before.to_bits() | after.to_bits()) << 1 != 0;
+            if moves && *limit < least {
+                least = *limit;
+            }
+        }
+        least
+    }
+
+    /// Whether the bend of a turn within a length is surely faster than `fast2`, by squares: without division or root. In the plane of
+    /// the turn the axes give the `least` of them or more; s is no less than `sine`.
+    #[inline]
+    pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
+        let bend = SURELY * least * self.curve_share * length * (2.0 + sine);
+        bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
     /// J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:

@@ -6,6 +6,12 @@ use super::trapezoid::square_root;
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
 
+/// The way of an axis, mm: one that stays needs no division.
+#[inline]
+pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
+    if to == from { 0.0 } else { (to - from).to_mm() }
+}
+
 /// The end of the queue, before which the last block ends.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathEnd<const N: usize> {

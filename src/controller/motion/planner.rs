@@ -674,16 +674,26 @@ impl Lowered {
     /// Lowers blocks in a row, the first of which is at a place.
     #[inline(never)]
     fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
-        for (place, block) in (from..).zip(blocks) {
-            block.corner2 = lesser(block.corner2, bend.speed2);
-            if bend.speed2 < block.max_entry2 || bend.curve.is_tighter(block.curve) {
-                block.max_entry2 = lesser(block.max_entry2, bend.speed2);
-                block.curve = block.curve.tighter(bend.curve);
-                self.first.get_or_insert(place);
-                // A block that came after the last walk has no entry.
-                if block.entry2 > 0.0 {
-                    self.planned_end = place + 1;
-                }
+        // Positive numbers are ordered as their bits are.
+        let speed2 = bend.speed2.to_bits();
+        for (index, block) in blocks.iter_mut().enumerate() {
+            // Most blocks in a long bend are as low already. No entry is above its corner.
+            let is_tighter = bend.curve.is_tighter(block.curve);
+            if speed2 < block.corner2.to_bits() {
+                block.corner2 = bend.speed2;
+            } else if !is_tighter {
+                continue;
+            }
+            if speed2 < block.max_entry2.to_bits() {
+                block.max_entry2 = bend.speed2;
+            } else if !is_tighter {
+                continue;
+            }
+            block.curve = block.curve.tighter(bend.curve);
+            self.first.get_or_insert(from + index);
+            // A block that came after the last walk has no entry.
+            if block.entry2 > 0.0 {
+                self.planned_end = from + index + 1;
             }
         }
     }

@@ -4,7 +4,8 @@
 //! chain the finished piece.
 
 use super::Move;
-use super::curvature::PathPiece;
+use super::axis_limits::shares;
+use super::curvature::{PathPiece, Span};
 use super::queue::AnyQueue;
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
@@ -23,9 +24,7 @@ impl<const N: usize> AnyQueue<N> {
     /// that one did. Gives the speed² at which the blocks before may already count on entering it.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
-        let ends = m.target.iter().zip(self.end.block_end.iter());
-        let ways: i64 = ends.map(|(to, from)| (to.0 - from.0).abs()).sum();
-        if is_line && !m.no_feed_override && ways <= MOST_PIECE {
+        if is_line && !m.no_feed_override && self.is_short(m) {
             return self.join_short(m, target_steps);
         }
         self.join.open = false;
@@ -33,6 +32,16 @@ impl<const N: usize> AnyQueue<N> {
             self.end_join();
         }
         0.0
+    }
+
+    /// Whether the sum of its ways is short, from the end of the last block. Most moves are too long in their first axis.
+    #[inline]
+    fn is_short(&self, m: &Move<N>) -> bool {
+        let mut ways = 0;
+        m.target.iter().zip(self.end.block_end.iter()).all(|(to, from)| {
+            ways += (to.0 - from.0).abs();
+            ways <= MOST_PIECE
+        })
     }
 
     #[inline(never)]
@@ -75,7 +84,7 @@ impl<const N: usize> AnyQueue<N> {
                 digit: join.digit,
             };
             let planner = &mut self.planner;
-            self.chain.extend(&piece, &self.limits.turns, &mut |bend| planner.limit(&bend));
+            self.chain.extend(&piece, Span::of(&piece), &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
     }
 
@@ -135,13 +144,14 @@ impl<const N: usize> AnyQueue<N> {
         }
         // From the speed at which the old block could have been braked to a stop, this one can.
         let last = self.planner.last()?;
-        let (acceleration, _) = self.limits.along(&way, length);
+        let shares = shares(&way, length);
+        let (acceleration, _) = self.limits.along_shares(&shares);
         let promised = last.acceleration * last.length;
         if acceleration * length < promised {
             return None;
         }
         let eased = last.jerk * last.length * last.length;
-        if self.planner.jerk_limited && self.limits.jerk_along(&way, length, acceleration) * length * length < eased {
+        if self.planner.jerk_limited && self.limits.jerk_along(&shares, acceleration) * length * length < eased {
             return None;
         }
         let promised = lesser(last.max_entry2, 2.0 * promised);
