@@ -104,6 +104,11 @@ impl Letters {
         1 << (letter.wrapping_sub(b'A') & 31)
     }
 
+    /// How many letters are in the set.
+    pub const fn count(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
     /// Whether the letter is in the set.
     pub const fn has(self, letter: u8) -> bool {
         self.0 & Self::bit(letter) != 0
@@ -203,6 +208,9 @@ impl Groups {
     /// The groups whose words a jog may have.
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
+
+    /// The group of motion words.
+    pub const OF_MOTION: Groups = Groups(1 << Group::Motion as u32);
 
     /// The groups whose words say how a line moves and no more.
     pub const OF_MOVES: Groups = Groups(

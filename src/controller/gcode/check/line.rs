@@ -16,7 +16,7 @@ use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::scaling::Scaling;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
-use crate::gcode::word::{Claim, Letters};
+use crate::gcode::word::{Claim, Groups, Letters};
 use crate::units::{Coordinate, Decimal, per_second};
 use oxmill_sqrt::square_root;
 
@@ -86,13 +86,9 @@ impl<'a, const N: usize> Check<'a, N> {
         if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
             modal.straight = modal.motion;
         }
-        modal.plane = line.modal.plane.unwrap_or(modal.plane);
-        modal.distance = line.modal.distance.unwrap_or(modal.distance);
-        modal.arc_distance = line.modal.arc_distance.unwrap_or(modal.arc_distance);
-        modal.feed_mode = line.modal.feed_mode.unwrap_or(modal.feed_mode);
-        modal.units = line.modal.units.unwrap_or(modal.units);
-        modal.retract_to_r = line.modal.retract_to_r.unwrap_or(modal.retract_to_r);
-        modal.coordinate_system = line.modal.coordinate_system.unwrap_or(modal.coordinate_system);
+        if !line.groups.within(Groups::OF_MOTION) {
+            line.modal.set_modes(modal);
+        }
         // A full circle needs no axis word.
         let is_circle = dialect != Dialect::Grbl
             && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
