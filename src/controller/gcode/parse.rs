@@ -150,7 +150,10 @@ impl<const N: usize> Parsed<N> {
                     return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value, places, dialect)?,
+                _ => match Axis::from_letter(letter).filter(|axis| axis.index() < N) {
+                    Some(axis) => self.take_axis(axis, letter, value, places)?,
+                    None => self.take_value(letter, value, dialect)?,
+                },
             }
         }
         Ok(())
@@ -240,13 +243,25 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    fn take_value(&mut self, letter: u8, value: Decimal, places: u8, dialect: Dialect) -> Result<(), Error> {
+    #[inline]
+    fn take_axis(&mut self, axis: Axis, letter: u8, value: Decimal, places: u8) -> Result<(), Error> {
+        if self.values.has(letter) {
+            return Err(Error::WordRepeated);
+        }
+        self.values.add(letter);
+        self.axis.set(axis, value);
+        self.axes = self.axes.with(axis);
+        self.places = self.places.max(places);
+        Ok(())
+    }
+
+    #[inline(never)]
+    fn take_value(&mut self, letter: u8, value: Decimal, dialect: Dialect) -> Result<(), Error> {
         let (values, tool_max) = match dialect {
             Dialect::Grbl => (VALUES_OF_GRBL, TOOL_MAX_OF_GRBL),
             _ => (VALUES, TOOL_MAX),
         };
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
-        if axis.is_none() && !values.has(letter) {
+        if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
                 b'U'..=b'W' if dialect != Dialect::Grbl => Err(Error::NoParallelAxes),
@@ -267,14 +282,8 @@ impl<const N: usize> Parsed<N> {
             self.extended = Extended { any: true, is_p_negative: true, ..self.extended };
         }
         self.values.add(letter);
-        if let Some(axis) = axis {
-            self.axis.set(axis, value);
-            self.axes = self.axes.with(axis);
-            self.places = self.places.max(places);
-        } else {
-            // There is room for each letter once.
-            let _ = self.value_words.push((letter, value));
-        }
+        // There is room for each letter once.
+        let _ = self.value_words.push((letter, value));
         Ok(())
     }
 }

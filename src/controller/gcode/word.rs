@@ -48,11 +48,12 @@ impl<'a, const N: usize> Words<'a, N> {
         }
     }
 
+    #[inline]
     fn read(&mut self, letter: u8, number: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         if !letter.is_ascii_uppercase() {
             return self.assign(letter, number);
         }
-        match number::read(number, self.digits) {
+        match number::read_here(number, self.digits) {
             Some(Number { value, used, places }) => {
                 Ok((Word { letter, value, places }, number.get(used..).unwrap_or(&[])))
             }

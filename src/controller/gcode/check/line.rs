@@ -41,6 +41,12 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
+/// Apart, so that the division is left out where F is a speed.
+#[inline(never)]
+fn inverse_time(feed: f32) -> Feed {
+    Feed::InverseTime(60.0 / feed)
+}
+
 /// A line half checked.
 pub(super) struct Check<'a, const N: usize> {
     pub(super) state: &'a Interpreter<N>,
@@ -179,7 +185,7 @@ impl<'a, const N: usize> Check<'a, N> {
         let feed = self.checked.modal.feed.to_f32();
         match self.checked.modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
-            FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
+            FeedMode::InverseTime => inverse_time(feed),
         }
     }
 
