@@ -401,11 +401,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn finish(&mut self, answer: Answer) {
         self.task = Task::None;
         match answer {
-            Answer::Host => self.say(report::ok),
+            Answer::Host => self.say_ok(),
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
                 self.echo_startup_line(index);
-                self.say(report::ok);
+                self.say_ok();
                 self.begin_startup_line(index + 1, host_waits);
             }
             Answer::Validation(index) => {
@@ -413,11 +413,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::Storing(Answer::Host);
             }
             Answer::Setting(number) => {
-                self.say(report::ok);
+                self.say_ok();
                 self.name_after_change(number);
             }
             Answer::Restart => {
-                self.say(report::ok);
+                self.say_ok();
                 self.initialise();
             }
         }
@@ -425,6 +425,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
         self.interpreter.check_into(line, dialect(&self.settings), &mut self.line.checked)?;
+        self.begin_checked(answer)
+    }
+
+    /// A line that has been checked begins, unless the machine has something against it.
+    pub(super) fn begin_checked(&mut self, answer: Answer) -> Result<(), Error> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
@@ -457,7 +462,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.line.checked)?;
         if self.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
-            self.say(report::ok);
+            self.say_ok();
             return Ok(());
         }
         let clipped = self.settings.is_on(Key::JogClip);

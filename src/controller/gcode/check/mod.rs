@@ -220,7 +220,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// The last digit of its words.
-    #[inline]
+    #[inline(always)]
     fn precision(&mut self) {
         let checked = &mut *self.checked;
         // A cycle goes through its points exactly, and of a spline all points are known.
