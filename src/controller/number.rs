@@ -34,7 +34,14 @@ pub struct Number {
 
 /// Parses the decimal text (sign, digits, at most one point) at the start of `text` to the fixed-point type [`Decimal`];
 /// `None` without any digit.
+#[inline(never)]
 pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
+    read_here(text, digits)
+}
+
+/// The same without a call, for the words of lines.
+#[inline(always)]
+pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
     let signs = usize::from(negative || text.first() == Some(&b'+'));
     let text = text.get(signs..).unwrap_or(&[]);

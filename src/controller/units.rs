@@ -78,7 +78,10 @@ impl Decimal {
         let size = self.0.unsigned_abs();
         let whole = ones(size);
         let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
-        let size = wide_to_f32(whole as i64) + rest as f32 / DECIMAL_ONE as f32;
+        let mut size = wide_to_f32(whole as i64);
+        if rest > 0 {
+            size += rest as f32 / DECIMAL_ONE as f32;
+        }
         if self.0 < 0 { -size } else { size }
     }
 

@@ -76,10 +76,10 @@ const ROWS: [Row; 20] = [
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_075, 2_097)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_900, 5_130)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_720, 2_680))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_530, 2_260))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (8_175, 13_330))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_730, 12_700))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

@@ -29,6 +29,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.queue_text(&text);
     }
 
+    /// The answer to a line that is carried out.
+    pub(super) fn say_ok(&mut self) {
+        self.queue_text(report::OK);
+    }
+
     // Once, and not in each of the forty calls that say something.
     #[inline(never)]
     fn queue_text(&mut self, text: &[u8]) {
@@ -119,6 +124,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    #[inline(never)]
     pub(super) fn tell_damage(&mut self) {
         let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
         self.say(|out| report::message(out, text));

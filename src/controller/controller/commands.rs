@@ -48,7 +48,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Help => {
                 let grbl = self.dialect() == Dialect::Grbl;
                 self.say(|out| report::help(out, grbl));
-                self.say(report::ok);
+                self.say_ok();
             }
             System::Settings if matches!(self.mode, Mode::Normal) && !idle => return Err(Error::NotIdle),
             System::Settings => self.task = Task::Listing(Listing::Settings, 0),
@@ -75,7 +75,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::ResetCause => {
                 let restart = self.replies.tell_restart().clone();
                 self.say(|out| report::restart(out, &restart));
-                self.say(report::ok);
+                self.say_ok();
             }
             System::Recording => self.list_recording()?,
             System::Pins => {
@@ -84,7 +84,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             System::ClearNoise => {
                 self.inputs.ask_view(true);
-                self.say(report::ok);
+                self.say_ok();
             }
             System::CheckLines(on) => self.check_lines(on),
             System::Sleep => self.sleep(),
@@ -100,7 +100,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         } else {
             self.lines.end_check();
         }
-        self.say(report::ok);
+        self.say_ok();
     }
 
     fn list_recording(&mut self) -> Result<(), Error> {
@@ -112,7 +112,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn sleep(&mut self) {
-        self.say(report::ok);
+        self.say_ok();
         self.say(|out| report::message(out, "Sleeping"));
         self.fall_asleep();
     }
@@ -205,7 +205,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.mode {
             Mode::Check => {
                 self.say(|out| report::message(out, "Disabled"));
-                self.say(report::ok);
+                self.say_ok();
                 self.interpreter.reset();
                 self.mode = Mode::Normal;
                 self.initialise();
@@ -214,7 +214,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.mode = Mode::Check;
                 self.interpreter.begin_check_mode();
                 self.say(|out| report::message(out, "Enabled"));
-                self.say(report::ok);
+                self.say_ok();
             }
             _ => return Err(Error::NotIdle),
         }
@@ -244,7 +244,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return Ok(());
             }
         }
-        self.say(report::ok);
+        self.say_ok();
         Ok(())
     }
 

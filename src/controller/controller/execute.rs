@@ -109,6 +109,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The same for all that is no such line.
+    #[inline(never)]
     fn advance_task(&mut self) -> bool {
         if self.stops.is_awaited() {
             return false;
@@ -149,20 +150,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Continues until something has to be waited for or put out first.
+    #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
         let checking = matches!(self.mode, Mode::Check);
         let mut progressed = false;
         loop {
+            // The stages of a line that only moves; nearly all lines have no others.
             let next = match job.stage {
-                Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
-                Stage::ToolChange => Some(Stage::Apply),
-                Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
-                Stage::Measuring => self.advance_tool_change(),
-                Stage::Drain => {
-                    self.start_queued();
-                    None
-                }
-                Stage::Apply if !self.has_room_for_pins() => None,
                 // There is nothing to wait for but a record of a line before.
                 Stage::Apply if self.line.checked.moves_only() && self.records.are_stored() => {
                     self.interpreter.commit(&self.line.checked);
@@ -170,34 +164,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.accessories.set_speed(self.line.checked.speed);
                     Some(Stage::Target)
                 }
-                Stage::Apply => {
-                    job.spindle_delay = self.apply(checking);
-                    Some(Stage::Storing)
+                Stage::Target if !checking => self.begin_motion(job),
+                Stage::Flow if self.line.checked.flow == Flow::None && !self.line.is_single_block() => {
+                    Some(Stage::Done)
                 }
-                Stage::Storing if !self.records.are_stored() => None,
-                Stage::Storing => Some(self.begin_waiting(job, checking)),
-                Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
-                Stage::Dwell => (self.now >= job.until).then_some(Stage::Via),
-                Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
-                Stage::Via => match self.line.checked.motion {
-                    gcode::Motion::Line { via: Some(via), .. } if !checking => {
-                        self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
-                    }
-                    _ => Some(Stage::Target),
-                },
-                Stage::Target if checking => Some(self.check_target()),
-                Stage::Target => self.begin_motion(job),
-                Stage::Chords => self.next_chord(job),
-                Stage::Probing => {
-                    let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
-                    // A failed probe has locked the machine: no M0 may open it again.
-                    self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
-                }
-                Stage::Flow => self.flow(job, checking),
-                Stage::Paused => Some(Stage::Done),
-                Stage::CyclePaused => Some(Stage::Target),
-                Stage::DwellSuspended | Stage::InputSuspended => None,
                 Stage::Done => return true,
+                _ => self.advance_stage(job, checking),
             };
             let Some(next) = next else { break };
             progressed = true;
@@ -208,6 +180,50 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
         }
         progressed
+    }
+
+    /// All other stages. What follows; `None` if something has to be waited for.
+    // By itself, or each line that moves would pay for what they need.
+    #[inline(never)]
+    fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
+        match job.stage {
+            Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
+            Stage::ToolChange => Some(Stage::Apply),
+            Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
+            Stage::Measuring => self.advance_tool_change(),
+            Stage::Drain => {
+                self.start_queued();
+                None
+            }
+            Stage::Apply if !self.has_room_for_pins() => None,
+            Stage::Apply => {
+                job.spindle_delay = self.apply(checking);
+                Some(Stage::Storing)
+            }
+            Stage::Storing if !self.records.are_stored() => None,
+            Stage::Storing => Some(self.begin_waiting(job, checking)),
+            Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
+            Stage::Dwell => (self.now >= job.until).then_some(Stage::Via),
+            Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
+            Stage::Via => match self.line.checked.motion {
+                gcode::Motion::Line { via: Some(via), .. } if !checking => {
+                    self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
+                }
+                _ => Some(Stage::Target),
+            },
+            Stage::Target => Some(self.check_target()),
+            Stage::Chords => self.next_chord(job),
+            Stage::Probing => {
+                let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                // A failed probe has locked the machine: no M0 may open it again.
+                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
+            }
+            Stage::Flow => self.flow(job, checking),
+            Stage::Paused => Some(Stage::Done),
+            Stage::CyclePaused => Some(Stage::Target),
+            Stage::DwellSuspended | Stage::InputSuspended => None,
+            Stage::Done => Some(Stage::Done),
+        }
     }
 
     /// Whether what a stage has done is put out, and seen by the host, before the next begins.
@@ -254,10 +270,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The motion of the line. What follows; `None` if something has to be waited for.
+    #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
             gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
+            _ => self.begin_other_motion(job),
+        }
+    }
+
+    /// The motion of a line that is not straight.
+    #[inline(never)]
+    fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
+        match self.line.checked.motion {
             gcode::Motion::Arc(ref arc) => {
                 let (geometry, feed) = (geometry(arc), arc.feed);
                 Some(self.begin_arc(&geometry, feed, job))
@@ -272,7 +297,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
             gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => Some(Stage::Flow),
+            gcode::Motion::None | gcode::Motion::Line { .. } | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => {
+                Some(Stage::Flow)
+            }
         }
     }
 
@@ -374,11 +401,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn finish(&mut self, answer: Answer) {
         self.task = Task::None;
         match answer {
-            Answer::Host => self.say(report::ok),
+            Answer::Host => self.say_ok(),
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
                 self.echo_startup_line(index);
-                self.say(report::ok);
+                self.say_ok();
                 self.begin_startup_line(index + 1, host_waits);
             }
             Answer::Validation(index) => {
@@ -386,11 +413,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.task = Task::Storing(Answer::Host);
             }
             Answer::Setting(number) => {
-                self.say(report::ok);
+                self.say_ok();
                 self.name_after_change(number);
             }
             Answer::Restart => {
-                self.say(report::ok);
+                self.say_ok();
                 self.initialise();
             }
         }
@@ -398,6 +425,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
         self.interpreter.check_into(line, dialect(&self.settings), &mut self.line.checked)?;
+        self.begin_checked(answer)
+    }
+
+    /// A line that has been checked begins, unless the machine has something against it.
+    pub(super) fn begin_checked(&mut self, answer: Answer) -> Result<(), Error> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
@@ -430,7 +462,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.line.checked)?;
         if self.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
-            self.say(report::ok);
+            self.say_ok();
             return Ok(());
         }
         let clipped = self.settings.is_on(Key::JogClip);

@@ -128,7 +128,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.replies.overrides_changed();
         self.interpreter.abandon_program();
         if self.task.abandon() {
-            self.say(report::ok);
+            self.say_ok();
         }
         self.mode = if locked { Mode::Alarm(None) } else { Mode::Normal };
         if locked {

@@ -32,8 +32,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
     /// belts (CoreXY) X and Y add up to the distance of a motor.
-    #[inline(never)]
+    #[inline]
     pub(super) fn leaves_range(&self) -> bool {
+        // The check has looked at the target of a line, and nothing of it is beyond.
+        let is_plain = matches!(self.line.checked.motion, gcode::Motion::None | gcode::Motion::Line { .. });
+        !(is_plain && self.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
+    }
+
+    #[inline(never)]
+    fn bulges_out(&self) -> bool {
         let belts = self.settings.arrangement() == Arrangement::CoreXy;
         let outside = |position: &PerAxis<Coordinate, N>| {
             let sum = match position.0.as_slice() {
@@ -93,10 +100,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
+    #[inline]
     pub(super) fn violates_soft_limits(&self) -> bool {
-        if !self.limits_travel() {
-            return false;
-        }
+        self.limits_travel() && self.leaves_travel()
+    }
+
+    #[inline(never)]
+    fn leaves_travel(&self) -> bool {
         let outside = |position: &PerAxis<Coordinate, N>| self.is_outside_travel(position);
         match &self.line.checked.motion {
             gcode::Motion::None => false,
@@ -138,6 +148,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
+    #[inline]
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
         if self.records.are_damaged() {
             self.tell_damage();

@@ -33,6 +33,59 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn line_byte(&mut self, now: Instant, byte: LineByte) {
         self.now = now;
+        if self.lines.take_end(byte) {
+            return self.line_ended();
+        }
+        self.other_byte(byte);
+    }
+
+    /// A line has come to its end in which nothing has happened but its text.
+    #[inline]
+    fn line_ended(&mut self) {
+        self.answer_status();
+        let is_of_program = self.lines.has_no_remark()
+            && !matches!(self.lines.text().first(), None | Some(b'%' | b'$'))
+            && !self.mode.is_alarm()
+            && !matches!(self.mode, Mode::Jog { .. })
+            && self.dialect() != Dialect::Grbl;
+        if is_of_program {
+            self.line_of_program();
+        } else {
+            self.complete();
+        }
+        if !matches!(self.task, Task::Job(_)) {
+            self.pins.disturb();
+        }
+    }
+
+    /// A line of the host's program without a message is read where it was received: nothing is copied.
+    fn line_of_program(&mut self) {
+        let (text, dialect) = (self.lines.text(), dialect(&self.settings));
+        let checked = match self.interpreter.direct(text, &[], self.lines.lines_read()) {
+            Ok(Direction::Check) => {
+                let checked = self.interpreter.check_into(text, dialect, &mut self.line.checked);
+                checked.map(|()| Direction::Check)
+            }
+            directed => directed,
+        };
+        self.lines.clear();
+        let result = match checked {
+            Ok(Direction::Check) => self.begin_checked(Answer::Host),
+            Ok(direction) => {
+                self.directed(direction, &[]);
+                Ok(())
+            }
+            Err(error) => Err(error),
+        };
+        if let Err(error) = result {
+            self.refuse(error);
+            self.stop_at_error();
+        }
+    }
+
+    /// All other bytes.
+    #[inline(never)]
+    fn other_byte(&mut self, byte: LineByte) {
         let taken = self.lines.take(byte, || line_rules(&self.settings));
         if taken.pushed != Pushed::More || taken.cut || taken.lost {
             self.taken(taken);
@@ -61,22 +114,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.refuse(Error::LineTooLong);
                 self.stop_at_error();
             }
-            Pushed::Complete => {
-                // Filled where they are: a returned value would be copied with its whole capacity.
-                let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
-                let _ = text.extend_from_slice(self.lines.text());
-                self.read_remark(&mut remark);
-                if self.must_wait(&text) {
-                    self.task = Task::JogWaits;
-                } else {
-                    self.lines.clear();
-                    self.dispatch(&text, &remark);
-                }
-            }
+            Pushed::Complete => self.complete(),
         }
         // A line that is yet to be carried out has changed nothing.
         if !matches!(self.task, Task::Job(_)) {
             self.pins.disturb();
+        }
+    }
+
+    /// The line that has been read is carried out.
+    #[inline(never)]
+    fn complete(&mut self) {
+        // Filled where they are: a returned value would be copied with its whole capacity.
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let _ = text.extend_from_slice(self.lines.text());
+        self.read_remark(&mut remark);
+        if self.must_wait(&text) {
+            self.task = Task::JogWaits;
+        } else {
+            self.lines.clear();
+            self.dispatch(&text, &remark);
         }
     }
 
@@ -125,7 +182,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
         let result = match line.first() {
             None if remark.is_empty() || self.mode.is_alarm() => {
-                self.say(report::ok);
+                self.say_ok();
                 Ok(())
             }
             // A tape mark; Grbl's dialect has none.
@@ -151,7 +208,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.interpreter.tape_mark()?;
         self.tell_remark(remark);
-        self.say(report::ok);
+        self.say_ok();
         Ok(())
     }
 
@@ -162,23 +219,30 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Dialect::Grbl => Direction::Check,
             _ => self.interpreter.direct(line, remark, self.lines.lines_read())?,
         };
+        if direction == Direction::Check && !line.is_empty() {
+            self.gcode(line, Answer::Host)?;
+            self.tell_remark(remark);
+        } else {
+            self.directed(direction, remark);
+        }
+        Ok(())
+    }
+
+    /// A line in which there is nothing to be carried out now.
+    #[inline(never)]
+    fn directed(&mut self, direction: Direction, remark: &[u8]) {
         match direction {
-            Direction::Check if !line.is_empty() => {
-                self.gcode(line, Answer::Host)?;
-                self.tell_remark(remark);
-            }
             Direction::Check | Direction::Done => {
                 self.tell_remark(remark);
-                self.say(report::ok);
+                self.say_ok();
             }
-            Direction::LeftOut => self.say(report::ok),
+            Direction::LeftOut => self.say_ok(),
             Direction::Call => {
                 self.tell_remark(remark);
                 self.task = Task::Held(Caller::Host);
             }
             Direction::Run => self.task = Task::Held(Caller::Host),
         }
-        Ok(())
     }
 }
 

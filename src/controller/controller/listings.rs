@@ -64,7 +64,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if listing == Listing::Settings && self.records.listed(self.now) {
                 self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
             }
-            self.say(report::ok);
+            self.say_ok();
         }
         true
     }
@@ -155,7 +155,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let axes = self.settings.axes_in_use();
             self.say(|out| report::more_options(out, axes, OPTIONS));
         }
-        self.say(report::ok);
+        self.say_ok();
     }
 
     /// What `$I` says is switched on, in Grbl's letters and their order.
@@ -201,6 +201,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         let inches = self.settings.is_on(Key::ReportInches);
         self.say(|out| report::parser_state(out, &state, inches));
-        self.say(report::ok);
+        self.say_ok();
     }
 }

@@ -65,7 +65,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.reference.lose();
         self.lock(alarm);
         self.task = Task::None;
-        self.say(report::ok);
+        self.say_ok();
         self.interpreter.reset();
         self.initialise();
     }

@@ -11,7 +11,6 @@ use crate::machine::realtime_override::Overrides;
 use crate::machine::state::Mode;
 use crate::messages::{Recorded, Standing, input};
 use crate::protocol::recorded;
-use crate::protocol::report;
 use crate::protocol::text::{Text, fixed, put, real};
 use crate::units::Coordinate;
 
@@ -76,7 +75,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.say(|out| recorded::piece(out, hz, piece));
         if *piece == Recorded::End {
             self.task = Task::None;
-            self.say(report::ok);
+            self.say_ok();
         } else {
             self.task = Task::Listing(Listing::Recording(Ask::Wanted), line + 1);
         }

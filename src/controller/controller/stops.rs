@@ -164,7 +164,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_position(self.motion.machine_position());
         self.tell_alarm(alarm);
         if homing {
-            self.say(report::ok);
+            self.say_ok();
         }
         self.tell_trip(stop.line);
         self.say(|out| report::message(out, "Reset to continue"));
@@ -186,7 +186,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
         if homing || self.task.answers_host() {
-            self.say(report::ok);
+            self.say_ok();
         }
         self.task = Task::None;
         self.interpreter.reset();

@@ -122,6 +122,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// What a line changes beside the motion mode and the position.
+    #[inline(never)]
     fn commit_beside_motion(&mut self, checked: &Checked<N>) {
         self.offsets.g92 = checked.g92;
         self.offsets.g92_acts = checked.after.g92_acts;

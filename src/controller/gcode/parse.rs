@@ -8,7 +8,9 @@
 
 use super::Dialect;
 use super::code::Code;
-use super::modal::{ArcDistance, CoordinateSystem, Distance, FeedMode, MotionMode, PathControl, Plane, SPLINES, Units};
+use super::modal::{
+    ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PathControl, Plane, SPLINES, Units,
+};
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
@@ -79,7 +81,7 @@ pub(super) struct Parsed<const N: usize> {
     pub axis: PerAxis<Decimal, N>,
     /// The most digits behind the point of an axis word.
     pub places: u8,
-    pub value: ValueWords,
+    value_words: ValueWords,
 }
 
 /// The words that set modes which stay in force.
@@ -96,23 +98,23 @@ pub(super) struct ModalWords {
     pub coordinate_system: Option<CoordinateSystem>,
 }
 
-/// The values of the letters that are no axes; 0 if the line has no such word ([`Parsed::values`]).
-#[derive(Clone, Debug, Default)]
-pub(super) struct ValueWords {
-    pub i: Decimal,
-    pub j: Decimal,
-    pub k: Decimal,
-    pub e: Decimal,
-    pub f: Decimal,
-    pub h: Decimal,
-    pub l: Decimal,
-    pub n: Decimal,
-    pub p: Decimal,
-    pub q: Decimal,
-    pub r: Decimal,
-    pub s: Decimal,
-    pub t: Decimal,
+impl ModalWords {
+    /// Sets what they set, but for the motion mode.
+    #[inline(never)]
+    pub fn set_modes(&self, modal: &mut Modal) {
+        modal.plane = self.plane.unwrap_or(modal.plane);
+        modal.distance = self.distance.unwrap_or(modal.distance);
+        modal.arc_distance = self.arc_distance.unwrap_or(modal.arc_distance);
+        modal.feed_mode = self.feed_mode.unwrap_or(modal.feed_mode);
+        modal.units = self.units.unwrap_or(modal.units);
+        modal.retract_to_r = self.retract_to_r.unwrap_or(modal.retract_to_r);
+        modal.coordinate_system = self.coordinate_system.unwrap_or(modal.coordinate_system);
+    }
 }
+
+/// The letters that are no axes, with their values, in the order in which the line has them. A list, and not a place for
+/// each letter: most lines have one or none, and all places would be cleared for each line.
+type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() }>;
 
 impl<const N: usize> Parsed<N> {
     /// No words.
@@ -132,7 +134,7 @@ impl<const N: usize> Parsed<N> {
             axes: AxisMask::NONE,
             axis: PerAxis::all(Decimal::ZERO),
             places: 0,
-            value: ValueWords::default(),
+            value_words: ValueWords::new(),
         }
     }
 
@@ -148,7 +150,10 @@ impl<const N: usize> Parsed<N> {
                     return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
-                _ => self.take_value(letter, value, places, dialect)?,
+                _ => match Axis::from_letter(letter).filter(|axis| axis.index() < N) {
+                    Some(axis) => self.take_axis(axis, letter, value, places)?,
+                    None => self.take_value(letter, value, dialect)?,
+                },
             }
         }
         Ok(())
@@ -159,6 +164,12 @@ impl<const N: usize> Parsed<N> {
     #[inline]
     pub fn is_move(&self) -> bool {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
+    }
+
+    /// The value of a letter that is no axis; 0 if the line has no such word ([`Parsed::values`]).
+    pub fn value(&self, letter: u8) -> Decimal {
+        let found = self.value_words.iter().find(|(of, _)| *of == letter);
+        found.map_or(Decimal::ZERO, |(_, value)| *value)
     }
 
     fn take_g(&mut self, code: Code, dialect: Dialect) -> Result<(), Error> {
@@ -232,13 +243,25 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    fn take_value(&mut self, letter: u8, value: Decimal, places: u8, dialect: Dialect) -> Result<(), Error> {
+    #[inline]
+    fn take_axis(&mut self, axis: Axis, letter: u8, value: Decimal, places: u8) -> Result<(), Error> {
+        if self.values.has(letter) {
+            return Err(Error::WordRepeated);
+        }
+        self.values.add(letter);
+        self.axis.set(axis, value);
+        self.axes = self.axes.with(axis);
+        self.places = self.places.max(places);
+        Ok(())
+    }
+
+    #[inline(never)]
+    fn take_value(&mut self, letter: u8, value: Decimal, dialect: Dialect) -> Result<(), Error> {
         let (values, tool_max) = match dialect {
             Dialect::Grbl => (VALUES_OF_GRBL, TOOL_MAX_OF_GRBL),
             _ => (VALUES, TOOL_MAX),
         };
-        let axis = Axis::from_letter(letter).filter(|axis| axis.index() < N);
-        if axis.is_none() && !values.has(letter) {
+        if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
                 b'U'..=b'W' if dialect != Dialect::Grbl => Err(Error::NoParallelAxes),
@@ -259,27 +282,8 @@ impl<const N: usize> Parsed<N> {
             self.extended = Extended { any: true, is_p_negative: true, ..self.extended };
         }
         self.values.add(letter);
-        if let Some(axis) = axis {
-            self.axis.set(axis, value);
-            self.axes = self.axes.with(axis);
-            self.places = self.places.max(places);
-        }
-        match letter {
-            b'E' => self.value.e = value,
-            b'F' => self.value.f = value,
-            b'H' => self.value.h = value,
-            b'I' => self.value.i = value,
-            b'J' => self.value.j = value,
-            b'K' => self.value.k = value,
-            b'L' => self.value.l = value,
-            b'N' => self.value.n = value,
-            b'P' => self.value.p = value,
-            b'Q' => self.value.q = value,
-            b'R' => self.value.r = value,
-            b'S' => self.value.s = value,
-            b'T' => self.value.t = value,
-            _ => {}
-        }
+        // There is room for each letter once.
+        let _ = self.value_words.push((letter, value));
         Ok(())
     }
 }

@@ -118,6 +118,7 @@ impl Scaling {
     }
 
     /// By what the last digit of a program is multiplied at least.
+    #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)
     }

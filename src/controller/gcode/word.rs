@@ -48,11 +48,12 @@ impl<'a, const N: usize> Words<'a, N> {
         }
     }
 
+    #[inline]
     fn read(&mut self, letter: u8, number: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         if !letter.is_ascii_uppercase() {
             return self.assign(letter, number);
         }
-        match number::read(number, self.digits) {
+        match number::read_here(number, self.digits) {
             Some(Number { value, used, places }) => {
                 Ok((Word { letter, value, places }, number.get(used..).unwrap_or(&[])))
             }
@@ -102,6 +103,11 @@ impl Letters {
 
     const fn bit(letter: u8) -> u32 {
         1 << (letter.wrapping_sub(b'A') & 31)
+    }
+
+    /// How many letters are in the set.
+    pub const fn count(self) -> usize {
+        self.0.count_ones() as usize
     }
 
     /// Whether the letter is in the set.
@@ -203,6 +209,9 @@ impl Groups {
     /// The groups whose words a jog may have.
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
+
+    /// The group of motion words.
+    pub const OF_MOTION: Groups = Groups(1 << Group::Motion as u32);
 
     /// The groups whose words say how a line moves and no more.
     pub const OF_MOVES: Groups = Groups(

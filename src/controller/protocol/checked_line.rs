@@ -131,6 +131,12 @@ impl LineCheck {
         self.wanted.is_some()
     }
 
+    /// Whether the end of a line is looked at.
+    #[inline]
+    pub fn looks_at_end(&self) -> bool {
+        self.is_on() || self.lapsed
+    }
+
     /// Whether bytes of a line have come, its header among them.
     pub fn has_begun(&self) -> bool {
         self.place > 0
@@ -204,7 +210,7 @@ impl LineCheck {
     /// The end of a line of this text (filtered), which is the next if it is valid.
     #[inline]
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
-        if self.is_on() || self.lapsed { self.finish_checked(text) } else { Verdict::Valid }
+        if self.looks_at_end() { self.finish_checked(text) } else { Verdict::Valid }
     }
 
     #[inline(never)]

@@ -107,15 +107,32 @@ impl Line {
         self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
-        self.plain = 0;
     }
 
     /// Whether text may follow for which nothing else need be looked at, once it has begun. To be told after each
     /// [`Line::push`], and when that ends.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
-        let in_text = plain && !self.text.is_empty() && self.comment == Comment::None && !self.after_cr;
+        self.expect_line(plain && !self.text.is_empty());
+    }
+
+    /// The same of text that has yet to begin, too, in this line or the next.
+    #[inline]
+    pub fn expect_line(&mut self, plain: bool) {
+        let in_text = plain && self.comment == Comment::None && !self.after_cr;
         self.plain = if in_text { GRBL_LENGTH as u8 } else { 0 };
+    }
+
+    /// Whether an LF would end this line, as [`Line::push`] takes it, and [`Line::expect_line`] allows that.
+    #[inline]
+    pub fn ends_plain(&self) -> bool {
+        self.plain > 0 && !self.overflow
+    }
+
+    /// Whether the line has no remark that might have something to say.
+    #[inline]
+    pub fn has_no_remark(&self) -> bool {
+        self.remark.is_empty()
     }
 
     /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
@@ -130,7 +147,7 @@ impl Line {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_plain`] allows it; what
+    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_line`] allows it; what
     /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {

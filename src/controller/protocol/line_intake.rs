@@ -110,10 +110,23 @@ impl LineIntake {
         self.hosts_cut
     }
 
-    /// Takes a byte from the middle of a line, if nothing has happened for which it would be held or dropped.
+    /// Takes a byte of the text of a line, if nothing has happened for which it would be held or dropped. The first byte of a
+    /// jog is not among these: only of jogs it matters in which epoch they began.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
+    }
+
+    /// Takes an LF that ends a line of such bytes; what [`LineIntake::take`] would do with it, in brief. Whether it was one.
+    #[inline]
+    pub fn take_end(&mut self, byte: LineByte) -> bool {
+        let ends = byte.byte == b'\n'
+            && byte.epoch == self.epoch
+            && !byte.damaged
+            && self.line.ends_plain()
+            && !self.check.looks_at_end();
+        self.lines_read = self.lines_read.wrapping_add(u32::from(ends));
+        ends
     }
 
     /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
@@ -157,7 +170,7 @@ impl LineIntake {
             self.line_before_cancel = before_cancel;
         }
         let (pushed, verdict) = self.push(byte.byte, rules);
-        self.line.expect_plain(self.jog_bytes == 0 && !self.check.is_on());
+        self.line.expect_line(self.jog_bytes == 0 && !self.check.is_on());
         self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
         Taken { lost: byte.damaged, cut: false, pushed, verdict }
     }
@@ -179,6 +192,7 @@ impl LineIntake {
 
     /// Lines are checked from now on; the first has the number 0.
     pub fn begin_check(&mut self) {
+        self.line.expect_plain(false);
         self.check.begin();
     }
 
@@ -228,6 +242,12 @@ impl LineIntake {
         self.line.text()
     }
 
+    /// Whether the line has no remark.
+    #[inline]
+    pub fn has_no_remark(&self) -> bool {
+        self.line.has_no_remark()
+    }
+
     /// What a remark of the line has to say, and whether it shows values of parameters.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         self.line.message()
@@ -253,8 +273,10 @@ impl LineIntake {
     /// have been received at all (wrapping).
     pub fn observe(&mut self, received: u16, heard: u16) {
         self.heartbeat.observe(heard);
-        self.drop_bytes = self.drop_bytes.min(received);
-        self.jog_bytes = self.jog_bytes.min(received);
+        if self.drop_bytes | self.jog_bytes != 0 {
+            self.drop_bytes = self.drop_bytes.min(received);
+            self.jog_bytes = self.jog_bytes.min(received);
+        }
     }
 
     /// A reset or a stop: what was sent before it is dropped by its epoch. Bytes that a reset button drops are among

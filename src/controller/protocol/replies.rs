@@ -105,8 +105,9 @@ impl Replies {
     #[inline(never)]
     fn chunk(&mut self) -> Chunk {
         let mut chunk = Chunk { len: 0, bytes: [0; 15] };
-        for slot in &mut chunk.bytes {
-            let Some(byte) = self.queue.pop_front() else { break };
+        while let Some(slot) = chunk.bytes.get_mut(usize::from(chunk.len))
+            && let Some(byte) = self.queue.pop_front()
+        {
             *slot = byte;
             chunk.len += 1;
         }

@@ -35,9 +35,7 @@ pub struct Release {
 pub const RELEASE: Release = Release { version: "0.2.0", date: "20261123" };
 
 /// `ok`
-pub fn ok(out: &mut Text) {
-    put(out, b"ok\r\n");
-}
+pub const OK: &[u8] = b"ok\r\n";
 
 /// `error:N`
 pub fn error(out: &mut Text, code: u8) {

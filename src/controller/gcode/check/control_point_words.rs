@@ -47,8 +47,8 @@ impl<const N: usize> Check<'_, N> {
         }
         let order = self.order(begins)?;
         let weight = match self.take(b'P') {
-            true if self.line.value.p <= Decimal::ZERO => return Err(Error::ValueOutOfRange),
-            true => self.line.value.p.to_f32(),
+            true if self.line.value(b'P') <= Decimal::ZERO => return Err(Error::ValueOutOfRange),
+            true => self.line.value(b'P').to_f32(),
             false if has_point => return Err(Error::ValueWordMissing),
             false => 1.0,
         };
@@ -77,7 +77,7 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'L') {
             return Ok(if begins { ORDER } else { self.order_so_far() });
         }
-        let order = whole(self.line.value.l)?;
+        let order = whole(self.line.value(b'L'))?;
         match u32::try_from(order) {
             Ok(order) if ORDERS.contains(&order) => Ok(order as u8),
             _ => Err(Error::ValueOutOfRange),

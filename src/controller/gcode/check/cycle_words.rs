@@ -118,16 +118,16 @@ impl<const N: usize> Check<'_, N> {
             words.depth = self.axis_length(axes.linear);
         }
         if self.take(b'R') {
-            words.r = self.length(line.value.r);
+            words.r = self.length(line.value(b'R'));
         }
         if kind.pecks() && self.take(b'Q') {
-            words.peck = self.length(line.value.q);
+            words.peck = self.length(line.value(b'Q'));
             if words.peck <= Coordinate::ZERO {
                 return Err(Error::ValueOutOfRange);
             }
         }
         if kind.dwells() && self.take(b'P') {
-            words.dwell = seconds(line.value.p);
+            words.dwell = seconds(line.value(b'P'));
         }
         Ok(words)
     }
@@ -137,8 +137,8 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'L') {
             return Ok(1);
         }
-        let count = self.line.value.l.truncate();
-        if Decimal::from_int(count) != self.line.value.l {
+        let count = self.line.value(b'L').truncate();
+        if Decimal::from_int(count) != self.line.value(b'L') {
             return Err(Error::IntegerRequired);
         }
         if !(1..=REPEATS_MAX).contains(&count) {

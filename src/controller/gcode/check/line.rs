@@ -16,7 +16,7 @@ use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::scaling::Scaling;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
-use crate::gcode::word::{Claim, Letters};
+use crate::gcode::word::{Claim, Groups, Letters};
 use crate::units::{Coordinate, Decimal, per_second};
 use oxmill_sqrt::square_root;
 
@@ -39,6 +39,12 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
         *(if axis < LINEAR { &mut *linear } else { &mut *rotary }) += way * way;
     }
     squares
+}
+
+/// Apart, so that the division is left out where F is a speed.
+#[inline(never)]
+fn inverse_time(feed: f32) -> Feed {
+    Feed::InverseTime(60.0 / feed)
 }
 
 /// A line half checked.
@@ -86,13 +92,9 @@ impl<'a, const N: usize> Check<'a, N> {
         if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
             modal.straight = modal.motion;
         }
-        modal.plane = line.modal.plane.unwrap_or(modal.plane);
-        modal.distance = line.modal.distance.unwrap_or(modal.distance);
-        modal.arc_distance = line.modal.arc_distance.unwrap_or(modal.arc_distance);
-        modal.feed_mode = line.modal.feed_mode.unwrap_or(modal.feed_mode);
-        modal.units = line.modal.units.unwrap_or(modal.units);
-        modal.retract_to_r = line.modal.retract_to_r.unwrap_or(modal.retract_to_r);
-        modal.coordinate_system = line.modal.coordinate_system.unwrap_or(modal.coordinate_system);
+        if !line.groups.within(Groups::OF_MOTION) {
+            line.modal.set_modes(modal);
+        }
         // A full circle needs no axis word.
         let is_circle = dialect != Dialect::Grbl
             && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
@@ -183,7 +185,7 @@ impl<'a, const N: usize> Check<'a, N> {
         let feed = self.checked.modal.feed.to_f32();
         match self.checked.modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
-            FeedMode::InverseTime => Feed::InverseTime(60.0 / feed),
+            FeedMode::InverseTime => inverse_time(feed),
         }
     }
 

@@ -92,11 +92,13 @@ pub(super) fn check<const N: usize>(
 
 impl<const N: usize> Check<'_, N> {
     fn line_number(&mut self) -> Result<(), Error> {
-        let number = self.line.value.n.truncate();
-        if number > LINE_NUMBER_MAX {
-            return Err(Error::InvalidLineNumber);
+        if self.line.values.has(b'N') {
+            let number = self.line.value(b'N').truncate();
+            if number > LINE_NUMBER_MAX {
+                return Err(Error::InvalidLineNumber);
+            }
+            self.checked.line_number = number.unsigned_abs();
         }
-        self.checked.line_number = number.unsigned_abs();
         Ok(())
     }
 
@@ -110,7 +112,7 @@ impl<const N: usize> Check<'_, N> {
         let modal = self.checked.modal;
         self.checked.modal.feed = match (modal.feed_mode, given) {
             (_, false) if self.purpose == Purpose::Jog => return Err(Error::UndefinedFeed),
-            (FeedMode::InverseTime, true) => self.line.value.f,
+            (FeedMode::InverseTime, true) => self.line.value(b'F'),
             (FeedMode::InverseTime, false) => {
                 let needed = !matches!(modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
                 if needed && self.claim == Claim::Motion {
@@ -120,7 +122,7 @@ impl<const N: usize> Check<'_, N> {
             }
             (FeedMode::PerMinute, true) => {
                 self.checked.modal.feed_in_inches = modal.units == Units::Inch;
-                Decimal(self.length(self.line.value.f).0)
+                Decimal(self.length(self.line.value(b'F')).0)
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
             (FeedMode::PerMinute, false) => Decimal::ZERO,
@@ -131,7 +133,7 @@ impl<const N: usize> Check<'_, N> {
     fn speed(&mut self) {
         let (line, modal) = (self.line, &mut self.checked.modal);
         if line.values.has(b'S') {
-            modal.speed = line.value.s.to_f32();
+            modal.speed = line.value(b'S').to_f32();
         }
         self.checked.speed = self.checked.modal.speed;
         self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
@@ -154,7 +156,7 @@ impl<const N: usize> Check<'_, N> {
     /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
     fn parking_override(&mut self) {
         if self.line.parking_override {
-            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.value.p == Decimal::ZERO;
+            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.value(b'P') == Decimal::ZERO;
             self.unused.remove(Letters::of(b"P"));
         }
     }
@@ -168,7 +170,7 @@ impl<const N: usize> Check<'_, N> {
         }
         self.unused.remove(Letters::of(b"PQ"));
         let values = &self.line.values;
-        let (path, merging) = (self.line.value.p, self.line.value.q);
+        let (path, merging) = (self.line.value(b'P'), self.line.value(b'Q'));
         if values.has(b'Q') && merging < Decimal::ZERO {
             return Err(Error::NegativeValue);
         }
@@ -192,7 +194,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ValueWordMissing);
         }
         self.unused.remove(Letters::of(b"P"));
-        self.checked.dwell = Some(seconds(self.line.value.p));
+        self.checked.dwell = Some(seconds(self.line.value(b'P')));
         Ok(())
     }
 
@@ -218,6 +220,7 @@ impl<const N: usize> Check<'_, N> {
     }
 
     /// The last digit of its words.
+    #[inline(always)]
     fn precision(&mut self) {
         let checked = &mut *self.checked;
         // A cycle goes through its points exactly, and of a spline all points are known.

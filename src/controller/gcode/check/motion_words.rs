@@ -98,7 +98,7 @@ impl<const N: usize> Check<'_, N> {
         );
         let centre = if self.line.values.has(b'R') {
             self.unused.remove(Letters::of(b"R"));
-            let radius = self.scaled_size(axes.first, self.length(self.line.value.r));
+            let radius = self.scaled_size(axes.first, self.length(self.line.value(b'R')));
             arc::centre_by_radius(chord, radius, clockwise)?
         } else {
             let centre = self.centre(axes)?;
@@ -138,9 +138,9 @@ impl<const N: usize> Check<'_, N> {
         self.unused.remove(CENTRE);
         let centre_along = |axis: Axis| {
             let value = self.length(match axis {
-                Axis::X => self.line.value.i,
-                Axis::Y => self.line.value.j,
-                _ => self.line.value.k,
+                Axis::X => self.line.value(b'I'),
+                Axis::Y => self.line.value(b'J'),
+                _ => self.line.value(b'K'),
             });
             if absolute {
                 self.scaled_length(axis, value, false) - self.program_coordinate(axis)
@@ -161,7 +161,7 @@ impl<const N: usize> Check<'_, N> {
             return Ok(0);
         }
         self.unused.remove(Letters::of(b"P"));
-        let turns = whole(self.line.value.p)?;
+        let turns = whole(self.line.value(b'P'))?;
         if !(1..=TURNS_MAX).contains(&turns) {
             return Err(Error::IntegerRequired);
         }

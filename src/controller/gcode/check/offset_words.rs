@@ -63,7 +63,7 @@ impl<const N: usize> Check<'_, N> {
     /// the given coordinates. Distance mode plays no part.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
-        let of_tool = self.dialect != Dialect::Grbl && line.value.l == Decimal::from_int(1);
+        let of_tool = self.dialect != Dialect::Grbl && line.value(b'L') == Decimal::from_int(1);
         let rotates = self.dialect != Dialect::Grbl && line.values.has(b'R');
         if line.axes.is_empty() && !of_tool && !rotates {
             return Err(Error::NoAxisWords);
@@ -77,21 +77,21 @@ impl<const N: usize> Check<'_, N> {
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
-            match whole(line.value.l)? {
+            match whole(line.value(b'L'))? {
                 2 if rotates && !ROTATION => return Err(Error::RotationLeftOut),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
                 _ => return Err(Error::UnsupportedCommand),
             }
         }
-        let system = self.system_of(line.value.p.truncate())?;
+        let system = self.system_of(line.value(b'P').truncate())?;
         if self.dialect != Dialect::Grbl {
-            whole(line.value.p)?;
+            whole(line.value(b'P'))?;
         }
-        let from_position = match line.value.l.truncate() {
+        let from_position = match line.value(b'L').truncate() {
             2 if line.values.has(b'R') && !rotates => return Err(Error::UnsupportedCommand),
             2 => {
-                self.checked.rotated.angle = self.take(b'R').then(|| Angle::of(line.value.r));
+                self.checked.rotated.angle = self.take(b'R').then(|| Angle::of(line.value(b'R')));
                 self.keeps_planes(system)?;
                 false
             }

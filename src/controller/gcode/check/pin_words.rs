@@ -16,7 +16,7 @@ impl<const N: usize> Check<'_, N> {
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
         self.checked.after.pins = Some(match word {
             62..=65 => {
-                let number = self.pin(b'P', self.line.value.p)?;
+                let number = self.pin(b'P', self.line.value(b'P'))?;
                 ProgramPins::Digital { number, on: word % 2 == 0, with_motion: word < 64 }
             }
             66 if has_p && has_e => return Err(Error::UnusedWords),
@@ -24,12 +24,12 @@ impl<const N: usize> Check<'_, N> {
                 if self.wait()? != InputWait::Nothing {
                     return Err(Error::ValueOutOfRange);
                 }
-                ProgramPins::ReadAnalog { number: self.pin(b'E', self.line.value.e)? }
+                ProgramPins::ReadAnalog { number: self.pin(b'E', self.line.value(b'E'))? }
             }
             66 => {
-                let number = self.pin(b'P', self.line.value.p)?;
+                let number = self.pin(b'P', self.line.value(b'P'))?;
                 let until = self.wait()?;
-                let longest = match self.line.value.q {
+                let longest = match self.line.value(b'Q') {
                     q if q > Decimal::ZERO => seconds(q),
                     _ if until == InputWait::Nothing => Duration::from_ticks(0),
                     _ if self.line.values.has(b'Q') => return Err(Error::ValueOutOfRange),
@@ -38,11 +38,11 @@ impl<const N: usize> Check<'_, N> {
                 ProgramPins::Wait { number, until, longest }
             }
             _ => {
-                let number = self.pin(b'E', self.line.value.e)?;
+                let number = self.pin(b'E', self.line.value(b'E'))?;
                 if !self.line.values.has(b'Q') {
                     return Err(Error::ValueWordMissing);
                 }
-                ProgramPins::Analog { number, value: self.line.value.q, with_motion: word == 67 }
+                ProgramPins::Analog { number, value: self.line.value(b'Q'), with_motion: word == 67 }
             }
         });
         self.unused.remove(match word {
@@ -62,7 +62,7 @@ impl<const N: usize> Check<'_, N> {
 
     /// L of M66; none is L0.
     fn wait(&self) -> Result<InputWait, Error> {
-        Ok(match whole(self.line.value.l)? {
+        Ok(match whole(self.line.value(b'L'))? {
             0 => InputWait::Nothing,
             1 => InputWait::Rise,
             2 => InputWait::Fall,

@@ -80,7 +80,7 @@ impl<const N: usize> Check<'_, N> {
                 self.program_coordinate(axis)
             }
         });
-        Ok(Rotation { plane, angle: Angle::of(self.line.value.r), centre })
+        Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 
     /// Where the line's axis words lead to, in machine coordinates.

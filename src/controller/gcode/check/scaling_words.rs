@@ -41,11 +41,10 @@ impl<const N: usize> Check<'_, N> {
         }
         let one = Decimal::from_int(1);
         let factors = if self.take(b'P') {
-            [self.line.value.p; 3]
+            [self.line.value(b'P'); 3]
         } else if self.unused.has_any(CENTRE) {
-            let values = &self.line.value;
-            let [i, j, k] = [(b'I', values.i), (b'J', values.j), (b'K', values.k)];
-            [i, j, k].map(|(letter, value)| if self.take(letter) { value } else { one })
+            let line = self.line;
+            [b'I', b'J', b'K'].map(|letter| if self.take(letter) { line.value(letter) } else { one })
         } else {
             return Err(Error::ValueWordMissing);
         };

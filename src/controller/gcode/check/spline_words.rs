@@ -8,7 +8,7 @@ use crate::gcode::checked::{Motion, SplineMove};
 use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
 use crate::gcode::rotation::difference;
 use crate::gcode::values::{in_xy, reachable};
-use crate::units::{Coordinate, Decimal};
+use crate::units::Coordinate;
 
 impl<const N: usize> Check<'_, N> {
     /// P of G5 is a distance; all others are numbers that have no sign.
@@ -34,8 +34,7 @@ impl<const N: usize> Check<'_, N> {
         self.needs_plane(Plane::Xy.axes())?;
         let start = self.state.position;
         let target = self.target();
-        let values = &self.line.value;
-        let near_start = self.vector(b"IJ", [values.i, values.j])?;
+        let near_start = self.vector(b"IJ")?;
         let (leaving, arriving) = match (kind, near_start) {
             (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
             (SplineKind::Quadratic, Some(middle)) => {
@@ -44,7 +43,7 @@ impl<const N: usize> Check<'_, N> {
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
             (SplineKind::Cubic | SplineKind::Nurbs, _) => {
-                let arriving = self.vector(b"PQ", [values.p, values.q])?.ok_or(Error::ValueWordMissing)?;
+                let arriving = self.vector(b"PQ")?.ok_or(Error::ValueWordMissing)?;
                 // Without I and J where the last G5 has ended, as smoothly as it came there.
                 let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));
                 (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
@@ -62,12 +61,12 @@ impl<const N: usize> Check<'_, N> {
 
     /// A distance in the plane by two words, along the axes of the machine; `None` without them.
     #[inline(never)]
-    fn vector(&mut self, letters: &[u8; 2], values: [Decimal; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
+    fn vector(&mut self, letters: &[u8; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
         let [has_first, has_second] = letters.map(|letter| self.take(letter));
         if has_first != has_second {
             return Err(Error::ValueWordMissing);
         }
-        let way = self.scaled_vector([Axis::X, Axis::Y], values.map(|value| self.length(value)));
+        let way = self.scaled_vector([Axis::X, Axis::Y], letters.map(|letter| self.length(self.line.value(letter))));
         Ok(has_first.then(|| match self.rotated {
             Some(rotated) if ROTATION => rotated.angle.turn(way),
             _ => way,

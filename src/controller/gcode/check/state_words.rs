@@ -16,8 +16,8 @@ impl<const N: usize> Check<'_, N> {
         let takes_p = matches!(word, 50..=53);
         let on = match takes_p && self.take(b'P') {
             false => word != 49,
-            true if self.line.value.p == Decimal::ZERO => false,
-            true if self.line.value.p == Decimal::from_int(1) => true,
+            true if self.line.value(b'P') == Decimal::ZERO => false,
+            true if self.line.value(b'P') == Decimal::from_int(1) => true,
             true => return Err(Error::ValueOutOfRange),
         };
         let held = &mut self.checked.modal.overrides_held;

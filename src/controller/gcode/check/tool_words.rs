@@ -22,8 +22,8 @@ impl<const N: usize> Check<'_, N> {
         let modal = &mut self.checked.modal;
         if self.line.values.has(b'T') {
             let number = match self.dialect {
-                Dialect::Grbl => self.line.value.t.truncate(),
-                _ => whole(self.line.value.t)?,
+                Dialect::Grbl => self.line.value(b'T').truncate(),
+                _ => whole(self.line.value(b'T'))?,
             };
             modal.tool = number.unsigned_abs();
         } else if self.dialect == Dialect::Grbl {
@@ -46,7 +46,7 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'Q') {
             return Err(Error::ValueWordMissing);
         }
-        let number = self.line.value.q;
+        let number = self.line.value(b'Q');
         if number < Decimal::ZERO {
             return Err(Error::NegativeValue);
         }
@@ -86,7 +86,7 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = if self.take(b'H') { whole(self.line.value.h)?.unsigned_abs() } else { 0 };
+        let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         measured.or_else(|| self.state.tools.offset(number)).ok_or(Error::UnknownTool)
@@ -97,11 +97,11 @@ impl<const N: usize> Check<'_, N> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let number = whole(self.line.value.p)?.unsigned_abs();
+        let number = whole(self.line.value(b'P'))?.unsigned_abs();
         if !self.line.values.has(b'P') {
             return Err(Error::ValueWordMissing);
         }
-        if self.line.value.p > Decimal::from_int(TOOL_MAX) {
+        if self.line.value(b'P') > Decimal::from_int(TOOL_MAX) {
             return Err(Error::ToolNumberTooHigh);
         }
         let known = self.state.tools.offset(number);

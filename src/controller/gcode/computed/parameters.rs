@@ -123,7 +123,16 @@ impl Parameters {
     }
 
     /// Sets what the line sets, from left to right.
+    #[inline]
     pub fn commit(&mut self) {
+        if self.has_staged() {
+            self.commit_staged();
+        }
+        self.growth = 0;
+    }
+
+    #[inline(never)]
+    fn commit_staged(&mut self) {
         while let Some((in_force, staged)) = self.cells.split_at_mut_checked(self.in_force)
             && let Some(cell) = Cell::first(staged)
         {
@@ -138,7 +147,6 @@ impl Parameters {
                 None => self.in_force += size,
             }
         }
-        self.growth = 0;
     }
 
     /// Whether no parameter has a value.
