@@ -180,7 +180,8 @@ impl Serial {
     }
 
     /// Called for a received byte or packet, for a sender that has become free, and by `control` (an answer to send; room
-    /// in the queues).
+    /// in the queues). Once in the image, and not in each of two vectors.
+    #[inline(never)]
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
         let Serial { arbiter, uart, usb, queues, .. } = self;

@@ -41,7 +41,7 @@ CALL_CYCLES = 212
 """From the call of the step task to where no event begins any more, when it is at rest, at 490,000 steps/s or less."""
 FAST_CALL_CYCLES = 260
 """The same at greater rates: each segment that has begun since the last run takes some 15, and more have."""
-LINES_S = 2500
+LINES_S = 2800
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
