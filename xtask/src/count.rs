@@ -79,7 +79,7 @@ const ROWS: [Row; 20] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_530, 2_260))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_730, 12_700))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_060, 11_330))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
