@@ -514,3 +514,139 @@ impl<const N: usize> Chain<N> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pseudo-random numbers (xorshift, Marsaglia 2003).
+    struct Random(u64);
+
+    impl Random {
+        fn below(&mut self, end: u64) -> u64 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            (self.0 >> 11) % end
+        }
+
+        /// From 0 to 1.
+        fn share(&mut self) -> f32 {
+            self.below(1 << 24) as f32 / (1 << 24) as f32
+        }
+
+        /// Any order of size between two numbers.
+        fn size(&mut self, least: f32, greatest: f32) -> f32 {
+            least * (greatest / least).powf(self.share())
+        }
+
+        fn sign(&mut self) -> f32 {
+            if self.below(2) == 0 { 1.0 } else { -1.0 }
+        }
+
+        /// Of all that the settings and the bounds on them allow.
+        fn rule<const N: usize>(&mut self) -> TurnRule<N> {
+            let all = self.size(1.0e-3, 1.0e7);
+            let acceleration = match self.below(3) {
+                0 => [all; N],
+                1 => [all; N].map(|all| (all * self.size(1.0e-3, 1.0)).max(1.0e-3)),
+                _ => [0.0; N].map(|_| self.size(1.0e-3, 1.0e7)),
+            };
+            let deviation = if self.below(2) == 0 { 0.0 } else { self.size(1.0e-6, 1.0e3) };
+            let curve_share = if self.below(2) == 0 { 1.0 } else { self.size(0.01, 100.0) };
+            TurnRule { acceleration, deviation, curve_share }
+        }
+
+        /// The unit vector of a way, as the queue makes it or as the scales do.
+        fn unit<const N: usize>(&mut self, way: [f32; N]) -> [f32; N] {
+            let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
+            let shortness = 1.0 / length;
+            if self.below(2) == 0 { way.map(|part| part / length) } else { way.map(|part| part * shortness) }
+        }
+
+        /// A direction, with axes that stay and axes that hardly move.
+        fn direction<const N: usize>(&mut self) -> [f32; N] {
+            let mut way = [0.0; N].map(|_| if self.below(2) == 0 { 0.0 } else { self.sign() * self.size(1.0e-7, 1.0) });
+            way[self.below(N as u64) as usize] = self.sign();
+            self.unit(way)
+        }
+
+        /// One that continues another: after a slight turn of some axes, or back, or nowhere near it.
+        fn turned<const N: usize>(&mut self, before: [f32; N], turn: f32) -> [f32; N] {
+            let back = match self.below(12) {
+                0 => return self.direction(),
+                1 => -1.0,
+                _ => 1.0,
+            };
+            let way = before.map(|part| {
+                let aside = if self.below(3) == 0 { 0.0 } else { turn * (self.share() - 0.5) };
+                back * part + aside
+            });
+            self.unit(way)
+        }
+
+        /// A span of one piece or some.
+        fn span<const N: usize>(&mut self, direction: [f32; N], path: f32, turn: f32) -> Span<N> {
+            Span {
+                direction,
+                noise: if self.below(2) == 0 { 0.0 } else { self.share() * turn },
+                path,
+                fast2: UNLIMITED2,
+                blocks: 1 + self.below(3) as u16,
+                straight: self.below(20) > 0,
+                ..Span::NONE
+            }
+        }
+    }
+
+    /// The limits between a new span and those before it, by the whole rule.
+    fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N>) -> Vec<f32> {
+        let mut speeds2 = Vec::new();
+        history.compare(new, 0, rule, &mut |bend| speeds2.push(bend.speed2));
+        speeds2
+    }
+
+    /// Asks of many turns, with speeds that are about as fast as they allow, and gives how many are limited and how many are
+    /// left out in advance.
+    fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
+        let (mut limited, mut left_out) = (0, 0);
+        for _ in 0..count {
+            let rule = random.rule::<N>();
+            let (turn, path) = (random.size(1.0e-3, 3.0), random.size(1.0e-7, 1.0e5));
+            let mut direction = random.direction();
+            let [mut new, first, second, third, fourth] = [(); HISTORY + 1].map(|()| {
+                direction = random.turned(direction, turn);
+                let path = path * random.size(0.1, 10.0);
+                random.span(direction, path, turn)
+            });
+            let mut history = History([first, second, third, fourth]);
+            let speeds2 = limits(&history, &new, &rule);
+            if speeds2.is_empty() {
+                continue;
+            }
+            let near2 = match random.below(3) {
+                0 => speeds2[random.below(speeds2.len() as u64) as usize],
+                _ => speeds2.iter().fold(UNLIMITED2, |least, speed2| lesser(*speed2, least)),
+            };
+            // From the least to the greatest speed that there is.
+            let fast2 = (near2 * (0.9 + 0.15 * random.share())).clamp(1.6e-13, 1.0e10);
+            for span in history.0.iter_mut().chain([&mut new]) {
+                span.fast2 = if random.below(2) == 0 { fast2 } else { fast2 * random.share() };
+            }
+            let is_limited = !limits(&history, &new, &rule).is_empty();
+            let may_be = history.may_limit(&new, &rule);
+            assert!(may_be || !is_limited, "{history:?} {new:?} {rule:?}");
+            limited += u32::from(is_limited);
+            left_out += u32::from(!may_be);
+        }
+        (limited, left_out)
+    }
+
+    #[test]
+    fn no_turn_that_limits_is_left_out_in_advance() {
+        let mut random = Random(0x2545_F491_4F6C_DD1D);
+        for (limited, left_out) in [ask::<3>(&mut random, 40_000), ask::<6>(&mut random, 40_000)] {
+            assert!(limited > 10_000 && left_out > 1000, "{limited} {left_out}");
+        }
+    }
+}

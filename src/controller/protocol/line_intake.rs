@@ -504,4 +504,121 @@ mod tests {
         assert_eq!(give(&mut intake, b"G4\n", 100_000_u32 as u16), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 100_001_u32 as u16), ["G4"]);
     }
+
+    /// An intake that takes bytes in brief where it can, and one that never does.
+    struct Both {
+        brief: LineIntake,
+        whole: LineIntake,
+        lines: u32,
+    }
+
+    impl Both {
+        fn each(&mut self, act: impl Fn(&mut LineIntake)) {
+            act(&mut self.brief);
+            act(&mut self.whole);
+        }
+
+        /// Whether it has ended a line.
+        fn give(&mut self, byte: LineByte) -> bool {
+            let rules = || LineRules { block_delete: self.lines % 4 == 3, ..rules() };
+            let brief = if self.brief.take_plain(byte) {
+                Taken::NOTHING
+            } else if self.brief.take_end(byte) {
+                Taken { pushed: Pushed::Complete, ..Taken::NOTHING }
+            } else {
+                self.brief.take(byte, rules)
+            };
+            assert_eq!(brief, self.whole.take(byte, rules), "{byte:?}");
+            let seen = |intake: &LineIntake| {
+                // Of a line that is damaged nothing is carried out.
+                let is_jog = brief.pushed == Pushed::Complete && intake.text().starts_with(b"$J=");
+                let jog = is_jog.then(|| (intake.is_jog_stale(), intake.is_jog_behind_cancel()));
+                let message = intake.message().map(|(has_values, text)| (has_values, text.to_vec()));
+                (intake.text().to_vec(), message, jog, intake.lines_read(), intake.holds())
+            };
+            assert_eq!(seen(&self.brief), seen(&self.whole));
+            if self.brief.has_no_remark() {
+                assert_eq!(self.whole.message(), None);
+            }
+            let ends = brief.pushed != Pushed::More;
+            if ends {
+                self.lines += 1;
+                self.each(LineIntake::clear);
+            }
+            ends
+        }
+
+        /// A command that opens an epoch has come at last: the byte that has waited for it is given.
+        fn release(&mut self) {
+            let (brief, whole) = (self.brief.release(), self.whole.release());
+            assert_eq!(brief, whole);
+            if let Some(byte) = brief {
+                self.give(byte);
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_are_taken_in_brief_as_they_are_taken_always() {
+        const TEXT: [&[u8]; 20] = [
+            b"G1",
+            b"x-1.5",
+            b"Y2",
+            b"\n",
+            b"\n",
+            b"\r\n",
+            b"\r",
+            b"$J=",
+            b"(MSG,a)",
+            b"(b",
+            b")",
+            b";",
+            b" ",
+            b"/",
+            b"%",
+            b"$LC=ON",
+            b":0",
+            b"N1",
+            b"[#1]",
+            b"0123456789012345678901234567890123456789",
+        ];
+        let mut both = Both { brief: LineIntake::new(), whole: LineIntake::new(), lines: 0 };
+        let mut state = 0x2545_F491_4F6C_DD1D_u64;
+        let mut below = |end: u64| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) % end
+        };
+        let mut epoch = 0_u16;
+        for _ in 0..100_000 {
+            let late = match below(60) {
+                0 => u16::MAX,
+                1 => 1,
+                _ => 0,
+            };
+            for text in TEXT[below(20) as usize] {
+                let damaged = below(200) == 0;
+                let ends = !both.brief.holds()
+                    && both.give(LineByte { byte: *text, epoch: epoch.wrapping_add(late), damaged });
+                if ends && below(20) == 0 {
+                    both.each(LineIntake::begin_check);
+                }
+            }
+            match below(80) {
+                0 => both.each(LineIntake::open_epoch),
+                1 => both.each(LineIntake::cancel_jogs),
+                2 => both.each(LineIntake::reset),
+                number @ 3..6 => both.each(|intake| intake.end_received_jogs(3 * (number as u16 - 3))),
+                number @ 6..9 => both.each(|intake| intake.drop_received(3 * (number as u16 - 6))),
+                9 => both.each(|intake| intake.observe(2, 0)),
+                10..14 => both.each(|intake| _ = intake.lapse_check()),
+                14 if !both.brief.holds() => _ = both.give(byte(HOST_CHANGED, epoch)),
+                _ => {}
+            }
+            epoch = both.whole.epoch;
+            both.release();
+        }
+        assert!(both.lines > 10_000, "{}", both.lines);
+    }
 }
