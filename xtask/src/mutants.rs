@@ -101,16 +101,16 @@ const MUTANTS: &[Mutant] = &[
         name: "one-axis-ignored",
         edits: &[Edit {
             file: AXIS_LIMITS,
-            find: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate) {",
-            replace: "in way.iter().zip(self.turns.acceleration).zip(self.max_rate).skip(1) {",
+            find: "in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate) {",
+            replace: "in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate).skip(1) {",
         }],
     },
     Mutant {
         name: "no-junction-rule",
         edits: &[Edit {
             file: CURVATURE,
-            find: "        rule.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
-            replace: "        1.0e9 * rule.junction2(across, sine, turn2)\n    }\n\n    /// What is granted",
+            find: "        rule.junction2(across, sine, turn2)\n    }",
+            replace: "        1.0e9 * rule.junction2(across, sine, turn2)\n    }",
         }],
     },
     Mutant {
@@ -239,8 +239,8 @@ const MUTANTS: &[Mutant] = &[
         name: "jerk-of-one-axis-ignored",
         edits: &[Edit {
             file: AXIS_LIMITS,
-            find: "for (part, most) in way.iter().zip(self.jerk) {",
-            replace: "for (part, most) in way.iter().zip(self.jerk).skip(1) {",
+            find: "for (share, most) in shares.iter().zip(&self.jerk) {",
+            replace: "for (share, most) in shares.iter().zip(&self.jerk).skip(1) {",
         }],
     },
 ];
@@ -387,12 +387,14 @@ mod tests {
 
     #[test]
     fn each_fault_finds_its_place() {
+        let mut lost = Vec::new();
         for (mutant, _) in all() {
             for edit in mutant.edits {
                 if let Err(why) = edit.applied(&root().join(edit.file)) {
-                    panic!("{}: {why}", mutant.name);
+                    lost.push(format!("{}: {why}", mutant.name));
                 }
             }
         }
+        assert!(lost.is_empty(), "{}", lost.join("\n"));
     }
 }
