@@ -1,10 +1,12 @@
 //! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
-//! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received` packet,
-//! what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some OTG
-//! registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. What a closed port still
-//! sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
+//! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received`
+//! packet, what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some
+//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. What a closed port
+//! still sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
 //! `enable_endpoint` sets `ENABLED_AGAIN`; `is_configured`, `dtr` and `LATE_BYTES_TICKS` tell whether a host listens,
-//! and setting it up twice is `unreachable!`.
+//! and setting it up twice is `unreachable!`. Registers of OTG_FS are read and written by their `address`
+//! (`read_volatile`, `write_volatile`): `RXFLVL`, `EVENTS`, `BUFFERS`; `hold_endpoint`, `mask` and `may_wait` keep a
+//! packet (`PACKET`) back.
 //!
 //! ```text
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it

@@ -1,5 +1,6 @@
 //! `StepRates`: how fast a board can step. The greatest rate in steps/s that pulses of a length allow, with the pause
-//! between two pulses, up to the board's safe rate.
+//! between two pulses, up to the board's safe rate. All in nanoseconds: `TENTH_NS`, `ROUNDING_NS`, `SHORT_PULSE_NS`,
+//! `LONGEST_PAUSE_NS`, `least_period_ns`.
 
 /// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
 const TENTH_NS: u32 = 100;

@@ -1,11 +1,12 @@
-//! What came into a simulated machine, with its time, as text under a `TITLE`. `Recorder` writes each `Input` as a line
-//! to an `io::Write` (host bytes escaped, pins, connect, disconnect, the job: `RecordedJob`, a `BufRead` with
+//! What came into a simulated machine, with its time, as text under a `TITLE`. `Recorder` writes each `Input` as a
+//! line to an `io::Write` (host bytes escaped, pins, connect, disconnect, the job: `RecordedJob`, a `BufRead` with
 //! `fill_buf` and `consume`, writes each `job_line` that was read) and, at rest (`next_look`), where the machine is:
 //! counters, hash, and words for what is on (drivers, cw, flood). `Recording` reads such text by `parse_line` and
 //! `parse_time` (`split_once`, `from_str_radix`, `bytes_of_hex`, `number`), or what a board has listed: `Told`, with
 //! what it has `Noted` (`Stopping`, `standing`; "these are too many axes"). It plays that into a `simulator: &mut
 //! Simulator` that was powered up the same, while `hear` takes what it says; `here` it must arrive at the same place,
-//! with the same hash (`agrees`, `compare_end`, `NOTHING_COMPARED`).
+//! with the same hash (`agrees`, `compare_end`, `NOTHING_COMPARED`). A recording read from a file may be `broken_off`;
+//! its `Fittings` are parsed from text, and an answer that begins with `error` counts (`hear_all`, `compares`).
 //!
 //! ```text
 //! oxmill recording 1

@@ -5,7 +5,8 @@
 //! the radius in space, `rotary_stretch` what rotary axes add. In it are `begin_turn`, `chords_left`, `turns_left`,
 //! `end_radius` and `start_radius`, `mean_radius`, `share_before`, `integer_length`, `whole`, `scale`; `cross` and
 //! `dot` of the ends by `libm` give the sweep (`TURN`, `FULL_CIRCLE`). `WIDEST` is the widest half angle of a chord;
-//! `MOST_CHORDS` of a turn and `LEAST_TOLERANCE` are bounds.
+//! `MOST_CHORDS` of a turn and `LEAST_TOLERANCE` are bounds. A helix shifts each `Axis::of_machine` that is not in the
+//! plane; `turn_share`, `chords_of_turn`, `radius_change` and a `magnified` step belong to its turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};

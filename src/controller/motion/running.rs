@@ -4,7 +4,8 @@
 //! hold, the steps taken so far, and the laser power at a speed. `PathMotion` is pace and acceleration at the end of
 //! what was handed over. `steps_by_axis` and `AxisSteps` are given in a `ToStep`; in it are also `announce_again`,
 //! `steps_from`, `acceleration_towards`, `power_at`, `is_rapid`, `left`, `braking`; the planner's `exit2` is
-//! `planned2`. A crawl in which a unit takes longer than `CRAWL_S` stops where it is if it can.
+//! `planned2`. A crawl in which a unit takes longer than `CRAWL_S` stops where it is if it can. The `ease_off_limit`
+//! is that of the jerk rule.
 
 use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};

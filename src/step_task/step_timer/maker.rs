@@ -5,6 +5,8 @@
 //! `free_from`. `is_far_ahead`, `is_short`, `wants_more`, `last_chance`, `waits_for_segment` and `moment_for_more` say
 //! when more is to be made; `out_at` is when all is out. `put_off` moves what is made and not begun; `one_by_one` is
 //! how it steps while a probe is watched. `timing` (`StepTiming`) holds `gap`, `setup` and `pulse` in ticks.
+//! Directions that no output shows are `UNKNOWN`; `is_marked_full`, `may_begin` and `before_two_runs` bound what a run
+//! makes.
 
 use super::beam::Beam;
 use super::begins::Begins;

@@ -4,7 +4,8 @@
 //! (`tell`, `tell_of_rest`, `Reports`). Its `State` is Rest, Starting, Preparing, Running or Ending (`start`,
 //! `prepare`, `begin`, `go_on`, `end`). Events that come too late are put off (`put_off`, `latest`, `count_anew`,
 //! `resume`) or end the motion (`ran_dry`, `give_up`, `break_off`, with the `net` steps undone); `is_before_motion`
-//! says that nothing has come out yet. New `wiring` is taken in at rest.
+//! says that nothing has come out yet. New `wiring` is taken in at rest. `halt` ends the motion and gives what is
+//! `Undone`.
 //!
 //! ```text
 //!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make
