@@ -38,8 +38,9 @@ impl Clock {
         // In 32 bits, by a constant: no division.
         let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
-        self.rest = passed % boards::CLOCK_TICKS_PER_US;
-        self.micros += u64::from(passed / boards::CLOCK_TICKS_PER_US);
+        let micros = passed / boards::CLOCK_TICKS_PER_US;
+        self.rest = passed - micros * boards::CLOCK_TICKS_PER_US;
+        self.micros += u64::from(micros);
         Instant::from_ticks(self.micros)
     }
 
