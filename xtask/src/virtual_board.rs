@@ -4,7 +4,7 @@
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
@@ -103,7 +103,9 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
                     print!("{}", String::from_utf8_lossy(&output.stdout));
                     if !output.status.success() {
                         eprint!("{}", String::from_utf8_lossy(&output.stderr));
-                        failed.push(format!("{board} ({}): {}", output.status, failures(&output)));
+                        let (report, said) =
+                            (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+                        failed.push(format!("{board} ({}): {}", output.status, failures(&report, &said)));
                     }
                 }
                 Err(error) => failed.push(format!("{board} ({}: {error})", command.get_program().to_string_lossy())),
@@ -118,8 +120,7 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
 }
 
 /// The cases that a report says failed, each with the line behind it, which says why; and the last line of an exception.
-fn failures(output: &Output) -> String {
-    let report = String::from_utf8_lossy(&output.stdout);
+fn failures(report: &str, errors: &str) -> String {
     let mut lines = report.lines();
     let mut found = Vec::new();
     while let Some(line) = lines.next() {
@@ -127,7 +128,7 @@ fn failures(output: &Output) -> String {
             found.push(format!("{line} {}", lines.next().unwrap_or_default().trim()));
         }
     }
-    found.extend(String::from_utf8_lossy(&output.stderr).lines().last().map(str::to_string));
+    found.extend(errors.lines().last().map(str::to_string));
     found.join("; ")
 }
 
@@ -153,4 +154,17 @@ fn environment() -> Result<PathBuf, Failure> {
     run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(&wanted))?;
     fs::write(&installed, text).map_err(|error| format!("{}: {error}", installed.display()))?;
     Ok(python)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::failures;
+
+    #[test]
+    fn failed_cases_are_named_with_their_reasons() {
+        let report =
+            "case boot ... ok (0.5 s)\ncase turns ... FAILED\n  a step too few (2.0 s)\ncase hold ... ok (1.0 s)\n";
+        assert_eq!(failures(report, ""), "case turns ... FAILED a step too few (2.0 s)");
+        assert_eq!(failures("case boot ... ok", "Traceback\nKeyError: 7\n"), "KeyError: 7");
+    }
 }

@@ -103,7 +103,7 @@ impl Maker {
         }
     }
 
-    /// At rest: inputs and outputs of this machine.
+    /// At rest: polarity, second motor, pulse, PWM and set-up time of directions as the settings have them.
     pub fn wire(&mut self, wiring: &Wiring) {
         let second = SecondMotor {
             axis: wiring.ganged,
