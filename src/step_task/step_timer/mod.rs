@@ -406,12 +406,13 @@ impl Step {
     /// Lets the other tasks know how it goes.
     #[inline(always)]
     fn tell(&mut self) {
+        let is_preparing = self.is_preparing();
         let Maker { stepper, output, begins, beam, .. } = &mut self.maker;
         STEP.segments_begun.store(stepper.segments_begun().wrapping_sub(begins.len()), Ordering::Relaxed);
         STEP.wants.store(u8::from(stepper.wants()), Ordering::Relaxed);
         let (is_rest, is_ending) = (self.state == State::Rest, self.state == State::Ending);
         let is_dark = (is_rest || is_ending) && stepper.is_shut();
-        if beam.show(output, is_rest, is_dark) && !matches!(self.state, State::Preparing(_)) {
+        if beam.show(output, is_rest, is_dark) && !is_preparing {
             beam.arm(output);
         }
         if is_rest != STEP.at_rest.load(Ordering::Relaxed) {
