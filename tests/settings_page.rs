@@ -26,7 +26,7 @@ Senders can ask for all of this: `$ES` lists the settings with group, name, unit
 errors and alarms, in the formats of grblHAL; `$ESG` and `$ESH` are the settings as a table with commas or tabs; `$I+` adds the axes and what can be asked
 for to `$I`. The Black Pill F401 has no room for the texts (`error:125`), and the dialect of Grbl knows none of these commands.
 
-This page is made from the table in `src/controller/settings.rs` and the sentences in `src/simulator/explain.rs`.
+This page is made from the table in `src/controller/settings/table.rs` and the sentences in `src/simulator/explain.rs`.
 
 | $ | setting | what it does | unit | values | default | Grbl 1.1 |
 |---|---|---|---|---|---|---|

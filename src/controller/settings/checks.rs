@@ -1,0 +1,187 @@
+//! `$n=v`: `Settings::set` takes a value over if it is `checked` to be in the range of its row (`Kind`), and refuses it
+//! otherwise with `NegativeValue`, `InvalidStatement`, `StepPulseTooShort` (`tenths`) or, in Grbl's dialect,
+//! `SoftLimitNeedsHoming`. Homing that is switched off takes soft limits along. `axes_to_set` have settings.
+
+use super::index::Index;
+use super::row::Kind;
+use super::table::{Key, PARKING_PLACE, SOFT_LIMITS};
+use super::values::{Settings, axes_mask};
+use crate::axes::LINEAR;
+use crate::error::Error;
+use crate::units::{DECIMAL_ONE, Decimal};
+
+/// Number of the setting that switches homing on.
+const HOMING: u16 = Key::Homing.number();
+
+impl<const N: usize> Settings<N> {
+    /// How many axes have settings: those of A may come before `$930`, as a set is restored in any order.
+    fn axes_to_set(&self) -> usize {
+        if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.axes_with_motors() }
+    }
+
+    /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
+    ///
+    /// # Errors
+    /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
+    /// of range, [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1`
+    /// without `$22` in Grbl's dialect.
+    pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        let negative = value < Decimal::ZERO;
+        if negative && number != PARKING_PLACE {
+            return Err(Error::NegativeValue);
+        }
+        let index = Index::of_number(number, N).ok_or(Error::InvalidStatement)?;
+        if matches!(index, Index::PerAxis(_, axis) if axis.index() >= self.axes_to_set()) {
+            return Err(Error::InvalidStatement);
+        }
+        let (entry, _) = index.row().ok_or(Error::InvalidStatement)?;
+        let value = self.checked(entry.kind, value)?;
+        // Other dialects take it, so that a set can be restored in any order, and lock motion until homing is on.
+        let grbl = self.value(Key::Dialect) == 0.0;
+        if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) && grbl {
+            return Err(Error::SoftLimitNeedsHoming);
+        }
+        self.put(index, value);
+        if number == HOMING && value == 0.0 {
+            // Soft limits mean nothing without a homed position.
+            self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
+        }
+        Ok(())
+    }
+
+    /// What a row of this kind makes of a value: in its range, without the fraction where that does not count.
+    fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
+        Ok(match kind {
+            Kind::Whole(least, greatest) => {
+                let whole = value.truncate() as u32;
+                if !(least..=greatest).contains(&whole) {
+                    return Err(Error::InvalidStatement);
+                }
+                whole as f32
+            }
+            Kind::Tenths(least, greatest) => self.tenths(value, least, greatest)? as f32 / 10.0,
+            Kind::Mask(bits) => match u32::try_from(value.truncate()) {
+                Ok(mask) if mask & !bits == 0 => mask as f32,
+                _ => return Err(Error::InvalidStatement),
+            },
+            Kind::Axes => match value.truncate() {
+                mask @ 0..=255 if mask as u8 & !axes_mask(self.axes_to_set()) == 0 => mask as f32,
+                _ => return Err(Error::InvalidStatement),
+            },
+            Kind::Switch => match value.truncate() {
+                0 => 0.0,
+                1..=255 => 1.0,
+                _ => return Err(Error::InvalidStatement),
+            },
+            Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
+        })
+    }
+
+    /// The step pulse in tenths of a microsecond. In Grbl's dialect no fraction counts, and no pulse is shorter than
+    /// 3 us; in others nothing is rounded: what is no whole number of tenths is refused.
+    fn tenths(&self, value: Decimal, least: u32, greatest: u32) -> Result<u32, Error> {
+        /// A tenth as a decimal; 2560 of them fit 32 bits.
+        const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
+        let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
+        let (mut tenths, rest, mut least) = (value / TENTH, value % TENTH, least);
+        let is_grbl = self.value(Key::Dialect) == 0.0;
+        if is_grbl {
+            tenths -= tenths % 10;
+            least = 30;
+        }
+        if !(least..=greatest).contains(&tenths) {
+            return Err(Error::StepPulseTooShort);
+        }
+        if rest != 0 && !is_grbl { Err(Error::InvalidStatement) } else { Ok(tenths) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axes::PerAxis;
+    use crate::settings::table::AxisKey;
+
+    fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
+        settings.set(number, Decimal(thousandths * 10_000))
+    }
+
+    #[test]
+    fn values_are_checked_before_they_are_taken() {
+        let mut s = Settings::<3>::default();
+        assert_eq!(set(&mut s, 0, 0), Err(Error::StepPulseTooShort));
+        assert_eq!(set(&mut s, 0, 256_000), Err(Error::StepPulseTooShort));
+        assert_eq!(set(&mut s, 1, 300_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 103, 1_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 7, 1_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 11, -1), Err(Error::NegativeValue));
+        assert_eq!(s, Settings::default());
+        assert_eq!(set(&mut s, 102, 80_500), Ok(()));
+        assert_eq!(s.axes(AxisKey::Resolution), PerAxis([250.0, 250.0, 80.5]));
+        assert_eq!(s.by_number(102), Some(80.5));
+    }
+
+    /// `$0` is exact in tenths; what is not is refused, and so is what no board makes.
+    #[test]
+    fn a_step_pulse_is_taken_to_the_tenth_or_not_at_all() {
+        let mut s = Settings::<3>::default();
+        for tenths in 5..=2550_u16 {
+            assert_eq!(set(&mut s, 0, i64::from(tenths) * 100), Ok(()));
+            assert_eq!(s.step_pulse_tenths(), tenths);
+            // As it is stored and found again.
+            let mut other = Settings::<3>::default();
+            other.restore(0, f32::from_le_bytes(s.by_number(0).unwrap().to_le_bytes()));
+            assert_eq!(other.step_pulse_tenths(), tenths);
+        }
+        for (thousandths, error) in [
+            (2_550, Error::InvalidStatement),
+            (501, Error::InvalidStatement),
+            (499, Error::StepPulseTooShort),
+            (255_100, Error::StepPulseTooShort),
+            (i64::MAX / 10_000, Error::StepPulseTooShort),
+        ] {
+            assert_eq!(set(&mut s, 0, thousandths), Err(error), "{thousandths}");
+        }
+        assert_eq!(s.step_pulse_tenths(), 2550);
+        // Grbl's dialect has whole microseconds, and cuts off as Grbl does.
+        set(&mut s, 900, 0).unwrap();
+        for (thousandths, tenths) in
+            [(3_000, Some(30)), (3_999, Some(30)), (255_900, Some(2550)), (2_999, None), (256_000, None)]
+        {
+            let taken = set(&mut s, 0, thousandths);
+            assert_eq!(taken, tenths.map_or(Err(Error::StepPulseTooShort), |_| Ok(())), "{thousandths}");
+            assert!(tenths.is_none_or(|tenths| s.step_pulse_tenths() == tenths), "{thousandths}");
+        }
+    }
+
+    #[test]
+    fn masks_take_their_bits_only() {
+        let mut s = Settings::<3>::default();
+        for (number, mask, taken) in [(14, 256 + 64 + 8, true), (14, 16, false), (18, 127, true), (908, 128, false)] {
+            assert_eq!(set(&mut s, number, mask * 1000).is_ok(), taken, "${number}={mask}");
+        }
+    }
+
+    #[test]
+    fn soft_limits_live_and_die_with_homing() {
+        let mut s = Settings::<3>::default();
+        set(&mut s, 900, 0).unwrap();
+        assert_eq!(set(&mut s, 20, 1_000), Err(Error::SoftLimitNeedsHoming));
+        set(&mut s, 22, 1_000).unwrap();
+        set(&mut s, 20, 1_000).unwrap();
+        set(&mut s, 22, 0).unwrap();
+        assert!(!s.is_on(Key::SoftLimits));
+    }
+
+    #[test]
+    fn homing_cycles_are_those_of_the_machine() {
+        let cycles = |s: &Settings<3>| s.axes(AxisKey::HomingCycle).0;
+        let mut s = Settings::<3>::default();
+        assert_eq!(cycles(&s), [4.0, 3.0, 0.0]);
+        assert_eq!(set(&mut s, 44, 8000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 47, 1000), Err(Error::InvalidStatement));
+        set(&mut s, 44, 1000).unwrap();
+        assert_eq!(cycles(&s), [1.0, 3.0, 0.0]);
+        assert_eq!(Settings::<4>::default().axes(AxisKey::HomingCycle).0, [4.0, 3.0, 0.0, 0.0], "A has no switch");
+    }
+}

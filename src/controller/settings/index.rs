@@ -1,0 +1,42 @@
+//! Where a setting is in the tables: `Index`, a row of `SCALARS` or a row of `PER_AXIS` and the axis. It is found
+//! `of_number`, the one after `$`, or `of_line`, the row of `$$`, and gives its `row`: the `Entry` and the number.
+
+use super::row::Entry;
+use super::table::{Key, PER_AXIS, SCALARS};
+use crate::axes::Axis;
+
+/// The index of a setting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Index {
+    /// A row of [`SCALARS`].
+    Scalar(usize),
+    /// A row of [`PER_AXIS`], and the axis.
+    PerAxis(usize, Axis),
+}
+
+impl Index {
+    /// Of the setting with this number, where so many axes have values.
+    pub(super) fn of_number(number: u16, axes: usize) -> Option<Self> {
+        if let Some(i) = SCALARS.iter().position(|e| e.number == number) {
+            return Some(Self::Scalar(i));
+        }
+        PER_AXIS.iter().enumerate().find_map(|(i, e)| {
+            let axis = Axis::ALL.get(usize::from(number.checked_sub(e.number)?)).copied()?;
+            (axis.index() < axes).then_some(Self::PerAxis(i, axis))
+        })
+    }
+
+    /// Of the `line`-th row of `$$` with so many axes in use.
+    pub(super) fn of_line(line: usize, axes: usize) -> Option<Self> {
+        let Some(line) = line.checked_sub(Key::COUNT) else { return Some(Self::Scalar(line)) };
+        Some(Self::PerAxis(line.checked_div(axes)?, *Axis::ALL.get(line.checked_rem(axes)?)?))
+    }
+
+    /// The row, if there is one, and the number after `$`, which is that of the axis.
+    pub(super) fn row(self) -> Option<(&'static Entry, u16)> {
+        match self {
+            Self::Scalar(i) => SCALARS.get(i).map(|entry| (entry, entry.number)),
+            Self::PerAxis(i, axis) => PER_AXIS.get(i).map(|entry| (entry, entry.number + axis.index() as u16)),
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Whether the machine can run with what is set: `unrunnable` gives the number of the first setting that makes it
+//! impossible (a step pulse, steps/mm, a rate or acceleration outside `RATES` or `ACCELERATIONS`, `JERKS`, a step rate,
+//! `MOST_BACKLASH`, a second motor, axes without motors, `GREATEST_DEVIATION`, `LEAST_TOLERANCE`) or a cycle that is
+//! switched on and never ends: `crawls` finds rates such as `HomingSeek` or `HomingLocate` outside `RATES`.
+
+use super::table::{AxisKey, Key, SOFT_LIMITS};
+use super::values::Settings;
+use crate::axes::{Arrangement, Axis, LINEAR};
+use crate::step_rates::StepRates;
+use crate::units::StepsPerMm;
+
+/// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
+const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
+const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
+/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: who sets less has mistaken the unit.
+const JERKS: core::ops::RangeInclusive<f32> = 1.0..=1.0e10;
+/// Most steps of slack that motion takes up.
+const MOST_BACKLASH: f32 = 10_000.0;
+/// Greatest junction deviation and least arc tolerance, mm.
+const GREATEST_DEVIATION: f32 = 1.0e3;
+const LEAST_TOLERANCE: f32 = 1.0e-4;
+/// Number of the step pulse.
+const STEP_PULSE: u16 = Key::StepPulse.number();
+/// Number of the setting that names the axis with two motors.
+const GANGED_AXIS: u16 = Key::GangedAxis.number();
+
+impl<const N: usize> Settings<N> {
+    /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
+    /// a step pulse (`$0`) shorter than the board makes, as one stored by the firmware of another; no steps/mm, rate or
+    /// acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board can keep with a step
+    /// pulse of this length (`$0`): too many pulses a second; a second motor that the board does not have or that CoreXY
+    /// leaves no place for, or A; more axes than the board has motors for.
+    pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
+        let pulse = self.step_pulse_tenths();
+        if pulse < rates.least_pulse_tenths {
+            return Some(STEP_PULSE);
+        }
+        let greatest_hz = rates.greatest_hz(pulse);
+        let core_xy = self.arrangement() == Arrangement::CoreXy;
+        let resolution = self.axes(AxisKey::Resolution);
+        let rate = self.axes(AxisKey::MaxRate);
+        let acceleration = self.axes(AxisKey::Acceleration);
+        let in_use = self.axes_in_use();
+        let of_axis = Axis::of_machine::<N>().take(in_use).find_map(|axis| {
+            let offset = axis.index() as u16;
+            let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
+            // Along the diagonal one motor of a CoreXY machine turns by both ways.
+            let motor_rate = match axis {
+                Axis::X | Axis::Y if core_xy => rate.get(Axis::X)? + rate.get(Axis::Y)?,
+                _ => v,
+            };
+            if StepsPerMm::new(r).is_none() {
+                Some(const { AxisKey::Resolution.number() } + offset)
+            } else if !RATES.contains(&v) || r * motor_rate / 60.0 > greatest_hz {
+                Some(const { AxisKey::MaxRate.number() } + offset)
+            } else if !ACCELERATIONS.contains(&a) {
+                Some(const { AxisKey::Acceleration.number() } + offset)
+            } else if self.axes(AxisKey::Backlash).get(axis)? * r > MOST_BACKLASH {
+                Some(const { AxisKey::Backlash.number() } + offset)
+            } else if self.axes(AxisKey::Jerk).get(axis).is_some_and(|jerk| jerk != 0.0 && !JERKS.contains(&jerk)) {
+                Some(const { AxisKey::Jerk.number() } + offset)
+            } else {
+                None
+            }
+        });
+        // The second motor of an axis is the fourth of the board, and so is that of A.
+        let cannot = |axis: &Axis| !has_second_motor || in_use > LINEAR || (core_xy && *axis != Axis::Z);
+        let ganged = self.ganged_axis().filter(cannot).map(|_| GANGED_AXIS);
+        of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
+    }
+
+    /// The number of the first setting of a cycle that is switched on and could never come to its end, or of the path.
+    fn unrunnable_cycle(&self) -> Option<u16> {
+        let homing = self.is_on(Key::Homing);
+        let parking = homing && self.is_on(Key::Parking);
+        let crawls = |key| !RATES.contains(&self.value(key));
+        if self.whole(Key::Axes) as usize > self.axes_with_motors() && self.value(Key::Dialect) != 0.0 {
+            Some(const { Key::Axes.number() })
+        } else if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
+            Some(const { Key::JunctionDeviation.number() })
+        } else if self.value(Key::ArcTolerance) < LEAST_TOLERANCE {
+            Some(const { Key::ArcTolerance.number() })
+        } else if self.is_on(Key::SoftLimits) && !homing {
+            Some(SOFT_LIMITS)
+        } else if homing && crawls(Key::HomingLocate) {
+            Some(const { Key::HomingLocate.number() })
+        } else if homing && crawls(Key::HomingSeek) {
+            Some(const { Key::HomingSeek.number() })
+        } else if parking && self.whole(Key::ParkingAxis) as usize >= self.axes_in_use().min(LINEAR) {
+            Some(const { Key::ParkingAxis.number() })
+        } else if parking && crawls(Key::ParkingPullOutRate) {
+            Some(const { Key::ParkingPullOutRate.number() })
+        } else if parking && crawls(Key::ParkingFastRate) {
+            Some(const { Key::ParkingFastRate.number() })
+        } else {
+            None
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Error;
+    use crate::units::Decimal;
+
+    fn rates(safe_hz: u32) -> StepRates {
+        StepRates { safe_hz, least_pulse_tenths: 10 }
+    }
+
+    fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
+        settings.set(number, Decimal(thousandths * 10_000))
+    }
+
+    #[test]
+    fn a_pulse_that_the_board_does_not_make_locks_motion() {
+        let mut s = Settings::<3>::default();
+        set(&mut s, 0, 900).unwrap();
+        assert_eq!(s.unrunnable(rates(490_000), true), Some(0));
+        assert_eq!(s.unrunnable(StepRates { least_pulse_tenths: 9, ..rates(490_000) }, true), None);
+    }
+
+    #[test]
+    fn a_set_that_cannot_run_names_its_setting() {
+        let mut s = Settings::<3>::default();
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
+        set(&mut s, 101, 0).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(101));
+        set(&mut s, 101, 250_000).unwrap();
+        set(&mut s, 112, 30_000_000).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(112));
+        set(&mut s, 112, 500_000).unwrap();
+        set(&mut s, 120, 0).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(120));
+        set(&mut s, 120, 10_000).unwrap();
+        set(&mut s, 222, 500).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(222));
+        assert_eq!(set(&mut s, 222, -1), Err(Error::NegativeValue));
+        set(&mut s, 222, 0).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
+    }
+
+    #[test]
+    fn motors_that_pull_together_add_their_rates() {
+        let mut s = Settings::<3>::default();
+        for (number, value) in [(110, 12_000), (111, 9_000)] {
+            set(&mut s, number, value * 1000).unwrap();
+        }
+        // 250 steps/mm: 50,000 and 37,500 steps/s, and along the diagonal of a CoreXY machine 87,500.
+        assert_eq!(s.unrunnable(rates(83_000), true), None);
+        set(&mut s, 904, 1000).unwrap();
+        assert_eq!(s.unrunnable(rates(83_000), true), Some(110));
+        set(&mut s, 0, 3000).unwrap();
+        assert_eq!(s.unrunnable(rates(88_000), true), None);
+    }
+
+    #[test]
+    fn a_second_motor_needs_its_pins() {
+        let mut s = Settings::<3>::default();
+        set(&mut s, 905, 2000).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), None);
+        assert_eq!(s.unrunnable(rates(100_000), false), Some(905));
+        set(&mut s, 904, 1000).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(905));
+    }
+
+    #[test]
+    fn axes_that_are_not_in_use_have_no_settings() {
+        let mut s = Settings::<4>::default();
+        let listed = |s: &Settings<4>| (0..).map_while(|line| s.row(line)).map(|row| row.1).collect::<Vec<_>>();
+        let three = listed(&s);
+        let of_three = Settings::<3>::default();
+        assert_eq!(three, (0..Settings::<3>::LINES).map(|line| of_three.row(line).unwrap().1).collect::<Vec<_>>());
+        // A set of settings may come in any order.
+        s.set(103, Decimal::from_int(7)).unwrap();
+        s.set(44, Decimal::from_int(12)).unwrap();
+        assert_eq!((listed(&s), s.homing_cycles().0), (three.clone(), [4, 3, 0, 0]));
+        s.set(930, Decimal::from_int(4)).unwrap();
+        assert_eq!(s.homing_cycles().0, [12, 3, 0, 0]);
+        assert_eq!((s.axes_in_use(), listed(&s).len()), (4, Settings::<4>::LINES));
+        s.set(103, Decimal::from_int(10)).unwrap();
+        s.set(44, Decimal::from_int(12)).unwrap();
+        s.set(103, Decimal::ZERO).unwrap();
+        assert_eq!(s.unrunnable(rates(100_000), true), Some(103));
+        s.set(930, Decimal::from_int(3)).unwrap();
+        assert_eq!((s.unrunnable(rates(100_000), true), s.homing_cycles().0), (None, [4, 3, 0, 0]));
+        assert_eq!(listed(&s), three);
+        s.set(930, Decimal::from_int(4)).unwrap();
+        s.set(900, Decimal::ZERO).unwrap();
+        assert_eq!((s.axes_in_use(), listed(&s)), (3, three), "to Grbl");
+        assert_eq!(s.set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
+        assert_eq!(s.set(44, Decimal::from_int(8)), Err(Error::InvalidStatement));
+        assert_eq!(
+            Settings::<4>::of_board(3).set(103, Decimal::from_int(10)),
+            Err(Error::InvalidStatement),
+            "no motor"
+        );
+        assert_eq!(Settings::<3>::default().set(103, Decimal::from_int(10)), Err(Error::InvalidStatement));
+    }
+
+    #[test]
+    fn a_board_declines_axes_for_which_it_has_no_motors() {
+        for mut s in [Settings::<4>::of_board(3), Settings::<4>::of_board(4)] {
+            let has_four = s.axes_with_motors() == 4;
+            s.set(930, Decimal::from_int(4)).unwrap();
+            assert_eq!(s.axes_in_use(), if has_four { 4 } else { 3 });
+            assert_eq!(s.unrunnable(rates(100_000), true), (!has_four).then_some(930));
+            s.set(905, Decimal::from_int(2)).unwrap();
+            assert!(s.unrunnable(rates(100_000), true).is_some(), "one motor too few");
+            s.set(930, Decimal::from_int(3)).unwrap();
+            assert_eq!(s.unrunnable(rates(100_000), true), None);
+        }
+        let mut s = Settings::<3>::default();
+        s.set(930, Decimal::from_int(4)).unwrap();
+        assert_eq!((s.axes_in_use(), s.unrunnable(rates(100_000), true)), (3, Some(930)));
+    }
+}

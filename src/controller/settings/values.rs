@@ -1,0 +1,210 @@
+//! `Settings`: what the settings are set to, as `scalars` and `per_axis`; a new controller has the defaults, also
+//! `of_board`. It gives a `value` as it is, `whole`, in `seconds`, in tenths (`step_pulse_tenths`), as a mask or as
+//! `is_on`, those of `axes`, and what they mean: `axes_in_use`, `axes_with_motors`, `homing_cycles`, the `ganged_axis`
+//! and the `arrangement` (CoreXY). `by_number` is what is stored of one, `restore` and `settle` take stored ones over,
+//! `replace` takes all of others; `revision` counts changes. In the room, `at` and `put` read and write by an `Index`.
+
+use super::index::Index;
+use super::table::{AxisKey, Key, PARKING_PLACE, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
+use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
+use crate::units::Duration;
+
+/// The values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings<const N: usize> {
+    scalars: [f32; Key::COUNT],
+    per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
+    /// Counts changes: what follows from the values need be computed once for each.
+    revision: u32,
+    /// Axes for which the board has motors, `N` at most.
+    present: usize,
+}
+
+/// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
+/// both off, whenever the power is cut.
+const BEFORE_HOMING: f32 = 2.0;
+
+/// So many axes, bit 0 for X.
+pub(super) const fn axes_mask(axes: usize) -> u8 {
+    (1 << axes) - 1
+}
+
+impl<const N: usize> Default for Settings<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> Settings<N> {
+    /// The defaults.
+    #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
+    pub const fn new() -> Self {
+        let mut settings =
+            Self { scalars: [0.0; Key::COUNT], per_axis: [PerAxis::all(0.0); AxisKey::COUNT], revision: 0, present: N };
+        let mut i = 0;
+        while i < Key::COUNT {
+            settings.scalars[i] = SCALARS[i].default;
+            i += 1;
+        }
+        i = 0;
+        while i < AxisKey::COUNT {
+            settings.per_axis[i] = PerAxis::all(PER_AXIS[i].default);
+            i += 1;
+        }
+        i = 0;
+        while i < N {
+            settings.per_axis[AxisKey::HomingCycle as usize].0[i] = homing_cycle(i) as f32;
+            if i >= LINEAR {
+                // It turns without end.
+                settings.per_axis[AxisKey::Travel as usize].0[i] = 0.0;
+            }
+            i += 1;
+        }
+        settings
+    }
+
+    /// The defaults of a board that has motors for so many axes.
+    pub const fn of_board(axes: usize) -> Self {
+        Self { present: if axes < N { axes } else { N }, ..Self::new() }
+    }
+
+    /// How many axes the machine has (`$930`). To Grbl's dialect there are three.
+    #[inline]
+    pub fn axes_in_use(&self) -> usize {
+        if N <= LINEAR || self.value(Key::Dialect) == 0.0 {
+            return N.min(LINEAR);
+        }
+        (self.whole(Key::Axes) as usize).clamp(LINEAR, self.axes_with_motors())
+    }
+
+    /// How many axes can be in use: those for which the board has motors.
+    pub(super) fn axes_with_motors(&self) -> usize {
+        self.present.max(LINEAR)
+    }
+
+    /// A value of the first table.
+    pub fn value(&self, key: Key) -> f32 {
+        self.scalars.get(key as usize).copied().unwrap_or(0.0)
+    }
+
+    /// A value of the first table as a whole number.
+    pub fn whole(&self, key: Key) -> u32 {
+        self.value(key) as u32
+    }
+
+    /// The step pulse (`$0`), tenths of a microsecond.
+    pub fn step_pulse_tenths(&self) -> u16 {
+        (self.value(Key::StepPulse) * 10.0 + 0.5) as u16
+    }
+
+    /// A value of the first table, in seconds, as a time; a day at most.
+    pub fn seconds(&self, key: Key) -> Duration {
+        let seconds = self.value(key);
+        let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
+        Duration::from_ticks((bounded * 1.0e6) as u64)
+    }
+
+    /// A value of the first table as yes or no.
+    pub fn is_on(&self, key: Key) -> bool {
+        self.value(key) != 0.0
+    }
+
+    /// The values of a setting that exists per axis.
+    pub fn axes(&self, key: AxisKey) -> PerAxis<f32, N> {
+        self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
+    }
+
+    /// The axes of each homing cycle, bit 0 for X: those of the machine.
+    pub fn homing_cycles(&self) -> PerAxis<u8, N> {
+        let axes = axes_mask(self.axes_in_use());
+        self.axes(AxisKey::HomingCycle).map(|cycle| cycle as u8 & axes)
+    }
+
+    /// How the motors move the tool (`$904`).
+    pub fn arrangement(&self) -> Arrangement {
+        if self.whole(Key::Kinematics) == 1 { Arrangement::CoreXy } else { Arrangement::Cartesian }
+    }
+
+    /// The axis that two motors move (`$905`).
+    pub fn ganged_axis(&self) -> Option<Axis> {
+        Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
+    }
+
+    /// Takes over a value that was stored before; an unknown number or a value that is no number is ignored.
+    pub fn restore(&mut self, number: u16, value: f32) {
+        if let Some(index) = Index::of_number(number, N)
+            && value.is_finite()
+            && (value >= 0.0 || number == PARKING_PLACE)
+        {
+            self.put(index, value);
+        }
+    }
+
+    /// All stored values have been taken over: soft limits that homing has taken along when it was switched off go.
+    pub fn settle(&mut self) {
+        let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
+        let on = kept && self.is_on(Key::SoftLimits);
+        self.put(Index::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
+    }
+
+    /// The value of a setting by its number, for storing.
+    pub fn by_number(&self, number: u16) -> Option<f32> {
+        if number == SOFT_LIMITS && self.is_on(Key::SoftLimits) && !self.is_on(Key::Homing) {
+            return Some(BEFORE_HOMING);
+        }
+        self.at(Index::of_number(number, N)?)
+    }
+
+    /// Changes with each change of a value.
+    pub fn revision(&self) -> u32 {
+        self.revision
+    }
+
+    /// Takes over all values of others.
+    pub fn replace(&mut self, others: Self) {
+        *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
+    }
+
+    /// The value at an index.
+    pub(super) fn at(&self, index: Index) -> Option<f32> {
+        match index {
+            Index::Scalar(i) => self.scalars.get(i).copied(),
+            Index::PerAxis(i, axis) => self.per_axis.get(i)?.get(axis),
+        }
+    }
+
+    /// Another value at an index.
+    pub(super) fn put(&mut self, index: Index, value: f32) {
+        self.revision = self.revision.wrapping_add(1);
+        match index {
+            Index::Scalar(i) => {
+                if let Some(slot) = self.scalars.get_mut(i) {
+                    *slot = value;
+                }
+            }
+            Index::PerAxis(i, axis) => {
+                if let Some(slot) = self.per_axis.get_mut(i) {
+                    slot.set(axis, value);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
+    #[test]
+    fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
+        for (record, tenths) in
+            [([0x00, 0x00, 0x80, 0x3f], 10), ([0x00, 0x00, 0x20, 0x41], 100), ([0x00, 0x00, 0x7f, 0x43], 2550)]
+        {
+            let mut s = Settings::<3>::default();
+            s.restore(0, 2.5);
+            s.restore(0, f32::from_le_bytes(record));
+            assert_eq!(s.step_pulse_tenths(), tenths);
+        }
+    }
+}
