@@ -153,18 +153,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
-        if value != Decimal::ZERO {
+        // What the table of settings has is the least of all boards.
+        let least_pulse = i64::from(self.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
+        if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
+            return Err(Error::StepPulseTooShort);
+        }
+        if self.settings.accepted(number, value)? != 0.0 {
             match number {
                 DOOR_FITTED if self.inputs.pins().door => return Err(Error::DoorOpen),
                 // As with the door: it would not be seen to become active.
                 RESET_IS_EMERGENCY_STOP if self.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
-        }
-        // What the table of settings has is the least of all boards.
-        let least_pulse = i64::from(self.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
-        if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
-            return Err(Error::StepPulseTooShort);
         }
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;

@@ -19,13 +19,32 @@ impl<const N: usize> Settings<N> {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.axes_with_motors() }
     }
 
-    /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
+    /// What `$number=value` would set: the value in its range, without a fraction that does not count.
     ///
     /// # Errors
     /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
     /// of range, [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1`
     /// without `$22` in Grbl's dialect.
+    pub fn accepted(&self, number: u16, value: Decimal) -> Result<f32, Error> {
+        self.placed(number, value).map(|(_, value)| value)
+    }
+
+    /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
+    ///
+    /// # Errors
+    /// Those of [`Settings::accepted`].
     pub fn set(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        let (index, value) = self.placed(number, value)?;
+        self.put(index, value);
+        if number == HOMING && value == 0.0 {
+            // Soft limits mean nothing without a homed position.
+            self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
+        }
+        Ok(())
+    }
+
+    /// The value that would be set, and where.
+    fn placed(&self, number: u16, value: Decimal) -> Result<(Index, f32), Error> {
         let negative = value < Decimal::ZERO;
         if negative && number != PARKING_PLACE {
             return Err(Error::NegativeValue);
@@ -41,12 +60,7 @@ impl<const N: usize> Settings<N> {
         if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) && grbl {
             return Err(Error::SoftLimitNeedsHoming);
         }
-        self.put(index, value);
-        if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position.
-            self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
-        }
-        Ok(())
+        Ok((index, value))
     }
 
     /// What a row of this kind makes of a value: in its range, without the fraction where that does not count.
