@@ -34,6 +34,25 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
+/// What a number of 96 bits, its highest word first, holds of a divisor below 2^24 (the lowest 64 bits of it). The machine divides
+/// 32 bits in one instruction, and by a small divisor a word in two parts is divided in five of them.
+fn quotient(words: [u32; 3], divisor: u32) -> u64 {
+    let (mut quotient, mut rest) = (0, 0);
+    for word in words {
+        if rest == 0 {
+            quotient = quotient << 32 | u64::from(word / divisor);
+            rest = word % divisor;
+            continue;
+        }
+        for byte in word.to_be_bytes() {
+            let part = rest << 8 | u32::from(byte);
+            quotient = quotient << 8 | u64::from(part / divisor);
+            rest = part % divisor;
+        }
+    }
+    quotient
+}
+
 /// Whole part of a square root. Once in the image: it is long.
 #[inline(never)]
 pub(crate) fn integer_root(square: u128) -> u128 {
@@ -124,6 +143,13 @@ impl Coordinate {
     /// A length from whole millimetres.
     pub const fn mm(value: i32) -> Coordinate {
         Coordinate(value as i64 * DECIMAL_ONE)
+    }
+
+    /// Whole micrometres, towards zero; within ±2 km.
+    pub fn micrometres(self) -> i32 {
+        let size = self.0.unsigned_abs();
+        let whole = quotient([0, (size >> 32) as u32, size as u32], 10_000) as i32;
+        if self.0 < 0 { whole.wrapping_neg() } else { whole }
     }
 
     /// The length in mm as the nearest `f32`.
@@ -248,11 +274,15 @@ impl StepsPerMm {
     }
 
     /// The coordinate nearest to a step.
+    // Once in the image, and not in each place that asks for those of all axes.
+    #[inline(never)]
     pub fn coordinate(self, steps: i32) -> Coordinate {
-        let numerator = i128::from(steps) * i128::from(DECIMAL_ONE << self.shift);
-        let mantissa = i128::from(self.mantissa);
-        let half = if steps < 0 { -(mantissa / 2) } else { mantissa / 2 };
-        Coordinate(((numerator + half) / mantissa) as i64)
+        // |steps| <= 2^31 times 10^7 × 2^shift, which is below 2^57: 88 bits.
+        let (size, one) = (u64::from(steps.unsigned_abs()), (DECIMAL_ONE as u64) << self.shift);
+        let low = size * u64::from(one as u32) + u64::from(self.mantissa / 2);
+        let high = size * (one >> 32) + (low >> 32);
+        let place = quotient([(high >> 32) as u32, high as u32, low as u32], self.mantissa) as i64;
+        Coordinate(if steps < 0 { place.wrapping_neg() } else { place })
     }
 
     /// The value as `f32`: the setting it came from.
@@ -302,6 +332,25 @@ mod tests {
                     prop_assert_eq!(ones(value), value / 10_000_000);
                 }
             }
+        }
+
+        #[test]
+        fn places_are_those_of_the_division(steps: i32, bits in 0_u32..32, scale in 0.001_f32..40_000.0, fine in 0.001_f32..2.0) {
+            for scale in [scale, fine, scale.trunc().max(1.0), 80.0, StepsPerMm::MIN, StepsPerMm::MAX] {
+                let scale = StepsPerMm::new(scale).unwrap();
+                for steps in [steps, steps >> bits, 0, 1, -1, i32::MAX, i32::MIN] {
+                    let one = i128::from(steps) * (i128::from(DECIMAL_ONE) << scale.shift);
+                    let mantissa = i128::from(scale.mantissa);
+                    let half = if steps < 0 { -(mantissa / 2) } else { mantissa / 2 };
+                    prop_assert_eq!(scale.coordinate(steps).0, ((one + half) / mantissa) as i64);
+                }
+            }
+        }
+
+        #[test]
+        fn micrometres_are_towards_zero(place: i64, bits in 20_u32..64) {
+            let place = place >> bits;
+            prop_assert_eq!(i64::from(Coordinate(place).micrometres()), place / 10_000);
         }
 
         #[test]

@@ -479,7 +479,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
             let controller = simulator.controller();
             let here = controller.machine_position();
             // As the board keeps it: whole micrometres towards zero.
-            controller.line_number() == line && here.iter().zip(place).all(|(here, there)| here.0 / 10_000 == *there)
+            controller.line_number() == line
+                && here.iter().zip(place).all(|(here, there)| i64::from(here.micrometres()) == *there)
         };
         if self.meet(time, self.hz() / 100_000, is_there) {
             let late = self.simulator.clock().now() as f64 - time as f64;
