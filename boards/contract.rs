@@ -184,6 +184,14 @@ pub trait Port {
     }
     /// The next byte, if one has come.
     fn receive(&mut self) -> Incoming;
+    /// The bytes that [`Port::receive`] would give next, as far as they have been fetched together.
+    #[inline]
+    fn fetched(&self) -> &[u8] {
+        &[]
+    }
+    /// So many of these have been taken.
+    #[inline]
+    fn pass(&mut self, _count: usize) {}
     /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
     /// [`Port::receive`].
     fn allow(&mut self, room: usize);

@@ -215,6 +215,8 @@ impl Port for UsbPort {
         if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
             self.received.may_wait = true;
+            // The end of the packet that the driver has just fetched lies behind it as a rule, and need not call once more.
+            self.hold_endpoint();
         }
         let state = self.device.state();
         if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
@@ -251,11 +253,18 @@ impl Port for UsbPort {
                 }
             }
         }
-        let Some(byte) = received.packet.get(received.next).filter(|_| received.next < received.length) else {
-            return Incoming::Nothing;
-        };
-        received.next += 1;
-        Incoming::Byte(*byte)
+        let Some(byte) = self.fetched().first().copied() else { return Incoming::Nothing };
+        self.received.next += 1;
+        Incoming::Byte(byte)
+    }
+
+    fn fetched(&self) -> &[u8] {
+        let Received { packet, next, length, .. } = &self.received;
+        packet.get(*next..*length).unwrap_or_default()
+    }
+
+    fn pass(&mut self, count: usize) {
+        self.received.next += count;
     }
 
     fn allow(&mut self, room: usize) {

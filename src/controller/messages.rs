@@ -1,12 +1,12 @@
-//! Every type that crosses between tasks, and the depth of every queue (`LINES_DEPTH`): `Realtime` commands,
-//! `LineByte`, `ToStep` with `AxisSteps` and `Segment`, `StepEvent`; the bits of input pins (`input::PROBE`,
-//! `AT_SPEED`, `DRIVER_FAULT`) as `Signals`, `Sensed` and `PinView`; `Event` and `Output` of the controller,
-//! `SlowOutputs`, and `Wiring` with its inverts and pull-ups; how a start came about (`Restart`, `Crash`, `CrashKind`,
-//! `ResetCause`); `Record` of the store; and the entries of a recording (`Noted`, `Standing`). Bits and depths are
-//! `STEP_BITS`, `PARTS`, `FARTHEST`, `FLAG_NEW_BLOCK`, `FLAG_LAST`, `FLAG_WAIT`, `FLAG_RAPID`, `REALTIME_DEPTH`,
-//! `REPLIES_DEPTH`, `HOST_BYTES`; inputs also `EMERGENCY_STOP`, `SECOND_PROGRAM`, `SECOND_SWITCH`, `HOLD`. `Observed`,
-//! `Room`, `Chunk`, `Coolant`, `SpindleDirection`, `InputWiring`, `GangedMotors`, `Stopping` and `Recorded` too;
-//! `JogCancel` or a reset `opens_epoch`. Lists are of `heapless`.
+//! Every type that crosses between tasks, and the depth of every queue (`LINES_DEPTH`): `Realtime` commands, `LineByte`
+//! and several of them (`LineBytes`, `LINE_MESSAGES`), `ToStep` with `AxisSteps` and `Segment`, `StepEvent`; the bits
+//! of input pins (`input::PROBE`, `AT_SPEED`, `DRIVER_FAULT`) as `Signals`, `Sensed` and `PinView`; `Event` and
+//! `Output` of the controller, `SlowOutputs`, and `Wiring` with its inverts and pull-ups; how a start came about
+//! (`Restart`, `Crash`, `CrashKind`, `ResetCause`); `Record` of the store; and the entries of a recording (`Noted`,
+//! `Standing`). Bits and depths are `STEP_BITS`, `PARTS`, `FARTHEST`, `FLAG_NEW_BLOCK`, `FLAG_LAST`, `FLAG_WAIT`,
+//! `FLAG_RAPID`, `REALTIME_DEPTH`, `REPLIES_DEPTH`, `HOST_BYTES`; inputs also `EMERGENCY_STOP`, `SECOND_PROGRAM`,
+//! `SECOND_SWITCH`, `HOLD`. `Observed`, `Room`, `Chunk`, `Coolant`, `SpindleDirection`, `InputWiring`, `GangedMotors`,
+//! `Stopping` and `Recorded` too; `JogCancel` or a reset `opens_epoch`. Lists are of `heapless`.
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first
@@ -22,9 +22,13 @@ use crate::units::Coordinate;
 /// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
 /// (`protocol::link::Owed`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
-/// Depth of serial -> control, bytes of lines; what `Bf:` counts. Full: receive is paused where the link has
+/// Bytes of lines that fit between serial and control; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
+/// Depth of serial -> control, in messages of such bytes: room for them however they arrive (see `protocol::line_queue`).
+pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(LineBytes::MOST) + MOST_PARTIAL + 2;
+/// So many messages may be on the way that are not full of bytes, besides those that an epoch has ended.
+pub const MOST_PARTIAL: usize = 4;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
 /// normally bounds it (see `QUEUED_TIME_MS` in `motion`).
 pub const SEGMENTS_DEPTH: usize = 64;
@@ -93,6 +97,79 @@ pub struct LineByte {
     pub epoch: u16,
     /// Bytes before this one were lost: the line it belongs to is refused.
     pub damaged: bool,
+}
+
+/// serial -> control: bytes of lines that were received one after the other, all of one epoch. A message for each of them
+/// would cost more than to read it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LineBytes {
+    epoch: u16,
+    /// A bit for each byte: [`LineByte::damaged`].
+    damaged: u16,
+    len: u8,
+    bytes: [u8; LineBytes::MOST],
+}
+
+impl LineBytes {
+    /// So many fit.
+    pub const MOST: usize = 15;
+    /// None.
+    pub const EMPTY: LineBytes = LineBytes { epoch: 0, damaged: 0, len: 0, bytes: [0; LineBytes::MOST] };
+
+    /// How many there are.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.len.into()
+    }
+
+    /// Whether there are none.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Adds one. `false`: there is no room, or it is of another epoch.
+    #[inline]
+    pub fn push(&mut self, byte: LineByte) -> bool {
+        if self.len == 0 {
+            (self.epoch, self.damaged) = (byte.epoch, 0);
+        }
+        let (same, place) = (self.epoch == byte.epoch, self.bytes.get_mut(usize::from(self.len)));
+        let Some(place) = place.filter(|_| same) else { return false };
+        *place = byte.byte;
+        self.damaged |= u16::from(byte.damaged) << self.len;
+        self.len += 1;
+        true
+    }
+
+    /// Adds as many of some undamaged bytes as there is room for; none if they are of another epoch. Gives how many.
+    #[inline]
+    pub fn extend(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        if self.len == 0 {
+            (self.epoch, self.damaged) = (epoch, 0);
+        }
+        let room = self.bytes.get_mut(usize::from(self.len)..).filter(|_| self.epoch == epoch).unwrap_or_default();
+        let count = room.len().min(bytes.len());
+        for (place, byte) in room.iter_mut().zip(bytes) {
+            *place = *byte;
+        }
+        self.len += count as u8;
+        count
+    }
+
+    /// Their epoch and the bytes from a place on, if none of all is damaged.
+    #[inline]
+    pub fn undamaged(&self, from: usize) -> (u16, &[u8]) {
+        let bytes = if self.damaged == 0 { self.bytes.get(from..self.len()) } else { None };
+        (self.epoch, bytes.unwrap_or_default())
+    }
+
+    /// The byte at a place, from 0.
+    #[inline]
+    pub fn get(&self, place: usize) -> Option<LineByte> {
+        let byte = *self.bytes.get(place).filter(|_| place < self.len())?;
+        Some(LineByte { byte, epoch: self.epoch, damaged: self.damaged >> place & 1 != 0 })
+    }
 }
 
 /// control -> step. At most 16 bytes, so that a receive in the step interrupt stays cheap.
@@ -680,8 +757,9 @@ pub enum Output {
         /// The listing begins.
         first: bool,
     },
-    /// For the settings store; answered by [`Event::Stored`] or [`Event::StoreFailed`].
-    Store(Store),
+    /// A change for the settings store, which `Controller::next_store` gives; answered by [`Event::Stored`] or
+    /// [`Event::StoreFailed`].
+    Store,
     /// A piece of work was done inside and there is more: ask again.
     Worked,
 }

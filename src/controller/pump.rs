@@ -51,6 +51,12 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line, if it may be taken now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
+    /// Gives the controller text of a line that comes next and may be taken now, several bytes at a time. Only what
+    /// [`Pump::next_line_byte`] would give can be text; what is not, that gives. Whether there was any.
+    #[inline(always)]
+    fn give_text(&mut self, _now: Instant) -> bool {
+        false
+    }
     /// Events and lines have been taken: what has found no room in their queues may come now. `took`: there were any.
     /// Gives whether something has come.
     fn make_room(&mut self, took: bool) -> bool;
@@ -90,12 +96,9 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     }
     let mut lines = false;
     while pump.controller().wants_line()
-        && let Some(byte) = pump.next_line_byte()
+        && let Some(byte) = next_line_byte(pump, now, &mut lines)
     {
-        let event = Event::Line(byte);
-        pump.record(now, &event);
-        pump.controller().event(now, event);
-        lines = true;
+        pump.controller().event(now, Event::Line(byte));
         if matches!(byte.byte, b'\n' | b'\r') {
             if observe(pump).received > 0 {
                 pump.record_more();
@@ -122,7 +125,7 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
         let begins_again = match output {
             // Events first: a long arc must not keep a stop waiting.
             Output::Worked => return true,
-            Output::Step(_) | Output::Stop | Output::Store(_) => true,
+            Output::Step(_) | Output::Stop | Output::Store => true,
             Output::ReadPins { .. } | Output::ReadRecording { .. } => true,
             Output::Reply(_) | Output::Pins(_) | Output::Wiring(_) => false,
         };
@@ -131,6 +134,24 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
             return true;
         }
         *again |= !P::IS_WOKEN;
+    }
+}
+
+/// The next byte that is not plain text. Text makes a line longer, and changes nothing of whether lines are wanted.
+#[inline(always)]
+fn next_line_byte<const N: usize, const BLOCKS: usize>(
+    pump: &mut impl Pump<N, BLOCKS>,
+    now: Instant,
+    took: &mut bool,
+) -> Option<LineByte> {
+    loop {
+        *took |= pump.give_text(now);
+        let byte = pump.next_line_byte()?;
+        *took = true;
+        pump.record(now, &Event::Line(byte));
+        if !pump.controller().takes_text(byte) {
+            return Some(byte);
+        }
     }
 }
 

@@ -430,6 +430,23 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
+    /// Text of an epoch that the controller has taken at `now`.
+    #[inline]
+    pub fn record_text<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        now: Instant,
+        epoch: u16,
+        text: &[u8],
+        controller: &Controller<N, BLOCKS>,
+    ) {
+        for byte in text {
+            let byte = LineByte { byte: *byte, epoch, damaged: false };
+            if !self.put_plain(byte) {
+                self.line_byte(now, byte, controller);
+            }
+        }
+    }
+
     /// What the controller is told at `now`. To be called in front of it.
     #[inline(always)]
     pub fn record<const N: usize, const BLOCKS: usize>(
@@ -495,10 +512,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if damaged || behind > 0 && text == b'$' {
             self.put_entry(now, tag::DAMAGED, &[]);
         }
-        self.record_text(now, text);
+        self.record_byte(now, text);
     }
 
-    fn record_text(&mut self, now: Instant, text: u8) {
+    fn record_byte(&mut self, now: Instant, text: u8) {
         match text {
             // Of a line, when it ends is what counts.
             b'\n' | b'\r' => {
@@ -540,7 +557,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             Event::Line(_) | Event::Pins(_) => {}
         }
         if opens && let Some(early) = self.early.take() {
-            self.record_text(now, early);
+            self.record_byte(now, early);
         }
     }
 

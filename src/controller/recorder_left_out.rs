@@ -41,6 +41,17 @@ impl<P> Recorder<P> {
 
     /// Does nothing.
     #[inline(always)]
+    pub fn record_text<const N: usize, const BLOCKS: usize>(
+        &mut self,
+        _now: Instant,
+        _epoch: u16,
+        _text: &[u8],
+        _controller: &Controller<N, BLOCKS>,
+    ) {
+    }
+
+    /// Does nothing.
+    #[inline(always)]
     pub fn more_waits(&mut self) {}
 
     /// Does nothing.

@@ -1,11 +1,11 @@
 //! The control task: carries to the controller (`BoardController`) what other tasks have queued in its `Ends` of the
 //! channels (`Receiver`s, `Sender`s, `step_wiring`, `input_wiring`), and carries out what it decides, in the order of
 //! [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by `Source` (hosts that came and went, owed
-//! commands, realtime, signals, step events), `next_line_byte` from the lines (`line_bytes_out`, `lines_in`) or a
-//! preloaded `Job`, `observe` (`Observed`: `arrived`, `received`, `heard`, `step_idle`, loaded from `SERIAL` and `STEP`
-//! with `Ordering::Relaxed`), `record` by the `recorder`, `make_room`, and `carry` for each `Output` (segments,
-//! replies, wakeup, `ReadPins`, `clear_noise`). A `turn` notes when the `round_began` and its place; it sends
-//! `unsent_wiring`, and `erase_ahead` erases flash when `nothing_waits`.
+//! commands, realtime, signals, step events), `next_line_byte` and `give_text` from the lines (`line_reader`,
+//! `line_bytes_out`, `lines_in`) or a preloaded `Job`, `observe` (`Observed`: `arrived`, `received`, `heard`,
+//! `step_idle`, loaded from `SERIAL` and `STEP` with `Ordering::Relaxed`), `record` by the `recorder`, `make_room`, and
+//! `carry` for each `Output` (segments, replies, wakeup, `ReadPins`, `clear_noise`). A `turn` notes when the
+//! `round_began` and its place; it sends `unsent_wiring`, and `erase_ahead` erases flash when `nothing_waits`.
 
 use crate::boards::{self, AXES, BLOCKS};
 use crate::clock::Clock;
@@ -14,13 +14,14 @@ use crate::outputs::Outputs;
 use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, Event, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
-    Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring, input,
+    Chunk, EVENTS_DEPTH, Event, LINE_MESSAGES, LINES_DEPTH, LineByte, LineBytes, Observed, Output, PinView,
+    REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Room, SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
+    input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
-use oxmill_controller::{Controller, Owed};
+use oxmill_controller::{Controller, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
@@ -35,7 +36,7 @@ pub struct Ends {
     /// From `serial`.
     pub realtime: Receiver<'static, Realtime, REALTIME_DEPTH>,
     /// From `serial`.
-    pub lines: Receiver<'static, LineByte, LINES_DEPTH>,
+    pub lines: Receiver<'static, LineBytes, LINE_MESSAGES>,
     /// From `step`.
     pub events: Receiver<'static, StepEvent<AXES>, EVENTS_DEPTH>,
     /// From `inputs`.
@@ -60,6 +61,7 @@ pub struct Control {
     clock: Clock,
     /// When the round began.
     round_began: Instant,
+    line_reader: LineReader,
     /// Bytes taken out of the line queue since power-up (wrapping).
     line_bytes_out: u32,
     /// `hosts_came` and `hosts_went` of [`SERIAL`] as they were.
@@ -105,6 +107,7 @@ impl Control {
             recorder,
             clock: Clock::new(),
             round_began: Instant::from_ticks(0),
+            line_reader: LineReader::new(),
             line_bytes_out: 0,
             hosts_came: 0,
             hosts_went: 0,
@@ -161,9 +164,8 @@ impl Control {
 
     /// Leaves place and line where a handler that ends the program finds them.
     fn note_place(&mut self) {
-        // 0.1 nm to micrometres: targets lie within 50 m.
         for (slot, place) in CONTROL.position.iter().zip(self.controller.machine_position().iter()) {
-            slot.store((place.0 / 10_000) as i32, Ordering::Relaxed);
+            slot.store(place.micrometres(), Ordering::Relaxed);
         }
         CONTROL.line.store(self.controller.line_number(), Ordering::Relaxed);
         CONTROL.moment.store(self.round_began.ticks() as u32, Ordering::Relaxed);
@@ -244,6 +246,12 @@ impl Control {
         self.owed.pop()
     }
 
+    /// A host that sends one setting after the other is made to wait before there is no room for them.
+    #[inline(always)]
+    fn waits_for_erase(&self) -> bool {
+        self.wants_erase_soon && self.controller.is_nearly_quiet()
+    }
+
     /// The next piece of the recording.
     #[inline(never)]
     fn read_recording(&mut self, first: bool) {
@@ -302,9 +310,24 @@ impl Pump<AXES, BLOCKS> for Control {
     }
 
     #[inline(always)]
+    fn give_text(&mut self, now: Instant) -> bool {
+        if self.waits_for_erase() {
+            return false;
+        }
+        let Control { controller, recorder, line_reader, .. } = self;
+        let (epoch, bytes) = line_reader.ahead();
+        let most = self.lines_in.wrapping_sub(self.line_bytes_out) as usize;
+        let text = bytes.get(..most).unwrap_or(bytes);
+        let taken = controller.take_text(epoch, text);
+        recorder.record_text(now, epoch, text.get(..taken).unwrap_or_default(), controller);
+        line_reader.pass(taken);
+        self.line_bytes_out = self.line_bytes_out.wrapping_add(taken as u32);
+        taken > 0
+    }
+
+    #[inline(always)]
     fn next_line_byte(&mut self) -> Option<LineByte> {
-        // A host that sends one setting after the other is made to wait before there is no room for them.
-        if self.wants_erase_soon && self.controller.is_nearly_quiet() {
+        if self.waits_for_erase() {
             return None;
         }
         if let Some(job) = &mut self.job {
@@ -318,7 +341,7 @@ impl Pump<AXES, BLOCKS> for Control {
         if self.line_bytes_out == self.lines_in {
             return None;
         }
-        let byte = self.ends.lines.try_recv().ok()?;
+        let byte = self.line_reader.next(|| self.ends.lines.try_recv().ok())?;
         self.line_bytes_out = self.line_bytes_out.wrapping_add(1);
         Some(byte)
     }
@@ -335,7 +358,9 @@ impl Pump<AXES, BLOCKS> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        if took && SERIAL.holds_byte.load(Ordering::Relaxed) {
+        let is_awaited = SERIAL.holds_byte.load(Ordering::Relaxed)
+            || SERIAL.gathers.load(Ordering::Relaxed) && self.ends.lines.is_empty();
+        if took && is_awaited {
             boards::call_serial();
         }
         self.send_wiring();
@@ -384,8 +409,8 @@ impl Pump<AXES, BLOCKS> for Control {
             }
             Output::ReadPins { clear_noise: false } => self.pins_asked = true,
             Output::ReadRecording { first } => self.read_recording(first),
-            Output::Store(change) => {
-                self.stored = Some(self.settings.store(&change));
+            Output::Store => {
+                self.stored = self.controller.next_store().map(|change| self.settings.store(&change));
                 // Bytes may have come while the processor stood.
                 boards::call_serial();
             }

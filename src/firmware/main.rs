@@ -46,7 +46,7 @@ macro_rules! firmware {
 
             #[init(local = [
                 realtime: Channel<Realtime, REALTIME_DEPTH> = Channel::new(),
-                lines: Channel<LineByte, LINES_DEPTH> = Channel::new(),
+                lines: Channel<LineBytes, LINE_MESSAGES> = Channel::new(),
                 replies: Channel<Chunk, REPLIES_DEPTH> = Channel::new(),
                 segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
                 events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),

@@ -2,8 +2,8 @@
 //! `Link` splits them into realtime commands and bytes of lines, which `ToControl` puts into its `queues`. The
 //! `HostArbiter` decides which link has the machine. `sending` is the `Chunk` of answers that goes out, to
 //! `sending_to`. Commands that find no room may be owed (`may_owe`), and bytes are held (`USB_HELD`). Other tasks hear
-//! through `SERIAL` (`Ordering::Relaxed` counters), `Sender` and `Receiver` of each `LineByte`; `to_usb` and the
-//! `holder` say who is answered.
+//! through `SERIAL` (`Ordering::Relaxed` counters), a `Sender` of `LineBytes`, filled by the `line_sender`, and the
+//! `Receiver` of answers; `to_usb` and the `holder` say who is answered.
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART
@@ -17,8 +17,8 @@
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
-use oxmill_controller::messages::{Chunk, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
-use oxmill_controller::{HostArbiter, Link, Queues};
+use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
+use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
@@ -37,9 +37,20 @@ struct ToControl {
     /// No answer waits, or is half sent.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
-    lines: Sender<'static, LineByte, LINES_DEPTH>,
+    lines: Sender<'static, LineBytes, LINE_MESSAGES>,
+    line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
+}
+
+impl ToControl {
+    /// No more bytes come in this run.
+    fn flush(&mut self) {
+        let Self { lines, line_sender, .. } = self;
+        if line_sender.is_waiting() {
+            line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok());
+        }
+    }
 }
 
 /// Adds to a count whose only writer is this task.
@@ -59,8 +70,16 @@ impl Queues for ToControl {
     }
 
     fn line(&mut self, byte: LineByte) -> bool {
-        let queued = self.lines.try_send(byte).is_ok();
+        let Self { lines, line_sender, .. } = self;
+        let queued = line_sender.push(byte, |message| lines.try_send(message).is_ok());
         self.bytes_queued += u32::from(queued);
+        queued
+    }
+
+    fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        let Self { lines, line_sender, .. } = self;
+        let queued = line_sender.extend(epoch, bytes, |message| lines.try_send(message).is_ok());
+        self.bytes_queued += queued as u32;
         queued
     }
 
@@ -125,6 +144,9 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
         while self.link.room() > 0 || !P::WAITS {
+            let text = self.link.take_text(self.port.fetched(), arbiter, queues);
+            self.port.pass(text);
+            news |= text > 0;
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => self.link.lose(),
@@ -162,7 +184,7 @@ impl Serial {
         uart: SerialPort,
         usb: UsbPort,
         realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
-        lines: Sender<'static, LineByte, LINES_DEPTH>,
+        lines: Sender<'static, LineBytes, LINE_MESSAGES>,
         replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
         wake: Wake,
     ) -> Serial {
@@ -170,7 +192,14 @@ impl Serial {
             arbiter: HostArbiter::new(),
             uart: Ported::new(UART, uart),
             usb: Ported::new(USB, usb),
-            queues: ToControl { may_owe: false, flushed: true, realtime, lines, bytes_queued: 0 },
+            queues: ToControl {
+                may_owe: false,
+                flushed: true,
+                realtime,
+                lines,
+                line_sender: LineSender::new(),
+                bytes_queued: 0,
+            },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
             sent: 0,
@@ -193,6 +222,8 @@ impl Serial {
         let queued = core::mem::take(&mut queues.bytes_queued);
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
+        queues.flush();
+        SERIAL.gathers.store(queues.line_sender.is_waiting(), Ordering::Relaxed);
         SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
         let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;

@@ -20,7 +20,7 @@ use core::mem::{ManuallyDrop, MaybeUninit};
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, LINES_DEPTH, LineByte, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
+    Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
 use rtic_sync::channel::Channel;
@@ -30,7 +30,7 @@ use rtic_sync::signal::Signal;
 #[allow(missing_docs, reason = "named and described in `main`")]
 pub struct Channels {
     pub realtime: &'static mut Channel<Realtime, REALTIME_DEPTH>,
-    pub lines: &'static mut Channel<LineByte, LINES_DEPTH>,
+    pub lines: &'static mut Channel<LineBytes, LINE_MESSAGES>,
     pub replies: &'static mut Channel<Chunk, REPLIES_DEPTH>,
     pub segments: &'static mut Channel<ToStep, SEGMENTS_DEPTH>,
     pub events: &'static mut Channel<StepEvent<AXES>, EVENTS_DEPTH>,

@@ -107,7 +107,10 @@ impl Pump<AXES, BLOCKS> for Simulator {
             Output::ReadPins { clear_noise: false } => self.pins_asked = true,
             Output::ReadRecording { first } => self.read_recording(first),
             // A store that cannot be written is the host's fault; the controller tells the host.
-            Output::Store(change) => self.stored = Some(self.store.apply(&change).is_ok()),
+            Output::Store => {
+                let change = self.controller.next_store();
+                self.stored = change.map(|change| self.store.apply(&change).is_ok());
+            }
             Output::Worked => {}
         }
     }

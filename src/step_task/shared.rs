@@ -45,6 +45,8 @@ pub struct SerialStatus {
     pub hosts_came: AtomicU8,
     /// How often the host with the floor has gone since power-up (wrapping).
     pub hosts_went: AtomicU16,
+    /// It gathers bytes for another message, and wants to be called when the line queue is empty.
+    pub gathers: AtomicBool,
     /// It holds a byte for which there was no room, and wants to be called when there is.
     pub holds_byte: AtomicBool,
     /// Commands for which there was no room, and which must not be lost; `control` takes them.
@@ -59,6 +61,7 @@ pub static SERIAL: SerialStatus = SerialStatus {
     heard: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),
+    gathers: AtomicBool::new(false),
     holds_byte: AtomicBool::new(false),
     owed: AtomicU32::new(0),
 };

@@ -558,9 +558,11 @@ impl Pump<AXES, BLOCKS> for Board {
             Output::Stop => self.stop(),
             Output::Wiring(wiring) => self.armed = wiring.armed,
             Output::ReadPins { clear_noise } => self.pins_asked |= !clear_noise,
-            Output::Store(change) => {
-                let answer = self.store(&change);
-                self.answers.push_back(answer);
+            Output::Store => {
+                if let Some(change) = self.controller.next_store() {
+                    let answer = self.store(&change);
+                    self.answers.push_back(answer);
+                }
             }
             Output::ReadRecording { first } => {
                 let Board { controller, recorder, records, .. } = self;

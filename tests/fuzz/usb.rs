@@ -11,12 +11,11 @@ use super::hosts::MOST_WORK;
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
 use oxmill_boards::usb_host::{LATE_BYTES_US, UsbHost};
-use oxmill_controller::messages::{HOST_CHANGED, LineByte, Realtime};
-use oxmill_controller::{HostArbiter, Link, Queues};
+use oxmill_controller::messages::{HOST_CHANGED, LINE_MESSAGES, LineByte, LineBytes, Realtime};
+use oxmill_controller::{HostArbiter, LineReader, LineSender, Link, Queues};
 use std::collections::VecDeque;
 
 const PACKET: usize = 64;
-const MOST_LINES: usize = 255;
 
 #[derive(Arbitrary, Debug)]
 enum Action {
@@ -36,8 +35,25 @@ enum Action {
 
 #[derive(Default)]
 struct ToControl {
-    lines: VecDeque<LineByte>,
+    line_sender: LineSender,
+    messages: VecDeque<LineBytes>,
+    line_reader: LineReader,
     busy: bool,
+}
+
+fn send(messages: &mut VecDeque<LineBytes>, message: LineBytes) -> bool {
+    let room = messages.len() < LINE_MESSAGES;
+    if room {
+        messages.push_back(message);
+    }
+    room
+}
+
+impl ToControl {
+    fn flush(&mut self) {
+        let (is_empty, messages) = (self.messages.is_empty(), &mut self.messages);
+        self.line_sender.flush(is_empty, |message| send(messages, message));
+    }
 }
 
 impl Queues for ToControl {
@@ -46,11 +62,11 @@ impl Queues for ToControl {
     }
 
     fn line(&mut self, byte: LineByte) -> bool {
-        let room = self.lines.len() < MOST_LINES;
-        if room {
-            self.lines.push_back(byte);
-        }
-        room
+        self.line_sender.push(byte, |message| send(&mut self.messages, message))
+    }
+
+    fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        self.line_sender.extend(epoch, bytes, |message| send(&mut self.messages, message))
     }
 
     fn waits(&self) -> bool {
@@ -148,8 +164,11 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         board.act(&action);
         board.task();
     }
-    board.act(&Action::Read(255));
-    board.task();
+    // More than the queue and the links hold.
+    for _ in 0..3 {
+        board.act(&Action::Read(255));
+        board.task();
+    }
     board.read.clear();
     board.act(&Action::Packet(3, true));
     board.task();
@@ -270,16 +289,24 @@ impl Board {
                 }
                 continue;
             }
-            let Some(byte) = self.packet.pop_front() else { break };
+            let text = self.usb.take_text(self.packet.make_contiguous(), &self.arbiter, &mut self.queues);
+            self.packet.drain(..text);
+            let Some(byte) = self.packet.pop_front() else { continue };
             at_most(MOST_WORK, || self.usb.take(byte, &mut self.arbiter, &mut self.uart, &mut self.queues));
         }
+        self.queues.flush();
         self.usb.refuse(|_| true);
         self.uart.refuse(|_| true);
         false
     }
 
     fn read(&mut self, most: usize) {
-        for byte in self.queues.lines.drain(..most.min(self.queues.lines.len())) {
+        for _ in 0..most {
+            let ToControl { messages, line_reader, .. } = &mut self.queues;
+            let Some(byte) = line_reader.next(|| messages.pop_front()) else { break };
+            if self.queues.messages.is_empty() && self.queues.line_sender.is_waiting() {
+                self.task();
+            }
             match byte.byte {
                 HOST_CHANGED => self.half.clear(),
                 b'\n' if !byte.damaged => {

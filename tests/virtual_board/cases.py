@@ -41,7 +41,7 @@ CALL_CYCLES = 212
 """From the call of the step task to where no event begins any more, when it is at rest, at 490,000 steps/s or less."""
 FAST_CALL_CYCLES = 260
 """The same at greater rates: each segment that has begun since the last run takes some 15, and more have."""
-LINES_S = 2800
+LINES_S = 3300
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
@@ -1988,8 +1988,9 @@ def usb_lines(bench):
     look-ahead never runs low. And how many a second there are when the motion would take more."""
     board, host = with_usb(bench)
     bench.settings(**BELTS)
-    for rate in (LINES_S, 4 * LINES_S):
-        text = chords(1200, 0.05, 0.05 * rate * 60)
+    # Far more lines than the look-ahead has in advance.
+    for rate, count in ((LINES_S, 4000), (4 * LINES_S, 1200)):
+        text = chords(count, 0.05, 0.05 * rate * 60)
         with tempfile.TemporaryDirectory() as folder:
             job = Path(folder) / "chords.nc"
             job.write_text(text)

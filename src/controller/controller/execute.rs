@@ -74,7 +74,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
     #[inline]
     pub(super) fn may_advance(&self) -> bool {
-        !self.task.is_none() || matches!(self.mode, Mode::Home(_))
+        match &self.task {
+            Task::None => matches!(self.mode, Mode::Home(_)),
+            Task::Job(job) => !self.waits_for_room(job.stage),
+            _ => true,
+        }
+    }
+
+    /// Whether the line has found the look-ahead full of what moves: there is nothing to do but to wait.
+    #[inline]
+    fn waits_for_room(&self, stage: Stage) -> bool {
+        let moves = match stage {
+            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Line { .. }),
+            Stage::Chords => true,
+            _ => false,
+        };
+        moves
+            && self.motion.free_blocks() == 0
+            && self.step_supply.is_running()
+            && !matches!(self.mode, Mode::Check)
+            && !self.stops.has_order()
     }
 
     /// Does one bounded piece of what the controller is in the middle of. Whether something was done.

@@ -74,7 +74,7 @@ use crate::machine::probe::Probe;
 use crate::machine::reference::Reference;
 use crate::machine::state::{Door, Mode};
 use crate::machine::stops::Stops;
-use crate::messages::{Event, Observed, Output, Record, Restart, Room, ToStep};
+use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::motion::Motion;
 use crate::protocol::line_intake::LineIntake;
 use crate::protocol::recorded::RECORDER;
@@ -240,11 +240,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
         match event {
-            // Nearly all events, and those to which the time means nothing.
-            Event::Line(byte) if self.lines.take_plain(byte) => {}
+            Event::Line(byte) if self.takes_text(byte) => {}
             Event::Line(byte) => self.line_byte(now, byte),
             event => self.take(now, event),
         }
+    }
+
+    /// Takes a byte that makes a line longer and does nothing else, to which the time means nothing: nearly all events. What is
+    /// no such byte is not taken, and is told as an [`Event::Line`].
+    #[inline]
+    pub fn takes_text(&mut self, byte: LineByte) -> bool {
+        self.lines.take_plain(byte)
+    }
+
+    /// Takes the first of some bytes of an epoch as far as they are such bytes. Gives how many.
+    #[inline]
+    pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        self.lines.take_text(epoch, bytes)
     }
 
     /// All events but bytes of lines, for which there is [`Controller::line_byte`].
@@ -386,6 +398,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !self.settings.is_on(Key::JogSilence)
     }
 
+    /// The change that is to be made for an [`Output::Store`].
+    pub fn next_store(&mut self) -> Option<Store> {
+        self.records.next_store()
+    }
+
     /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
@@ -407,8 +424,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(pins) = self.changed_pins() {
             return Some(Output::Pins(pins));
         }
-        if let Some(store) = self.records.next_store() {
-            return Some(Output::Store(store));
+        if self.records.has_next() {
+            return Some(Output::Store);
         }
         if let Some(clear_noise) = self.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });

@@ -136,6 +136,12 @@ impl Records {
 
     // Changes
 
+    /// Whether a change has to be handed to the store.
+    #[inline]
+    pub(super) fn has_next(&self) -> bool {
+        !self.stores.is_empty()
+    }
+
     /// The next change that has to be handed to the store.
     #[inline]
     pub(super) fn next_store(&mut self) -> Option<Store> {

@@ -134,9 +134,12 @@ impl<const N: usize> SegmentsInFlight<N> {
         if self.len == 0 {
             // After a stop the step task begins nothing before the gate is opened, so the count cannot be too old here.
             self.begun = begun;
-            self.moves &= !idle;
+            if !idle {
+                return;
+            }
+            self.moves = false;
             let last = self.slot(1);
-            if idle && let Some(current) = self.ring.get_mut(last) {
+            if let Some(current) = self.ring.get_mut(last) {
                 current.speed = 0.0;
                 current.power = 0;
                 current.line_number = 0;

@@ -68,6 +68,20 @@ impl Default for Line {
     }
 }
 
+/// The text of each byte that most lines are made of: digits, letters as capitals, points, minus signs and blanks; 0 for others.
+#[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
+const PLAIN: [u8; 128] = {
+    let mut plain = [0; 128];
+    let mut byte = 0_u8;
+    while byte < 128 {
+        if byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b' ') {
+            plain[byte as usize] = byte.to_ascii_uppercase();
+        }
+        byte += 1;
+    }
+    plain
+};
+
 impl Line {
     /// An empty line.
     pub const fn new() -> Self {
@@ -151,15 +165,12 @@ impl Line {
     /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
-        let capital = byte & !0x20;
-        let of_text = if byte.is_ascii_digit() || matches!(byte, b'.' | b'-') {
-            byte
-        } else if capital.is_ascii_uppercase() {
-            capital
-        } else {
-            return false;
-        };
-        self.text.len() < usize::from(self.plain) && self.text.push(of_text).is_ok()
+        match PLAIN.get(usize::from(byte)) {
+            // A blank is left out.
+            Some(b' ') => self.plain > 0,
+            Some(text) if *text != 0 => self.text.len() < usize::from(self.plain) && self.text.push(*text).is_ok(),
+            _ => false,
+        }
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
@@ -274,7 +285,7 @@ mod tests {
             let mut other = line.clone();
             line.expect_plain(true);
             let taken = line.push_plain(byte);
-            assert_eq!(taken, byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-'), "{byte}");
+            assert_eq!(taken, byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b' '), "{byte}");
             if taken {
                 assert_eq!(other.push(byte, || OXMILL), Pushed::More);
                 assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));

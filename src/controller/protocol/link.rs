@@ -30,6 +30,12 @@ pub trait Queues {
     fn realtime(&mut self, command: Realtime) -> bool;
     /// Queues a byte of a line. Gives whether there was room.
     fn line(&mut self, byte: LineByte) -> bool;
+    /// Queues bytes of the middle of a line, as many of them as there is room for. Gives how many.
+    #[inline]
+    fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
+        left.unwrap_or(bytes.len())
+    }
     /// Whether the link that is being read can wait. One that cannot loses a command that is refused, so each is tried.
     fn waits(&self) -> bool;
     /// Whether all that any host has said is done and answered.
@@ -176,7 +182,7 @@ impl<const HELD: usize> Link<HELD> {
         other: &mut Link<OTHER>,
         queues: &mut impl Queues,
     ) -> bool {
-        if self.is_plain(byte, arbiter) && queues.line(LineByte { byte, epoch: arbiter.epoch, damaged: false }) {
+        if self.take_text(&[byte], arbiter, queues) > 0 {
             return true;
         }
         match Received::of(byte) {
@@ -228,15 +234,20 @@ impl<const HELD: usize> Link<HELD> {
         }
     }
 
-    /// Nearly all bytes: of the middle of a line, of the host with the floor, and nothing waits. What becomes of such a byte needs no
-    /// other question than whether there is room.
+    /// Takes the first of some bytes as far as they are plain: in the middle of a line, of the host with the floor, and nothing
+    /// waits. What becomes of such a byte, which nearly all are, needs no other question than whether there is room. Gives
+    /// how many.
     #[inline]
-    fn is_plain(&self, byte: u8, arbiter: &HostArbiter) -> bool {
-        is_plain(byte)
-            && self.mid_line
+    pub fn take_text(&self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
+        let is_text = self.mid_line
             && !(self.refusing_line || self.lost || arbiter.cut)
             && self.held.is_empty()
-            && arbiter.floor.is_held_by(self.number)
+            && arbiter.floor.is_held_by(self.number);
+        if !is_text {
+            return 0;
+        }
+        let other = bytes.iter().position(|byte| !is_plain(*byte));
+        queues.text(arbiter.epoch, bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default())
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {

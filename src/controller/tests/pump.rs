@@ -127,7 +127,8 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
                 }
                 "look"
             }
-            Output::Store(_) => {
+            Output::Store => {
+                self.controller.next_store();
                 match std::mem::take(&mut self.with_store) {
                     with if with.is_empty() => self.events.push((Source::Store, Event::Stored)),
                     mut with => self.events.append(&mut with),

@@ -571,8 +571,16 @@ const WAITING: u32 = 13;
 fn unit_line(controller: &mut Whole, line: &[u8], begun: u32) -> u32 {
     let now = Instant::from_ticks(0);
     let mut segments = 0;
-    for byte in line {
-        controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+    let mut left = line;
+    while let Some(byte) = left.first() {
+        let ahead = left.get(..LineBytes::MOST).unwrap_or(left);
+        match controller.take_text(0, ahead) {
+            0 => {
+                controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+                left = &left[1..];
+            }
+            taken => left = &left[taken..],
+        }
     }
     loop {
         let segments_begun = begun.wrapping_add(segments).saturating_sub(WAITING);

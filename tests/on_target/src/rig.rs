@@ -1,10 +1,8 @@
 //! A controller and a step generator in a loop, without tasks: as fast as the CPU goes, with time that jumps.
 
-use core::iter::Peekable;
-use core::str::Bytes;
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, LineBytes, Observed, Output, Room, Sensed};
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
@@ -31,7 +29,8 @@ pub struct Rig {
     /// `ok` and `error` seen.
     pub answers: (u32, u32),
     reply: heapless::Vec<u8, 300>,
-    program: Peekable<Bytes<'static>>,
+    /// What is left of it.
+    program: &'static [u8],
 }
 
 impl Rig {
@@ -59,7 +58,7 @@ impl Rig {
             net: [0; AXES],
             answers: (0, 0),
             reply: heapless::Vec::new(),
-            program: "".bytes().peekable(),
+            program: &[],
         }
     }
 
@@ -73,11 +72,11 @@ impl Rig {
 
     /// Runs a program to its end; `each` sees every step event with the position after it.
     pub fn run(&mut self, program: &'static str, mut each: impl FnMut([i32; AXES])) {
-        self.program = program.bytes().peekable();
+        self.program = program.as_bytes();
         loop {
             while round(self) {}
             if self.is_idle() {
-                if self.program.peek().is_none() && self.controller.is_idle() {
+                if self.program.is_empty() && self.controller.is_idle() {
                     return;
                 }
                 continue;
@@ -142,7 +141,7 @@ impl Pump<AXES, BLOCKS> for Rig {
     }
 
     fn observed(&mut self) -> Observed {
-        let free = if self.program.peek().is_some() { 0 } else { LINES_DEPTH };
+        let free = if self.program.is_empty() { LINES_DEPTH } else { 0 };
         Observed {
             segments_begun: self.stepper.segments_begun(),
             step_idle: self.is_idle(),
@@ -158,7 +157,17 @@ impl Pump<AXES, BLOCKS> for Rig {
     }
 
     fn next_line_byte(&mut self) -> Option<LineByte> {
-        self.program.next().map(|byte| LineByte { byte, epoch: 0, damaged: false })
+        let (byte, left) = self.program.split_first()?;
+        self.program = left;
+        Some(LineByte { byte: *byte, epoch: 0, damaged: false })
+    }
+
+    /// As many at a time as in a message of the firmware.
+    fn give_text(&mut self, _now: Instant) -> bool {
+        let ahead = self.program.get(..LineBytes::MOST).unwrap_or(self.program);
+        let taken = self.controller.take_text(0, ahead);
+        self.program = self.program.get(taken..).unwrap_or_default();
+        taken > 0
     }
 
     fn make_room(&mut self, _took: bool) -> bool {
@@ -174,7 +183,7 @@ impl Pump<AXES, BLOCKS> for Rig {
             Output::Step(message) => self.stepper.load(message),
             Output::Reply(chunk) => self.hear(chunk.as_bytes()),
             Output::Pins(_) | Output::Wiring(_) | Output::Worked => {}
-            Output::Stop | Output::Store(_) | Output::ReadPins { .. } | Output::ReadRecording { .. } => {
+            Output::Stop | Output::Store | Output::ReadPins { .. } | Output::ReadRecording { .. } => {
                 panic!("nothing here answers that")
             }
         }

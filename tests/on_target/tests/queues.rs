@@ -7,9 +7,11 @@ use oxmill_on_target as _;
 
 #[defmt_test::tests]
 mod suite {
-    use oxmill_controller::Stepper;
     use oxmill_controller::machine::filter::Filter;
-    use oxmill_controller::messages::{AxisSteps, LINES_DEPTH, LineByte, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
+    use oxmill_controller::messages::{
+        AxisSteps, LINE_MESSAGES, LINES_DEPTH, LineByte, LineBytes, SEGMENTS_DEPTH, Segment, StepEvent, ToStep,
+    };
+    use oxmill_controller::{LineReader, LineSender, Stepper};
     use rtic_sync::channel::Channel;
 
     #[test]
@@ -19,19 +21,26 @@ mod suite {
 
     #[test]
     fn the_line_queue_keeps_order_and_refuses_when_full() {
-        let mut channel: Channel<LineByte, LINES_DEPTH> = Channel::new();
+        let mut channel: Channel<LineBytes, LINE_MESSAGES> = Channel::new();
         let (mut send, mut receive) = channel.split();
+        let (mut sender, mut reader) = (LineSender::new(), LineReader::new());
         for round in 0..3_u8 {
-            for byte in 0..LINES_DEPTH as u8 {
-                defmt::assert!(send.try_send(LineByte { byte, epoch: round.into(), damaged: false }).is_ok());
+            let mut inside = 0_u16;
+            let byte = |place: u16| LineByte { byte: place as u8, epoch: round.into(), damaged: false };
+            // One at a time, as from a UART.
+            while sender.push(byte(inside), |message| send.try_send(message).is_ok()) {
+                sender.flush(send.is_empty(), |message| send.try_send(message).is_ok());
+                inside += 1;
             }
-            defmt::assert!(send.is_full());
-            defmt::assert!(send.try_send(LineByte { byte: 0, epoch: 99, damaged: false }).is_err());
-            for byte in 0..LINES_DEPTH as u8 {
-                let got = receive.try_recv().ok();
-                defmt::assert!(got == Some(LineByte { byte, epoch: round.into(), damaged: false }));
+            defmt::assert!(send.is_full() && usize::from(inside) >= LINES_DEPTH, "{} bytes", inside);
+            for place in 0..inside {
+                let got = reader.next(|| receive.try_recv().ok());
+                defmt::assert!(got == Some(byte(place)));
+                if receive.is_empty() {
+                    sender.flush(true, |message| send.try_send(message).is_ok());
+                }
             }
-            defmt::assert!(receive.try_recv().is_err());
+            defmt::assert!(reader.next(|| receive.try_recv().ok()).is_none());
         }
     }
 
