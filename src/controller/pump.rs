@@ -52,7 +52,8 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
     /// Takes the next byte of a line, if it may be taken now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
     /// Gives the controller text of a line that comes next and may be taken now, several bytes at a time. Only what
-    /// [`Pump::next_line_byte`] would give can be text; what is not, that gives. Whether there was any.
+    /// [`Pump::next_line_byte`] would give can be text; what is not, that gives. It records what it gives, as [`Pump::record`]
+    /// would. Whether there was any.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
@@ -96,7 +97,7 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     }
     let mut lines = false;
     while pump.controller().wants_line()
-        && let Some(byte) = next_line_byte(pump, now, &mut lines)
+        && let Some(byte) = next_byte_past_text(pump, now, &mut lines)
     {
         pump.controller().event(now, Event::Line(byte));
         if matches!(byte.byte, b'\n' | b'\r') {
@@ -139,7 +140,7 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
 
 /// The next byte that is not plain text. Text makes a line longer, and changes nothing of whether lines are wanted.
 #[inline(always)]
-fn next_line_byte<const N: usize, const BLOCKS: usize>(
+fn next_byte_past_text<const N: usize, const BLOCKS: usize>(
     pump: &mut impl Pump<N, BLOCKS>,
     now: Instant,
     took: &mut bool,
@@ -149,7 +150,7 @@ fn next_line_byte<const N: usize, const BLOCKS: usize>(
         let byte = pump.next_line_byte()?;
         *took = true;
         pump.record(now, &Event::Line(byte));
-        if !pump.controller().takes_text(byte) {
+        if !pump.controller().take_text_byte(byte) {
             return Some(byte);
         }
     }

@@ -430,7 +430,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Text of an epoch that the controller has taken at `now`.
+    /// Text of an epoch that the controller has taken at `now`. It may be recorded behind that: of what is asked of the
+    /// controller, text changes nothing.
     #[inline]
     pub fn record_text<const N: usize, const BLOCKS: usize>(
         &mut self,

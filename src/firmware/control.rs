@@ -62,7 +62,7 @@ pub struct Control {
     /// When the round began.
     round_began: Instant,
     line_reader: LineReader,
-    /// Bytes taken out of the line queue since power-up (wrapping).
+    /// Line bytes given to the controller since power-up (wrapping).
     line_bytes_out: u32,
     /// `hosts_came` and `hosts_went` of [`SERIAL`] as they were.
     hosts_came: u8,
@@ -209,10 +209,13 @@ impl Control {
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
+        // What has found no room waits in front of a queue that is full, of whatever messages.
+        let is_full = SERIAL.holds_byte.load(Ordering::Relaxed);
+        let rx_free = if is_full { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
         Observed {
             segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
             step_idle,
-            rx_free: LINES_DEPTH.saturating_sub(used) as u16,
+            rx_free,
             received: received as u16,
             heard: heard as u16,
         }
@@ -358,6 +361,7 @@ impl Pump<AXES, BLOCKS> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
+        // Behind all that this round has taken: the serial task may have found the last message still on its way.
         let is_awaited = SERIAL.holds_byte.load(Ordering::Relaxed)
             || SERIAL.gathers.load(Ordering::Relaxed) && self.ends.lines.is_empty();
         if took && is_awaited {

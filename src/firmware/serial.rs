@@ -44,12 +44,11 @@ struct ToControl {
 }
 
 impl ToControl {
-    /// No more bytes come in this run.
-    fn flush(&mut self) {
+    /// No more bytes come in this run. Whether there is news for `control`.
+    fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
-        if line_sender.is_waiting() {
-            line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok());
-        }
+        // To the sender a queue is empty only when the receiver is done with its last message.
+        line_sender.is_waiting() && line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok())
     }
 }
 
@@ -222,7 +221,7 @@ impl Serial {
         let queued = core::mem::take(&mut queues.bytes_queued);
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
-        queues.flush();
+        news |= queues.flush();
         SERIAL.gathers.store(queues.line_sender.is_waiting(), Ordering::Relaxed);
         SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();

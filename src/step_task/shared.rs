@@ -33,9 +33,9 @@ pub const STEP_ASKED: u8 = 2;
 
 /// Written by `serial`.
 pub struct SerialStatus {
-    /// Bytes put into the line queue since power-up (wrapping).
+    /// Line bytes put into the queue, or gathered for a message to it, since power-up (wrapping).
     pub bytes_queued: AtomicU32,
-    /// Line bytes received since power-up (wrapping): those in the queue, and those that wait for room in it.
+    /// Line bytes received since power-up (wrapping): those queued or gathered, and those that wait for room.
     pub bytes_received: AtomicU32,
     /// Bytes received that are neither of lines nor commands, since power-up (wrapping).
     pub bytes_ignored: AtomicU32,

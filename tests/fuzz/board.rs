@@ -7,8 +7,8 @@
 
 use super::work;
 use oxmill_controller::messages::{
-    Event, HOST_CHANGED, LINES_DEPTH, LineByte, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH, Realtime,
-    Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
+    Event, HOST_CHANGED, LINES_DEPTH, LineByte, LineBytes, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
+    Realtime, Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::recorder::{Page, Recorder};
@@ -518,6 +518,20 @@ impl Pump<AXES, BLOCKS> for Board {
         let (byte, sure) = self.lines.pop_front()?;
         self.book.given(byte, sure);
         Some(byte)
+    }
+
+    /// As many as a message of the firmware has.
+    fn give_text(&mut self, now: Instant) -> bool {
+        let Some((LineByte { epoch, .. }, _)) = self.lines.front().copied() else { return false };
+        let alike = self.lines.iter().take_while(|(byte, _)| byte.epoch == epoch && !byte.damaged);
+        let ahead: heapless::Vec<u8, { LineBytes::MOST }> =
+            alike.map(|(byte, _)| byte.byte).take(LineBytes::MOST).collect();
+        let taken = self.controller.take_text(epoch, &ahead);
+        self.recorder.record_text(now, epoch, &ahead[..taken], &self.controller);
+        for _ in 0..taken {
+            self.next_line_byte();
+        }
+        taken > 0
     }
 
     fn record(&mut self, now: Instant, event: &Event<AXES>) {

@@ -240,7 +240,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
         match event {
-            Event::Line(byte) if self.takes_text(byte) => {}
+            Event::Line(byte) if self.take_text_byte(byte) => {}
             Event::Line(byte) => self.line_byte(now, byte),
             event => self.take(now, event),
         }
@@ -249,7 +249,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Takes a byte that makes a line longer and does nothing else, to which the time means nothing: nearly all events. What is
     /// no such byte is not taken, and is told as an [`Event::Line`].
     #[inline]
-    pub fn takes_text(&mut self, byte: LineByte) -> bool {
+    pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.lines.take_plain(byte)
     }
 

@@ -1,13 +1,14 @@
 //! How bytes of lines cross from the serial task to `control`: `LineSender` puts received bytes into messages
-//! (`LineBytes`), and `LineReader` takes them out one by one.
+//! (`LineBytes`), and `LineReader` takes them out.
 //!
 //! ```text
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
 //!                    │ full, of another epoch, or: no more bytes now, and few messages are on the way that are not full
 //! ```
-//! A queue has room for a number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes always fit, also
-//! from a link that brings them one at a time, at most [`MOST_PARTIAL`] messages of them go out before they are full;
-//! after these, bytes wait until a message is full or the queue has been emptied.
+//! A queue has room for a number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit also from a link
+//! that brings them one at a time, at most [`MOST_PARTIAL`] messages of them go out before they are full; after these, bytes
+//! wait until a message is full or the queue has been emptied. Bytes of another epoch begin a message, for which there is room
+//! with every line. A host that comes or goes costs two of them.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
@@ -62,21 +63,23 @@ impl LineSender {
         count
     }
 
-    /// There are no more bytes now: what is gathered is sent, unless it has to wait. `is_empty`: nothing is in the queue.
+    /// There are no more bytes now: what is gathered is sent, unless it has to wait. `is_empty`: nothing is in the queue. Whether
+    /// it has been sent.
     #[inline]
-    pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) {
+    pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {
             self.partial = 0;
         }
         let is_full = self.gathered.len() == LineBytes::MOST;
         if self.gathered.is_empty() || !is_full && self.partial == MOST_PARTIAL || !send(self.gathered) {
-            return;
+            return false;
         }
         self.gathered = LineBytes::EMPTY;
         self.partial += usize::from(!is_full);
+        true
     }
 
-    /// Whether bytes wait until the queue has been emptied.
+    /// Whether bytes wait: for more of them, for room, or until the queue has been emptied.
     #[inline]
     pub fn is_waiting(&self) -> bool {
         !self.gathered.is_empty()
@@ -229,15 +232,20 @@ mod tests {
             before in proptest::collection::vec((any::<bool>(), any::<bool>()), 0..600),
             flushes in proptest::collection::vec(any::<bool>(), LINES_DEPTH),
             always in any::<bool>(),
+            line in prop_oneof![Just(LINES_DEPTH), 8_usize..40],
         ) {
             let mut crossing = Crossing::default();
-            let byte = LineByte { byte: b'1', epoch: 7, damaged: false };
-            let mut inside = 0;
+            let (mut inside, mut sent) = (0, 0);
+            // Behind each line comes a jog cancel, or none ever comes.
+            let mut next = || {
+                sent += 1;
+                LineByte { byte: b'1', epoch: ((sent - 1) / line) as u16, damaged: false }
+            };
             for (reads, flushes) in before {
                 if reads {
                     inside -= usize::from(crossing.read().is_some());
                 } else if inside < LINES_DEPTH {
-                    prop_assert!(crossing.push(byte));
+                    prop_assert!(crossing.push(next()));
                     inside += 1;
                 }
                 if flushes {
@@ -245,7 +253,7 @@ mod tests {
                 }
             }
             for flushes in flushes.into_iter().skip(inside) {
-                prop_assert!(crossing.push(byte), "{inside}");
+                prop_assert!(crossing.push(next()), "{inside}");
                 inside += 1;
                 if flushes || always {
                     crossing.flush();
