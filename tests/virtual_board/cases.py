@@ -916,6 +916,30 @@ def stand_once(board, until):
     moments.write = and_stand
 
 
+def waiting_line(bench):
+    """A line that comes a byte at a time in a hold: its last bytes are gathered in the serial task, and once the control task has
+    taken the first, nothing but that calls it: no answer is on its way out and no byte comes."""
+    bench.boot()
+    board, host = bench.board, bench.host
+    for line in ("G1X.01F600", "G1X.125F600"):
+        before = len(host.answers)
+        for text in ("!", line + "\n"):
+            host.send(text)
+            board.run(seconds=0.05)
+        if len(host.answers) != before:
+            raise Failure("a hold takes lines: this proves nothing")
+        # The watchdog calls the task, too, but seldom.
+        resumed = board.seconds(host.send("~"))
+        bench.wait(lambda wanted=before + 1: len(host.answers) >= wanted, 1, f"the answer to {line}")
+        took = board.seconds(host.lines[-1][0]) - resumed
+        yield f"{line} is answered {took * 1e3:.2f} ms after the end of a hold"
+        if took > 2e-3:
+            raise Failure("its last bytes have waited")
+        if host.answers[before:] != ["ok"]:
+            raise Failure(f"answers: {host.answers[before:]}")
+        board.run(seconds=0.5)
+
+
 def late_starts(bench):
     """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
     bench.boot()
@@ -2120,6 +2144,7 @@ def all_cases(root):
     jobs = root / "tests" / "jobs"
     return [
         ("boot", boot),
+        ("waiting line", waiting_line),
         ("stream axes.nc", lambda bench: streamed(bench, jobs / "axes.nc")),
         ("stream lines.nc", lambda bench: streamed(bench, jobs / "lines.nc")),
         ("stream splines.nc", lambda bench: streamed(bench, jobs / "splines.nc")),
