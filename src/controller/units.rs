@@ -34,8 +34,9 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
-/// What a number of 96 bits, its highest word first, holds of a divisor below 2^24 (the lowest 64 bits of it). The machine divides
-/// 32 bits in one instruction, and by a small divisor a word in two parts is divided in five of them.
+/// Quotient of a number of 96 bits, its highest word first, by a divisor below 2^24; the lowest 64 bits of it. Long division, a
+/// word at a time where nothing is left over and else a byte: with the remainder that is 32 bits, which the machine divides in
+/// one instruction.
 fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     let (mut quotient, mut rest) = (0, 0);
     for word in words {
