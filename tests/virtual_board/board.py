@@ -11,6 +11,7 @@ nothing beyond the instruction.
 """
 
 import bisect
+import ctypes
 import struct
 
 from elftools.elf.elffile import ELFFile
@@ -38,6 +39,8 @@ FILL = b"\xa5"
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
 """Words that mean an unused piece of stack: the emulation's, and the firmware's own."""
 
+
+WORD = struct.Struct("<I")
 
 BREAKPOINT = 7
 """What unicorn calls a BKPT instruction."""
@@ -123,7 +126,9 @@ class Board:
     def _map(self):
         uc, part = self.core.uc, self.part
         uc.mem_map(part.flash_start, part.flash_kib * 1024, UC_PROT_ALL)
-        uc.mem_map(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL)
+        # Memory of our own: DMA reads and writes it without a call of unicorn.
+        self.ram = (ctypes.c_char * (part.ram_kib * 1024))()
+        uc.mem_map_ptr(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL, ctypes.addressof(self.ram))
         self.write_memory(part.flash_start, b"\xff" * part.flash_kib * 1024)
         self.write_memory(part.ram_start, FILL * part.ram_kib * 1024)
         for address, data in self.image.segments:
@@ -290,6 +295,16 @@ class Board:
     def write_memory(self, address, data):
         self.core.uc.mem_write(address, data)
 
+    def dma_load(self, address):
+        """A DMA stream reads a word of RAM."""
+        return WORD.unpack_from(self.ram, self._ram_at(address))[0]
+
+    def _ram_at(self, address):
+        at = address - self.part.ram_start
+        if not 0 <= at <= len(self.ram) - WORD.size:
+            raise Misuse(f"DMA reaches {address:#010x}, which is no RAM")
+        return at
+
     def word(self, symbol):
         """A word of RAM or flash by name or address."""
         address = self.image.symbols[symbol] if isinstance(symbol, str) else symbol
@@ -343,7 +358,7 @@ class Board:
     def store_by_dma(self, address, value, at):
         """A DMA stream writes a word, at a cycle that may be an instruction ago."""
         if address >> 28 == 2:
-            self.write_memory(address, value.to_bytes(4, "little"))
+            WORD.pack_into(self.ram, self._ram_at(address), value)
         else:
             self._at(address).store_by_dma(address & 0x3FC, value, at)
 

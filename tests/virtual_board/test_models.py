@@ -63,6 +63,9 @@ class Bench:
     def read_memory(self, address, size):
         return bytes(self.memory.get(address + k, 0xFF) for k in range(size))
 
+    def dma_load(self, address):
+        return int.from_bytes(self.read_memory(address, 4), "little")
+
     def request_reset(self, flags, why):
         self.resets.append((self.now, flags, why))
 

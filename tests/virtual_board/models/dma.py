@@ -148,11 +148,8 @@ class Dma(Peripheral):
 
     def _check_fetched(self, stream, base):
         held = self.fetched[stream]
-        if held is not None and self._word(self._place(base, held[0])) != held[1]:
+        if held is not None and self.board.dma_load(self._place(base, held[0])) != held[1]:
             raise Misuse(f"{self.name}: word {held[0]} of stream {stream} was changed after it had been fetched")
-
-    def _word(self, address):
-        return int.from_bytes(self.board.read_memory(address, 4), "little")
 
     def _later(self, at, action):
         self.order += 1
@@ -167,7 +164,7 @@ class Dma(Peripheral):
 
     def _fetch(self, stream, base, index):
         if self.values[base + CR] & EN:
-            self.fetched[stream] = (index, self._word(self._place(base, index)))
+            self.fetched[stream] = (index, self.board.dma_load(self._place(base, index)))
 
     def _place(self, base, index):
         """Where a stream has a word in memory."""
@@ -213,7 +210,7 @@ class Dma(Peripheral):
             self.board.store_by_dma(par, self.fetched[stream][1], at)
             self._later(at + FETCH, lambda at: self._fetch(stream, base, (index + 1) % whole))
         else:
-            word = self._word(par + (4 * index if cr & PINC else 0))
+            word = self.board.dma_load(par + (4 * index if cr & PINC else 0))
             self.board.store_by_dma(memory + (4 * index if cr & MINC else 0), word, at)
         left = self.values[base + NDTR] - 1
         if left == 0:

@@ -66,7 +66,7 @@ class Gpio(Peripheral):
             if after != before:
                 self.values[ODR] = after
                 self._show(before ^ after)
-                self._sense()
+                self._follow(before ^ after)
             return
         if offset == IDR:
             raise Misuse(f"{self.name}_IDR is read-only")
@@ -103,6 +103,13 @@ class Gpio(Peripheral):
         """The world drives a pin (0, 1) or lets go of it (None)."""
         self.outside[pin] = level
         self._sense()
+
+    def _follow(self, pins):
+        """The same as `_sense` after a change of these outputs alone: what is an input stays as it is."""
+        for pin in range(16):
+            if pins >> pin & 1:
+                level = self.level(pin)
+                self.word = self.word & ~(1 << pin) | (1 if level is None else level) << pin
 
     def _sense(self):
         """What IDR shows from now on."""
