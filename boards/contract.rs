@@ -158,7 +158,7 @@ pub trait StepOutput<const N: usize> {
     /// Whether the parts that count events disagree, or have failed, while events are put out.
     fn fault(&self) -> bool;
     /// No event begins after this, and no change of power comes; `dark`: power is 0 right after it, if events had begun. A pulse that is out gets
-    /// its full length.
+    /// its full length. What the task has been called for need not have been taken before.
     fn halt(&mut self, dark: bool) -> Undone<N>;
 
     /// At rest: which outputs are inverted (bit set) and what the second motor does.

@@ -37,10 +37,8 @@ ANSWER_S = 20e-3
 """From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
 STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
-CALL_CYCLES = 212
-"""From the call of the step task to where no event begins any more, when it is at rest, at 490,000 steps/s or less."""
-FAST_CALL_CYCLES = 260
-"""The same at greater rates: each segment that has begun since the last run takes some 15, and more have."""
+CALL_CYCLES = 140
+"""From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
 LINES_S = 3300
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
@@ -828,7 +826,7 @@ def ring_stops(bench):
     # Of 24 stops at random 22 places are to be expected, of 48 40.
     if places < min(30, most // 2):
         raise Failure("too few places: this proves little")
-    if cycles > (CALL_CYCLES if bench.wiring.safe_step_hz <= 490_000 else FAST_CALL_CYCLES):
+    if cycles > CALL_CYCLES:
         raise Failure(f"a stop takes {cycles} cycles from the call")
     if worst > STOP_S + RUN_CYCLES / hz:
         raise Failure("pulses after the stop")

@@ -1,5 +1,5 @@
-//! The step task. A run of `Step` takes what it was called for (`Due`), stops if that was asked for (`stop`,
-//! `stops_done`), looks at the probe (`look_at_probe`, `probe_invert`), has the `Maker` make events ahead of their
+//! The step task. A run of `Step` stops if that was asked for (`stop`, `stops_done`), takes what it was called for
+//! (`Due`), looks at the probe (`look_at_probe`, `probe_invert`), has the `Maker` make events ahead of their
 //! moment, says when to be called next (`call_again`, `call_sooner`, `next_call`, `asked`) and tells the other tasks
 //! (`tell`, `tell_of_rest`, `Reports`). Its `State` is Rest, Starting, Preparing, Running or Ending (`start`,
 //! `prepare`, `begin`, `go_on`, `end`). Events that come too late are put off (`put_off`, `latest`, `count_anew`,
@@ -17,7 +17,7 @@
 //!      │                                            └───────── something is left to make ────────────┤
 //!      └──────────────────────────────────── nothing is; a stop comes here from all others ──────────┘
 //! ```
-//! Each run does, from top to bottom: take what it was called for, stop if asked, look at the probe, receive and make
+//! Each run does, from top to bottom: stop if asked, take what it was called for, look at the probe, receive and make
 //! events if it is time for them, say when to be called next, tell the other tasks.
 //!
 //! It promises: a stop that was asked for is obeyed before anything else in the same run, with an exact count; events that
@@ -98,11 +98,12 @@ impl Step {
     /// queued, power changed.
     #[inline(never)]
     pub fn run(&mut self) {
-        let due = self.maker.output.take();
-        self.maker.begins.pass(self.maker.output.now());
+        // First of all: each cycle before it is one in which an event may begin. Nobody who asks preempts this task.
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
+        let due = self.maker.output.take();
+        self.maker.begins.pass(self.maker.output.now());
         if due.has(Due::MARK) && !self.is_preparing() {
             self.maker.beam.mark(&mut self.maker.output);
         }
@@ -322,8 +323,10 @@ impl Step {
     /// No more pulses, beam off, everything queued is void.
     #[cold]
     fn stop(&mut self) {
+        let halted_at = self.maker.output.now();
         let undone = self.halt();
         let mut net = undone.net;
+        self.maker.begins.pass(halted_at);
         // What has not come out at all has moved nothing.
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
