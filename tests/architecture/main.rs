@@ -281,7 +281,7 @@ mod the_reader_itself {
             ("units.rs", "use crate::axes::Axis;"),
             ("motion/planner.rs", "use crate::settings::Settings;"),
             ("machine/hold.rs", "use crate::gcode::Checked;"),
-            ("messages.rs", "use super::protocol::text;"),
+            ("messages/host.rs", "use crate::protocol::text;"),
             ("protocol/report.rs", "struct A(crate::motion::Motion);"),
             ("protocol/report.rs", "use crate::Stepper;"),
         ] {

@@ -1,0 +1,97 @@
+//! Output pins on their way from the control task: `SlowOutputs` with `SpindleDirection` and `Coolant`, and `Wiring`, what
+//! the tasks that own fast pins know of the settings: polarity, pulse, `InputWiring` (`PULL_UPS`) and `GangedMotors`.
+
+/// Which way the spindle turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SpindleDirection {
+    /// M5.
+    #[default]
+    Off,
+    /// M3.
+    Clockwise,
+    /// M4.
+    CounterClockwise,
+}
+
+/// Coolant outputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Coolant {
+    /// M8.
+    pub flood: bool,
+    /// M7.
+    pub mist: bool,
+}
+
+/// Levels of the outputs that change slowly; `control` writes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlowOutputs {
+    /// Spindle enable and direction.
+    pub spindle: SpindleDirection,
+    /// Spindle power, 0 (off) to 65535 (full).
+    pub power: u16,
+    /// Laser: while the step task is busy the power of its segments ([`Segment::power`](super::Segment::power)) holds instead of `power`.
+    pub power_from_segments: bool,
+    /// Coolant.
+    pub coolant: Coolant,
+    /// Motor drivers on.
+    pub drivers: bool,
+    /// Digital outputs of the program (M62 to M65), bit 0 for P0.
+    pub digital: u8,
+}
+
+/// Wiring facts that the pump's own tasks need, from the settings; sent at start and after each change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wiring {
+    /// `$0`, length of a step pulse in tenths of a microsecond.
+    pub pulse_tenths: u16,
+    /// `$29`, time from a direction change to the next step in microseconds.
+    pub direction_setup_us: u8,
+    /// `$2`, bit set = step output active low.
+    pub step_invert: u8,
+    /// `$3`, bit set = direction output inverted.
+    pub direction_invert: u8,
+    /// `$4`, enable output inverted.
+    pub enable_invert: bool,
+    /// `$33`, frequency of the PWM for spindle or laser, 1 to 100,000 Hz.
+    pub pwm_hz: u32,
+    /// `$6`, probe input inverted: for the step task, which looks at the pin itself.
+    pub probe_invert: bool,
+    /// Polarity and pull resistors of the inputs.
+    pub inputs: InputWiring,
+    /// Inputs ([`input`](super::input)) that stop the step task as soon as they become active, before `control` hears of it.
+    pub armed: u32,
+    /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
+    pub ganged: u8,
+    /// `$906`, the second motor turns the other way.
+    pub ganged_invert: bool,
+    /// Which of the two motors take their steps. Changes at rest only.
+    pub ganged_motors: GangedMotors,
+}
+
+/// Polarity and pull resistors of the inputs, words as in [`input`](super::input).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputWiring {
+    /// Active while the pin is high (else while it is low, as with a switch to ground and a pull-up).
+    pub inverted: u32,
+    /// No pull-up.
+    pub no_pull_up: u32,
+    /// A pull-down instead.
+    pub pull_down: u32,
+}
+
+impl InputWiring {
+    /// Pull-ups, and active low.
+    pub const PULL_UPS: InputWiring = InputWiring { inverted: 0, no_pull_up: 0, pull_down: 0 };
+}
+
+/// The motors of a ganged axis that take part in a move.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GangedMotors {
+    /// Both, as always but in squaring.
+    #[default]
+    Both,
+    /// The one on the axis' own pins.
+    First,
+    /// The other one.
+    Second,
+}
