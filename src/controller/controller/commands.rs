@@ -230,7 +230,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return Err(error);
             }
             let damaged = self.records.are_damaged();
-            if damaged && !self.records.confirm(self.now) {
+            if damaged && !self.records.confirm(self.now, &self.settings) {
                 self.tell_damage();
                 return Err(Error::StoreReadFailed);
             }

@@ -5,7 +5,7 @@
 //! `replace` takes all of others; `revision` counts changes. In the room, `at` and `put` read and write by an `Index`.
 
 use super::index::Index;
-use super::table::{AxisKey, Key, PARKING_PLACE, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
+use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
 use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::units::Duration;
 
@@ -130,14 +130,18 @@ impl<const N: usize> Settings<N> {
         Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
     }
 
-    /// Takes over a value that was stored before; an unknown number or a value that is no number is ignored.
-    pub fn restore(&mut self, number: u16, value: f32) {
-        if let Some(index) = Index::of_number(number, N)
-            && value.is_finite()
-            && (value >= 0.0 || number == PARKING_PLACE)
-        {
+    /// Takes over a value that was stored before, if its setting can be set to it in some dialect, and gives whether it can;
+    /// otherwise nothing changes. A number without a setting here is ignored: it may have one in other firmware.
+    pub fn restore(&mut self, number: u16, value: f32) -> bool {
+        let axes = self.axes_with_motors();
+        let index = Index::of_number(number, axes);
+        let Some((index, (entry, _))) = index.and_then(|index| Some((index, index.row()?))) else { return true };
+        let before_homing = number == SOFT_LIMITS && value == BEFORE_HOMING;
+        let can_be = before_homing || entry.kind.can_be(value, axes_mask(axes));
+        if can_be {
             self.put(index, value);
         }
+        can_be
     }
 
     /// All stored values have been taken over: soft limits that homing has taken along when it was switched off go.
@@ -194,6 +198,69 @@ impl<const N: usize> Settings<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::Decimal;
+
+    #[test]
+    fn what_no_setting_can_be_is_not_taken_over() {
+        for (number, value, taken) in [
+            (0, 0.4, false),
+            (0, 0.5, true),
+            (0, 2.55, false),
+            (0, 254.9, true),
+            (0, 1000.0, false),
+            (1, 25.5, false),
+            (1, 256.0, false),
+            (14, 16.0, false),
+            (14, 256.0, true),
+            (20, 2.0, true),
+            (21, 2.0, false),
+            (33, 0.0, false),
+            (44, 8.0, true),
+            (44, 16.0, false),
+            (47, 3.0, true),
+            (48, 1.0, true),
+            (58, -5.0e11, true),
+            (58, -1.0e12, false),
+            (110, -1.0, false),
+            (110, 9.0e11, true),
+            (110, 1.0e12, false),
+            (110, f32::INFINITY, false),
+            (110, f32::NAN, false),
+            (900, 3.0, false),
+        ] {
+            let mut s = Settings::<4>::default();
+            let before = s.by_number(number);
+            assert_eq!(s.restore(number, value), taken, "${number}={value}");
+            assert_eq!(s.by_number(number), if taken && before.is_some() { Some(value) } else { before });
+        }
+        // A board has no other motors than its own.
+        let mut s = Settings::<4>::of_board(3);
+        assert!(!s.restore(44, 8.0) && s.restore(44, 7.0));
+        assert!(s.restore(103, 80.0), "no setting of this board");
+        assert_eq!(s.by_number(103), Some(250.0));
+    }
+
+    proptest::proptest! {
+        /// In whatever dialect it was set, and whatever the dialect is when it is restored.
+        #[test]
+        fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
+            let of = |dialect| {
+                let mut s = Settings::<4>::default();
+                s.set(Key::Dialect.number(), Decimal::from_int(dialect)).unwrap();
+                s
+            };
+            let (mut before, mut after) = (of(set_in), of(in_force));
+            let any = value >> shift;
+            let tenths = any / 1_000_000 * 1_000_000;
+            for (number, value) in (0..1000).flat_map(|number| [(number, any), (number, tenths)]) {
+                if before.set(number, Decimal(value)).is_ok() {
+                    let stored = before.by_number(number).unwrap();
+                    proptest::prop_assert!(after.restore(number, stored), "${}={}", number, stored);
+                    proptest::prop_assert_eq!(after.at(Index::of_number(number, 4).unwrap()), Some(stored));
+                }
+            }
+        }
+    }
 
     /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
     #[test]
