@@ -198,14 +198,11 @@ impl Records {
         }
     }
 
-    /// `$20` is stored so that the record of `$22`, which follows, changes both at once: see `Settings::settle`.
-    pub(super) fn save_soft_limits_before_homing(&mut self, homing: bool, soft_limits: bool) {
-        let record: f32 = match (homing, soft_limits) {
-            (true, true) => return,
-            (false, true) => 1.0,
-            (_, false) => 0.0,
-        };
-        self.save(SOFT_LIMITS, &record.to_le_bytes());
+    /// What is stored of `$20` before a new `$22`. `were_on`: soft limits, before that change.
+    pub(super) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
+        if let Some(value) = settings.soft_limits_before_homing(were_on) {
+            self.save(SOFT_LIMITS, &value.to_le_bytes());
+        }
     }
 
     /// A coordinate system, G28, G30 or an entry of the tool table has changed.

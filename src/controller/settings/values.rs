@@ -1,8 +1,9 @@
 //! `Settings`: what the settings are set to, as `scalars` and `per_axis`; a new controller has the defaults, also
 //! `of_board`. It gives a `value` as it is, `whole`, in `seconds`, in tenths (`step_pulse_tenths`), as a mask or as
 //! `is_on`, those of `axes`, and what they mean: `axes_in_use`, `axes_with_motors`, `homing_cycles`, the `ganged_axis`
-//! and the `arrangement` (CoreXY). `by_number` is what is stored of one, `restore` and `settle` take stored ones over,
-//! `replace` takes all of others; `revision` counts changes. In the room, `at` and `put` read and write by an `Index`.
+//! and the `arrangement` (CoreXY). `by_number` is what is stored of one, `soft_limits_before_homing` what of `$20` before
+//! another `$22`; `restore` and `settle` take stored ones over, `replace` takes all of others; `revision` counts changes.
+//! In the room, `at` and `put` read and write by an `Index`.
 
 use super::index::Index;
 use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
@@ -159,6 +160,16 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
+    /// What is to be stored of `$20` before a new `$22`, whose record then changes both at once (`settle`); `None` to leave
+    /// it as it is. `were_on`: soft limits, before that change.
+    pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
+        match (self.is_on(Key::Homing), were_on) {
+            (true, true) => None,
+            (false, true) => Some(1.0),
+            (_, false) => Some(0.0),
+        }
+    }
+
     /// Changes with each change of a value.
     pub fn revision(&self) -> u32 {
         self.revision
@@ -238,6 +249,40 @@ mod tests {
         assert!(!s.restore(44, 8.0) && s.restore(44, 7.0));
         assert!(s.restore(103, 80.0), "no setting of this board");
         assert_eq!(s.by_number(103), Some(250.0));
+    }
+
+    /// The power may go between both records of a change of `$22`.
+    #[test]
+    fn soft_limits_and_homing_change_at_once() {
+        let switch = |on: bool| Decimal::from_int(i32::from(on));
+        let is = |s: &Settings<3>| [Key::SoftLimits, Key::Homing].map(|key| s.is_on(key));
+        let found = |record: [f32; 2]| {
+            let mut s = Settings::<3>::default();
+            assert!(s.restore(20, record[0]) && s.restore(22, record[1]));
+            s.settle();
+            is(&s)
+        };
+        let (mut s, mut record) = (Settings::<3>::default(), [0.0; 2]);
+        for (number, on) in [
+            (20, true),
+            (22, true),
+            (22, true),
+            (22, false),
+            (22, true),
+            (20, true),
+            (20, false),
+            (22, false),
+            (20, true),
+        ] {
+            let before = s.clone();
+            s.set(number, switch(on)).unwrap();
+            if number == 22 {
+                record[0] = s.soft_limits_before_homing(before.is_on(Key::SoftLimits)).unwrap_or(record[0]);
+                assert_eq!(found(record), is(&before));
+            }
+            record[usize::from(number == 22)] = s.by_number(number).unwrap();
+            assert_eq!(found(record), is(&s));
+        }
     }
 
     proptest::proptest! {
