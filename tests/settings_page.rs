@@ -17,7 +17,8 @@ pins for), motion is locked until it is mended: a message after the `ok` names t
 for it with `error:9`. Nothing is clamped silently.
 
 When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
-listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log).
+listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log). The same holds for a stored value out
+of its range, as other firmware may have stored it: the setting has its default.
 
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not
 have need this dialect.

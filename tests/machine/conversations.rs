@@ -12,6 +12,7 @@
 //! .. quiet            no answer is left unread, and none comes in a tenth of a second
 //! pin limit x 1       an input pin moves
 //! host goes           the host closes the port; `host comes`: it opens it
+//! power 0=1000 21=7   the power goes and comes back; these settings are stored then, whatever they can be
 //! ```
 //! Each file begins with a machine that has just been switched on, so its greeting comes first. At the end no answer may
 //! be left unread.
@@ -82,6 +83,7 @@ impl Talk {
             }
             ".." => self.rig.run_for(rest.parse().map_err(|_| format!("not a number of seconds: {rest:?}"))?),
             "pin" => self.rig.pin(rest),
+            "power" => self.rig.power_cycle(&stored(rest).ok_or(format!("not values: {rest:?}"))?),
             "host" if rest == "comes" || rest == "goes" => self.rig.host(rest == "comes"),
             _ => return Err("not understood".into()),
         }
@@ -128,6 +130,12 @@ fn unescape(text: &str) -> Result<Vec<u8>, String> {
         });
     }
     Ok(bytes)
+}
+
+/// Keys and values such as `0=1000 21=7`.
+fn stored(text: &str) -> Option<Vec<(u16, f32)>> {
+    let of = |word: &str| word.split_once('=').and_then(|(key, value)| Some((key.parse().ok()?, value.parse().ok()?)));
+    text.split_whitespace().map(of).collect()
 }
 
 /// Plays a conversation; what went wrong, with its line.
@@ -183,6 +191,7 @@ fn the_player_notices_what_is_wrong() {
         ("<~ Grbl*\n-> $G\n<~ [GC:G1*\n", "got none"),
         ("say hello\n", "not understood"),
         ("=> \\xZZ\n", "not a byte"),
+        ("power 0=\n", "not values"),
     ] {
         assert!(play(wrong).unwrap_err().contains(what), "{wrong}");
     }

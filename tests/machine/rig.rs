@@ -1,7 +1,7 @@
 //! A machine to try: the simulator in process, with the pulses of its step outputs counted apart from it.
 
 use super::oracle::{AXES, Place, Pulse};
-use oxmill_controller::messages::Realtime;
+use oxmill_controller::messages::{Realtime, Record, Store};
 use oxmill_simulator::{Options, Simulator, boards};
 use std::time::Duration;
 
@@ -56,6 +56,17 @@ impl Rig {
             self.mill.disconnect();
         }
         self.count();
+    }
+
+    /// The power goes and comes back; meanwhile these values of settings have been stored.
+    pub fn power_cycle(&mut self, values: &[(u16, f32)]) {
+        self.count();
+        let mut store = self.mill.store().power_cycled().expect("a store in memory");
+        for (key, value) in values {
+            let value = value.to_le_bytes().as_slice().try_into().expect("a short value");
+            store.apply(&Store::Put(Record { key: *key, value })).expect("room in the store");
+        }
+        self.mill = Simulator::new(Options { store, keep_steps: true, ..Options::default() });
     }
 
     /// Moves an input pin, in the words of the simulator's pin protocol.

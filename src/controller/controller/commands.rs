@@ -196,7 +196,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.replies.offset_changed();
         }
         if number == HOMING {
-            self.records.save_soft_limits_before_homing(self.settings.is_on(Key::Homing), soft_limits);
+            self.records.save_soft_limits_before_homing(&self.settings, soft_limits);
         }
         self.records.save_setting(number, &self.settings);
     }
@@ -230,7 +230,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 return Err(error);
             }
             let damaged = self.records.are_damaged();
-            if damaged && !self.records.confirm(self.now) {
+            if damaged && !self.records.confirm(self.now, &self.settings) {
                 self.tell_damage();
                 return Err(Error::StoreReadFailed);
             }

@@ -1,11 +1,12 @@
 //! `Records`: what outlives the power. Records are restored at power-up by their key (settings, offsets, tools, startup
 //! lines, build info, macros), saved or removed when something changes, and handed over to the store, whose answers are
-//! counted (`unstored`). `Damage` of stored settings must be listed and confirmed. Stored numbers are little-endian
-//! bytes (`from_le_bytes`), stored texts slices. Keys of the store are `KEY_OFFSETS`, `KEY_TOOLS`, `KEY_STARTUP`,
-//! `KEY_MACROS`, `KEY_BUILD_INFO` and `KEY_DIALECT`; `position_of` and `angle_of` read a stored offset. In it are
-//! `save_setting`, `save_offset`, `save_startup_line`, `save_validated`, `save_macro`, `save_build_info`,
-//! `save_soft_limits_before_homing`, `remove_tool`, `forget`, `hand_over`, `next_store`, `answered`, `are_stored`,
-//! `are_damaged`, `validate`, `confirm` and `listed`; `Damage` and a `StoredText`.
+//! counted (`unstored`). `Damage` of stored settings, and values that a setting cannot have (`refused`), must be listed
+//! and confirmed. Stored numbers are little-endian bytes (`from_le_bytes`), stored texts slices. Keys of the store are
+//! `KEY_OFFSETS`, `KEY_TOOLS`, `KEY_STARTUP`, `KEY_MACROS`, `KEY_BUILD_INFO` and `KEY_DIALECT`; `position_of`, `angle_of`
+//! and `setting_of` read a record. In it are `restore_setting`, `save_setting`, `save_setting_as`, `save_offset`,
+//! `save_startup_line`, `save_validated`, `save_macro`, `save_build_info`, `save_soft_limits_before_homing`,
+//! `remove_tool`, `forget`, `hand_over`, `next_store`, `answered`, `are_stored`, `are_damaged`, `validate`, `confirm` and
+//! `listed`; `Damage` and a `StoredText`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};
@@ -37,8 +38,9 @@ const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 /// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
 const LOOKING: Duration = Duration::secs(2);
 
-/// What has become of damage that the store has told of ([`STORE_DAMAGED`]). Settings may be lost, and with them what keeps
-/// the machine from harm, so it is locked until somebody has looked at them and confirms it.
+/// What has become of damage: the store has told of it ([`STORE_DAMAGED`]), or a setting cannot have its stored value.
+/// Settings may be lost, and with them what keeps the machine from harm, so it is locked until somebody has looked at them
+/// and confirms it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Damage {
     /// There is none.
@@ -61,6 +63,8 @@ pub(super) struct Records {
     /// One of them could not be stored.
     failed: bool,
     damage: Damage,
+    /// Keys of settings that cannot have what is stored: with one more change they fill `stores`.
+    refused: heapless::Vec<u16, 3>,
     stores: heapless::Deque<Store, 4>,
     startup_lines: [StoredText; 2],
     /// A startup line that is run before it is stored.
@@ -79,6 +83,7 @@ impl Records {
             unstored: 0,
             failed: false,
             damage: Damage::None,
+            refused: heapless::Vec::new(),
             stores: heapless::Deque::new(),
             startup_lines: [heapless::Vec::new(), heapless::Vec::new()],
             validated: heapless::Vec::new(),
@@ -93,13 +98,8 @@ impl Records {
         settings: &mut Settings<N>,
         interpreter: &mut Interpreter<N>,
     ) {
-        let mut set = |number| {
-            if let Ok(bytes) = record.value.as_slice().try_into() {
-                settings.restore(number, f32::from_le_bytes(bytes));
-            }
-        };
         match record.key {
-            0..KEY_OFFSETS => set(record.key),
+            0..KEY_OFFSETS | KEY_DIALECT => self.restore_setting(record, settings),
             KEY_TOOLS..KEY_STARTUP => {
                 if let Some((number, offset)) = record.value.split_first_chunk()
                     && let Some(offset) = position_of(offset)
@@ -128,9 +128,19 @@ impl Records {
             KEY_MACROS..KEY_DIALECT => {
                 let _ = interpreter.set_macro_line(usize::from(record.key - KEY_MACROS), &record.value);
             }
-            KEY_DIALECT => set(DIALECT),
             STORE_DAMAGED => self.damage = Damage::Untold,
             _ => {}
+        }
+    }
+
+    /// Takes a stored setting. One that cannot have its value keeps its default, which is told as other damage is.
+    fn restore_setting<const N: usize>(&mut self, record: &Record, settings: &mut Settings<N>) {
+        // Of another length it is no number, which no setting can be.
+        let value = record.value.as_slice().try_into().map_or(f32::NAN, f32::from_le_bytes);
+        if !settings.restore(setting_of(record.key), value) {
+            self.damage = Damage::Untold;
+            // What finds no room is told again at the next power-up.
+            let _ = self.refused.push(record.key);
         }
     }
 
@@ -160,7 +170,7 @@ impl Records {
         self.unstored == 0
     }
 
-    /// At most two of these come from one command, and the next is read when they are answered: there is room.
+    /// At most four of these come from one command, and the next is read when they are answered: there is room.
     fn hand_over(&mut self, store: Store) {
         if self.has_store && self.stores.push_back(store).is_ok() {
             self.unstored += 1;
@@ -179,20 +189,20 @@ impl Records {
 
     /// A setting has a new value.
     pub(super) fn save_setting<const N: usize>(&mut self, number: u16, settings: &Settings<N>) {
-        if let Some(value) = settings.by_number(number) {
-            let key = if number == DIALECT { KEY_DIALECT } else { number };
+        self.save_setting_as(if number == DIALECT { KEY_DIALECT } else { number }, settings);
+    }
+
+    fn save_setting_as<const N: usize>(&mut self, key: u16, settings: &Settings<N>) {
+        if let Some(value) = settings.by_number(setting_of(key)) {
             self.save(key, &value.to_le_bytes());
         }
     }
 
-    /// `$20` is stored so that the record of `$22`, which follows, changes both at once: see `Settings::settle`.
-    pub(super) fn save_soft_limits_before_homing(&mut self, homing: bool, soft_limits: bool) {
-        let record: f32 = match (homing, soft_limits) {
-            (true, true) => return,
-            (false, true) => 1.0,
-            (_, false) => 0.0,
-        };
-        self.save(SOFT_LIMITS, &record.to_le_bytes());
+    /// What is stored of `$20` before a new `$22`. `were_on`: soft limits, before that change.
+    pub(super) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
+        if let Some(value) = settings.soft_limits_before_homing(were_on) {
+            self.save(SOFT_LIMITS, &value.to_le_bytes());
+        }
     }
 
     /// A coordinate system, G28, G30 or an entry of the tool table has changed.
@@ -313,16 +323,24 @@ impl Records {
         damaged
     }
 
-    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage.
-    /// Whether there was time.
-    pub(super) fn confirm(&mut self, now: Instant) -> bool {
+    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage,
+    /// and has them in place of values that they cannot have. Whether there was time.
+    pub(super) fn confirm<const N: usize>(&mut self, now: Instant, settings: &Settings<N>) -> bool {
         let looked = matches!(self.damage, Damage::Listed(at) if now >= at + LOOKING);
         if looked {
             self.damage = Damage::None;
             self.remove(STORE_DAMAGED..STORE_DAMAGED + 1);
+            while let Some(key) = self.refused.pop() {
+                self.save_setting_as(key, settings);
+            }
         }
         looked
     }
+}
+
+/// The number of the setting with this key.
+const fn setting_of(key: u16) -> u16 {
+    if key == KEY_DIALECT { DIALECT } else { key }
 }
 
 /// The position of a record; nothing if it makes no sense.
@@ -475,18 +493,42 @@ mod tests {
     }
 
     #[test]
+    fn records_of_settings_that_cannot_be_are_replaced_when_that_is_confirmed() {
+        let mut records = Records::new(true);
+        let (_, mut settings, mut interpreter) = restarted(&mut records);
+        let mut restore = |records: &mut Records, key, value: &[u8]| {
+            let value = heapless::Vec::from_slice(value).unwrap();
+            records.restore(&Record { key, value }, &mut settings, &mut interpreter);
+            records.are_damaged()
+        };
+        // There is no such setting here, and there may be elsewhere.
+        assert!(!restore(&mut records, 999, &[1]) && !restore(&mut records, 103, &(-1_f32).to_le_bytes()));
+        assert!(restore(&mut records, 100, &[0; 5]));
+        for key in [KEY_DIALECT, DIALECT, 21] {
+            assert!(restore(&mut records, key, &7_f32.to_le_bytes()));
+        }
+        assert!(records.listed(at(0)) && records.confirm(at(2), &settings));
+        let changes: Vec<_> = core::iter::from_fn(|| records.next_store()).collect();
+        let put = |key, value: f32| {
+            Store::Put(Record { key, value: heapless::Vec::from_slice(&value.to_le_bytes()).unwrap() })
+        };
+        let cleaned = Store::Remove { from: STORE_DAMAGED, until: STORE_DAMAGED + 1 };
+        assert_eq!(changes, [cleaned, put(DIALECT, 1.0), put(KEY_DIALECT, 1.0), put(100, 250.0)]);
+    }
+
+    #[test]
     fn damage_is_confirmed_by_somebody_who_has_looked() {
         let mut records = Records::new(true);
         assert!(!records.listed(at(0)));
         let damage = Record { key: STORE_DAMAGED, value: heapless::Vec::new() };
         let (_, mut settings, mut interpreter) = restarted(&mut records);
         records.restore(&damage, &mut settings, &mut interpreter);
-        assert!(records.are_damaged() && !records.confirm(at(9)));
+        assert!(records.are_damaged() && !records.confirm(at(9), &settings));
         assert!(records.listed(at(10)));
-        assert!(!records.confirm(at(11)), "too fast to have read them");
+        assert!(!records.confirm(at(11), &settings), "too fast to have read them");
         records.host_greeted();
-        assert!(!records.confirm(at(20)), "another host has not seen them");
-        assert!(records.listed(at(20)) && records.confirm(at(22)));
+        assert!(!records.confirm(at(20), &settings), "another host has not seen them");
+        assert!(records.listed(at(20)) && records.confirm(at(22), &settings));
         assert!(!records.are_damaged());
         let store = Store::Remove { from: STORE_DAMAGED, until: STORE_DAMAGED + 1 };
         assert_eq!(records.next_store(), Some(store));

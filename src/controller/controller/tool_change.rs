@@ -81,7 +81,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let plan = self.plan_tool_change();
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
-        (!plan.is_set_up() || outside).then_some(Error::ToolSetterNotSetUp)
+        let crawls = [Key::ToolSetterSeek, Key::ToolSetterLocate].iter().any(|rate| self.settings.crawls(*rate));
+        (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
     fn plan_tool_change(&self) -> ChangePlan<N> {

@@ -322,7 +322,7 @@ mod tests {
 
     fn settings(values: &[(u16, f32)]) -> Settings<3> {
         let mut settings = Settings::default();
-        values.iter().for_each(|(number, value)| settings.restore(*number, *value));
+        assert!(values.iter().all(|(number, value)| settings.restore(*number, *value)));
         settings
     }
 

@@ -270,7 +270,7 @@ mod tests {
 
     fn settings(values: &[(Key, f32)]) -> Settings<3> {
         let mut settings = Settings::default();
-        values.iter().for_each(|(key, value)| settings.restore(key.number(), *value));
+        assert!(values.iter().all(|(key, value)| settings.restore(key.number(), *value)));
         settings
     }
 

@@ -54,14 +54,10 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Whether both places have been stored, and the setter can be looked for.
+    /// Whether both places have been stored, and there is a way down to the setter.
     pub fn is_set_up(&self) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
-        self.change != nowhere
-            && self.setter != nowhere
-            && self.depth > Coordinate::ZERO
-            && self.seek_rate > 0.0
-            && self.locate_rate > 0.0
+        self.change != nowhere && self.setter != nowhere && self.depth > Coordinate::ZERO
     }
 
     /// The height of all ways.
@@ -339,8 +335,6 @@ mod tests {
             ChangePlan { change: at(0, 0, 0), ..plan() },
             ChangePlan { setter: at(0, 0, 0), ..plan() },
             ChangePlan { depth: Coordinate::ZERO, ..plan() },
-            ChangePlan { seek_rate: 0.0, ..plan() },
-            ChangePlan { locate_rate: 0.0, ..plan() },
         ] {
             assert!(!wrong.is_set_up());
         }

@@ -65,48 +65,32 @@ impl<const N: usize> Settings<N> {
 
     /// What a row of this kind makes of a value: in its range, without the fraction where that does not count.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
-        Ok(match kind {
-            Kind::Whole(least, greatest) => {
-                let whole = value.truncate() as u32;
-                if !(least..=greatest).contains(&whole) {
-                    return Err(Error::InvalidStatement);
-                }
-                whole as f32
-            }
-            Kind::Tenths(least, greatest) => self.tenths(value, least, greatest)? as f32 / 10.0,
-            Kind::Mask(bits) => match u32::try_from(value.truncate()) {
-                Ok(mask) if mask & !bits == 0 => mask as f32,
-                _ => return Err(Error::InvalidStatement),
-            },
-            Kind::Axes => match value.truncate() {
-                mask @ 0..=255 if mask as u8 & !axes_mask(self.axes_to_set()) == 0 => mask as f32,
-                _ => return Err(Error::InvalidStatement),
-            },
-            Kind::Switch => match value.truncate() {
-                0 => 0.0,
-                1..=255 => 1.0,
-                _ => return Err(Error::InvalidStatement),
-            },
+        let whole = value.truncate();
+        let value = match kind {
+            Kind::Tenths(..) => return self.tenths(kind, value),
             Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
-        })
+            Kind::Switch if (1..=255).contains(&whole) => 1.0,
+            _ => whole as f32,
+        };
+        if kind.can_be(value, axes_mask(self.axes_to_set())) { Ok(value) } else { Err(Error::InvalidStatement) }
     }
 
-    /// The step pulse in tenths of a microsecond. In Grbl's dialect no fraction counts, and no pulse is shorter than
+    /// The step pulse in microseconds, in tenths. In Grbl's dialect no fraction counts, and no pulse is shorter than
     /// 3 us; in others nothing is rounded: what is no whole number of tenths is refused.
-    fn tenths(&self, value: Decimal, least: u32, greatest: u32) -> Result<u32, Error> {
+    fn tenths(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
         /// A tenth as a decimal; 2560 of them fit 32 bits.
         const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
         let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
-        let (mut tenths, rest, mut least) = (value / TENTH, value % TENTH, least);
+        let (mut tenths, rest) = (value / TENTH, value % TENTH);
         let is_grbl = self.value(Key::Dialect) == 0.0;
         if is_grbl {
             tenths -= tenths % 10;
-            least = 30;
         }
-        if !(least..=greatest).contains(&tenths) {
+        let pulse = tenths as f32 / 10.0;
+        if !kind.can_be(pulse, 0) || (is_grbl && tenths < 30) {
             return Err(Error::StepPulseTooShort);
         }
-        if rest != 0 && !is_grbl { Err(Error::InvalidStatement) } else { Ok(tenths) }
+        if rest != 0 && !is_grbl { Err(Error::InvalidStatement) } else { Ok(pulse) }
     }
 }
 

@@ -1,12 +1,13 @@
 //! What a row of the `$` table says: number, default and whether Grbl has it as `Entry` with a `Kind` (how a value is
-//! checked and printed: `Switch`, `Real`, `Speed`, `Place`, `Whole`, `Tenths`, `Mask` or `Axes`); name, unit, group and
-//! labels as `Description`, for an axis that turns in degrees (`of_axis`) and with the labels of the machine's axes
-//! (`with_axes`); both together as `Row`. A `SettingGroup` is `General`, `Steppers`, `Spindle`, `Limits`, `Homing`,
+//! checked, `can_be`, and printed: `Switch`, `Real`, `Speed`, `Place`, `Whole`, `Tenths`, `Mask` or `Axes`); name, unit,
+//! group and labels as `Description`, for an axis that turns in degrees (`of_axis`) and with the labels of the machine's
+//! axes (`with_axes`); both together as `Row`. A `SettingGroup` is `General`, `Steppers`, `Spindle`, `Limits`, `Homing`,
 //! `GangedAxis`, `ControlInputs`, `Axes`, `Program` and more. The macro `table` makes entries, descriptions and keys of
 //! one list. `AXIS_LABELS` and `ALL_AXIS_LABELS` name axes.
 
 use crate::axes::{Axis, LINEAR};
 use crate::error::codes;
+use crate::units::DECIMAL_ONE;
 
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +28,29 @@ pub enum Kind {
     Place,
     /// A set of axes of this machine, bit 0 for X.
     Axes,
+}
+
+/// Greatest size of a number: that of the greatest [`Decimal`](crate::units::Decimal).
+const GREATEST: f32 = (i64::MAX / DECIMAL_ONE) as f32;
+
+impl Kind {
+    /// Whether a setting of this kind can have this value, on a machine with these axes.
+    pub(super) fn can_be(self, value: f32, axes: u8) -> bool {
+        let whole = value as u32;
+        let only = |bits: u32| whole as f32 == value && whole & !bits == 0;
+        match self {
+            Self::Whole(least, greatest) => whole as f32 == value && (least..=greatest).contains(&whole),
+            Self::Tenths(least, greatest) => {
+                let tenths = (value * 10.0 + 0.5) as u32;
+                tenths as f32 / 10.0 == value && (least..=greatest).contains(&tenths)
+            }
+            Self::Mask(bits) => only(bits),
+            Self::Axes => only(u32::from(axes)),
+            Self::Switch => only(1),
+            Self::Real | Self::Speed => (0.0..=GREATEST).contains(&value),
+            Self::Place => (-GREATEST..=GREATEST).contains(&value),
+        }
+    }
 }
 
 /// What the machine needs of a row of the table.

@@ -69,11 +69,15 @@ impl<const N: usize> Settings<N> {
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
     }
 
+    /// Whether a cycle with this rate might never come to its end: motion does not compute with it.
+    pub fn crawls(&self, rate: Key) -> bool {
+        !RATES.contains(&self.value(rate))
+    }
+
     /// The number of the first setting of a cycle that is switched on and could never come to its end, or of the path.
     fn unrunnable_cycle(&self) -> Option<u16> {
         let homing = self.is_on(Key::Homing);
         let parking = homing && self.is_on(Key::Parking);
-        let crawls = |key| !RATES.contains(&self.value(key));
         if self.whole(Key::Axes) as usize > self.axes_with_motors() && self.value(Key::Dialect) != 0.0 {
             Some(const { Key::Axes.number() })
         } else if self.value(Key::JunctionDeviation) > GREATEST_DEVIATION {
@@ -82,15 +86,15 @@ impl<const N: usize> Settings<N> {
             Some(const { Key::ArcTolerance.number() })
         } else if self.is_on(Key::SoftLimits) && !homing {
             Some(SOFT_LIMITS)
-        } else if homing && crawls(Key::HomingLocate) {
+        } else if homing && self.crawls(Key::HomingLocate) {
             Some(const { Key::HomingLocate.number() })
-        } else if homing && crawls(Key::HomingSeek) {
+        } else if homing && self.crawls(Key::HomingSeek) {
             Some(const { Key::HomingSeek.number() })
         } else if parking && self.whole(Key::ParkingAxis) as usize >= self.axes_in_use().min(LINEAR) {
             Some(const { Key::ParkingAxis.number() })
-        } else if parking && crawls(Key::ParkingPullOutRate) {
+        } else if parking && self.crawls(Key::ParkingPullOutRate) {
             Some(const { Key::ParkingPullOutRate.number() })
-        } else if parking && crawls(Key::ParkingFastRate) {
+        } else if parking && self.crawls(Key::ParkingFastRate) {
             Some(const { Key::ParkingFastRate.number() })
         } else {
             None

@@ -1,11 +1,12 @@
 //! `Settings`: what the settings are set to, as `scalars` and `per_axis`; a new controller has the defaults, also
 //! `of_board`. It gives a `value` as it is, `whole`, in `seconds`, in tenths (`step_pulse_tenths`), as a mask or as
 //! `is_on`, those of `axes`, and what they mean: `axes_in_use`, `axes_with_motors`, `homing_cycles`, the `ganged_axis`
-//! and the `arrangement` (CoreXY). `by_number` is what is stored of one, `restore` and `settle` take stored ones over,
-//! `replace` takes all of others; `revision` counts changes. In the room, `at` and `put` read and write by an `Index`.
+//! and the `arrangement` (CoreXY). `by_number` is what is stored of one, `soft_limits_before_homing` what of `$20` before
+//! another `$22`; `restore` and `settle` take stored ones over, `replace` takes all of others; `revision` counts changes.
+//! In the room, `at` and `put` read and write by an `Index`.
 
 use super::index::Index;
-use super::table::{AxisKey, Key, PARKING_PLACE, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
+use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
 use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::units::Duration;
 
@@ -130,14 +131,18 @@ impl<const N: usize> Settings<N> {
         Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
     }
 
-    /// Takes over a value that was stored before; an unknown number or a value that is no number is ignored.
-    pub fn restore(&mut self, number: u16, value: f32) {
-        if let Some(index) = Index::of_number(number, N)
-            && value.is_finite()
-            && (value >= 0.0 || number == PARKING_PLACE)
-        {
+    /// Takes over a value that was stored before, if its setting can be set to it in some dialect, and gives whether it can;
+    /// otherwise nothing changes. A number without a setting here is ignored: it may have one in other firmware.
+    pub fn restore(&mut self, number: u16, value: f32) -> bool {
+        let axes = self.axes_with_motors();
+        let index = Index::of_number(number, axes);
+        let Some((index, (entry, _))) = index.and_then(|index| Some((index, index.row()?))) else { return true };
+        let before_homing = number == SOFT_LIMITS && value == BEFORE_HOMING;
+        let can_be = before_homing || entry.kind.can_be(value, axes_mask(axes));
+        if can_be {
             self.put(index, value);
         }
+        can_be
     }
 
     /// All stored values have been taken over: soft limits that homing has taken along when it was switched off go.
@@ -153,6 +158,16 @@ impl<const N: usize> Settings<N> {
             return Some(BEFORE_HOMING);
         }
         self.at(Index::of_number(number, N)?)
+    }
+
+    /// What is to be stored of `$20` before a new `$22`, whose record then changes both at once (`settle`); `None` to leave
+    /// it as it is. `were_on`: soft limits, before that change.
+    pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
+        match (self.is_on(Key::Homing), were_on) {
+            (true, true) => None,
+            (false, true) => Some(1.0),
+            (_, false) => Some(0.0),
+        }
     }
 
     /// Changes with each change of a value.
@@ -194,6 +209,103 @@ impl<const N: usize> Settings<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::Decimal;
+
+    #[test]
+    fn what_no_setting_can_be_is_not_taken_over() {
+        for (number, value, taken) in [
+            (0, 0.4, false),
+            (0, 0.5, true),
+            (0, 2.55, false),
+            (0, 254.9, true),
+            (0, 1000.0, false),
+            (1, 25.5, false),
+            (1, 256.0, false),
+            (14, 16.0, false),
+            (14, 256.0, true),
+            (20, 2.0, true),
+            (21, 2.0, false),
+            (33, 0.0, false),
+            (44, 8.0, true),
+            (44, 16.0, false),
+            (47, 3.0, true),
+            (48, 1.0, true),
+            (58, -5.0e11, true),
+            (58, -1.0e12, false),
+            (110, -1.0, false),
+            (110, 9.0e11, true),
+            (110, 1.0e12, false),
+            (110, f32::INFINITY, false),
+            (110, f32::NAN, false),
+            (900, 3.0, false),
+        ] {
+            let mut s = Settings::<4>::default();
+            let before = s.by_number(number);
+            assert_eq!(s.restore(number, value), taken, "${number}={value}");
+            assert_eq!(s.by_number(number), if taken && before.is_some() { Some(value) } else { before });
+        }
+        // A board has no other motors than its own.
+        let mut s = Settings::<4>::of_board(3);
+        assert!(!s.restore(44, 8.0) && s.restore(44, 7.0));
+        assert!(s.restore(103, 80.0), "no setting of this board");
+        assert_eq!(s.by_number(103), Some(250.0));
+    }
+
+    /// The power may go between both records of a change of `$22`.
+    #[test]
+    fn soft_limits_and_homing_change_at_once() {
+        let switch = |on: bool| Decimal::from_int(i32::from(on));
+        let is = |s: &Settings<3>| [Key::SoftLimits, Key::Homing].map(|key| s.is_on(key));
+        let found = |record: [f32; 2]| {
+            let mut s = Settings::<3>::default();
+            assert!(s.restore(20, record[0]) && s.restore(22, record[1]));
+            s.settle();
+            is(&s)
+        };
+        let (mut s, mut record) = (Settings::<3>::default(), [0.0; 2]);
+        for (number, on) in [
+            (20, true),
+            (22, true),
+            (22, true),
+            (22, false),
+            (22, true),
+            (20, true),
+            (20, false),
+            (22, false),
+            (20, true),
+        ] {
+            let before = s.clone();
+            s.set(number, switch(on)).unwrap();
+            if number == 22 {
+                record[0] = s.soft_limits_before_homing(before.is_on(Key::SoftLimits)).unwrap_or(record[0]);
+                assert_eq!(found(record), is(&before));
+            }
+            record[usize::from(number == 22)] = s.by_number(number).unwrap();
+            assert_eq!(found(record), is(&s));
+        }
+    }
+
+    proptest::proptest! {
+        /// In whatever dialect it was set, and whatever the dialect is when it is restored.
+        #[test]
+        fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
+            let of = |dialect| {
+                let mut s = Settings::<4>::default();
+                s.set(Key::Dialect.number(), Decimal::from_int(dialect)).unwrap();
+                s
+            };
+            let (mut before, mut after) = (of(set_in), of(in_force));
+            let any = value >> shift;
+            let tenths = any / 1_000_000 * 1_000_000;
+            for (number, value) in (0..1000).flat_map(|number| [(number, any), (number, tenths)]) {
+                if before.set(number, Decimal(value)).is_ok() {
+                    let stored = before.by_number(number).unwrap();
+                    proptest::prop_assert!(after.restore(number, stored), "${}={}", number, stored);
+                    proptest::prop_assert_eq!(after.at(Index::of_number(number, 4).unwrap()), Some(stored));
+                }
+            }
+        }
+    }
 
     /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
     #[test]
