@@ -407,7 +407,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.replies.offset_changed();
                 if !checking {
                     self.forget_waiting_outputs();
-                    self.accessories.switch_off();
+                    // The operator may have switched the coolant since the line took both off in the program's state.
+                    self.switch_off();
                     self.accessories.set_overrides(Overrides::NONE);
                     self.motion.set_overrides(1.0, 1.0);
                     self.replies.overrides_changed();
