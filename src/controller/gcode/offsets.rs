@@ -135,24 +135,26 @@ impl<const N: usize> Offsets<N> {
 }
 
 impl<const N: usize> Offsets<N> {
-    /// How a coordinate system is rotated with a tool and a G68; `None` if it is not. The two rotations have one plane.
+    /// How a coordinate system is rotated with a G92, a tool and a G68; `None` if it is not. The two rotations have one plane.
     #[inline]
     pub(super) fn rotated_plane(
         &self,
         system: CoordinateSystem,
+        g92: &PerAxis<Coordinate, N>,
         tool_length: &PerAxis<Coordinate, N>,
         rotation: Option<&Rotation>,
     ) -> Result<Option<RotatedPlane>, Error> {
         if !ROTATION || rotation.is_none() && self.angle(system) == Angle::ZERO {
             return Ok(None);
         }
-        self.rotated(system, tool_length, rotation).map(Some)
+        self.rotated(system, g92, tool_length, rotation).map(Some)
     }
 
     #[inline(never)]
     fn rotated(
         &self,
         system: CoordinateSystem,
+        g92: &PerAxis<Coordinate, N>,
         tool_length: &PerAxis<Coordinate, N>,
         rotation: Option<&Rotation>,
     ) -> Result<RotatedPlane, Error> {
@@ -169,14 +171,14 @@ impl<const N: usize> Offsets<N> {
         let mut plane = RotatedPlane { axes, angle: of_system.plus(rotation.angle), zero: [Coordinate::ZERO; 2] };
         let origin = sum(plane.part_of(&self.system(system)), plane.part_of(tool_length));
         let turned = difference(rotation.centre, rotation.angle.turn(rotation.centre));
-        plane.zero = sum(origin, of_system.turn(sum(turned, plane.part_of(&self.g92))));
+        plane.zero = sum(origin, of_system.turn(sum(turned, plane.part_of(g92))));
         Ok(plane)
     }
 
     /// The place of the machine where the coordinates of a system are zero: G92 turns with the system.
     pub(super) fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         let mut zero = self.total(system);
-        if let Ok(Some(rotated)) = self.rotated_plane(system, &self.tool_length, None) {
+        if let Ok(Some(rotated)) = self.rotated_plane(system, &self.g92, &self.tool_length, None) {
             rotated.put(&mut zero, rotated.zero);
         }
         zero

@@ -300,7 +300,8 @@ impl<const N: usize> Interpreter<N> {
     pub fn to_program(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<Coordinate, N> {
         let offsets = &self.offsets;
         let mut program = place.zip(&self.work_offset(), |place, offset| place - offset);
-        let rotated = offsets.rotated_plane(self.modal.coordinate_system, &offsets.tool_length, self.rotation.as_ref());
+        let (g92, tool_length) = (&offsets.g92, &offsets.tool_length);
+        let rotated = offsets.rotated_plane(self.modal.coordinate_system, g92, tool_length, self.rotation.as_ref());
         if let Ok(Some(rotated)) = rotated {
             rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
         }

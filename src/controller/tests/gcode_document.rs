@@ -93,6 +93,20 @@ fn non_modal_commands_4_g92() {
     }
 }
 
+/// Grbl finds the target of the line before it clears the offset, the other dialects after.
+#[test]
+fn non_modal_commands_4_g92_1_beside_a_move() {
+    for dialect in DIALECTS {
+        let mut program = Program::new(dialect);
+        program.run("G92 Y4");
+        let checked = program.run("G92.1 G0 Y2");
+        assert_eq!(target(&checked), [0.0, if dialect == Dialect::Grbl { -2.0 } else { 2.0 }, 0.0]);
+        assert!(checked.work_offset_changed);
+        assert_eq!(g92(&program), [0.0; 3]);
+        assert_eq!(target(&program.run("Y2")), [0.0, 2.0, 0.0]);
+    }
+}
+
 #[test]
 fn absolute_and_incremental() {
     for dialect in DIALECTS {

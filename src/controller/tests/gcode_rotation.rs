@@ -254,6 +254,21 @@ fn jogs() {
     assert_eq!(jog("G53X7F100"), [7.0, 5.0, 0.0]);
 }
 
+/// The offset changes before the motion of its line, whose axes are rotated.
+#[test]
+fn g92_changes_before_a_rotated_motion() {
+    play(
+        "G10 L2 P1 X10 R90\nG0 X0 Y0\nG92 X4",
+        &[
+            ("G92.2 G0 X2", [10.0, 2.0, 0.0]),
+            ("G92.3 G0 X2", [10.0, -2.0, 0.0]),
+            ("G92.3 X4 Y1", [9.0, 0.0, 0.0]),
+            ("G92.1 X4 Y1", [9.0, 4.0, 0.0]),
+            ("X4 Y2", [8.0, 4.0, 0.0]),
+        ],
+    );
+}
+
 /// Grbl could not end a rotation, so none acts there.
 #[test]
 fn grbl_has_no_rotation() {

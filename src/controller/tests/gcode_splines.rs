@@ -161,6 +161,36 @@ fn what_is_refused() {
     assert_eq!(jog(b"G17G69G5X1I1J1P1Q1F100").map_err(|error| error.code()), Err(16));
 }
 
+/// While G5 is in force the P of another word has no sign, as in any other motion mode.
+#[test]
+fn only_the_p_of_a_spline_is_negative() {
+    let program = ready("G5 X10 Y0 I3 J3 P-3 Q3");
+    for line in [
+        "G4 P-1",
+        "M64 P-1",
+        "M66 P-1",
+        "M66 P-1 L3 Q1",
+        "M56 P-1",
+        "M50 P-1",
+        "G64 P-1",
+        "G10 L1 P-3 Z1.5",
+        "G10 L11 P-4 Z2",
+        "G10 L2 P-1 X1",
+        "G51 P-2",
+        "G51 X0 P-2",
+        "P-1",
+        "M64 P-3 X20 Q3",
+        "M62 G5 X20 I1 J1 P-3 Q3",
+    ] {
+        assert_eq!(program.error(line), 4, "{line}");
+    }
+    for line in ["X20 P-3 Q3", "M8 X20 P-3 Q3", "M67 E1 X20 P-3 Q3", "G92.1 X20 P-3 Q3"] {
+        assert_eq!(program.error(line), 0, "{line}");
+    }
+    // The word before the motion has the P, so the spline has none.
+    assert_eq!(["G4 P-1 X20 Q3", "G64 P-1 X20 Q3"].map(|line| program.error(line)), [28, 28]);
+}
+
 #[test]
 fn grbl_knows_none() {
     let mut program = Program::new(Dialect::Grbl);

@@ -5,9 +5,10 @@
 
 mod program;
 
-use oxmill_controller::gcode::{Dialect, Flow, Motion, PathControl, PathTolerance};
+use oxmill_controller::gcode::{CycleStep, Dialect, Flow, Motion, PathControl, PathTolerance};
 use oxmill_controller::messages::SpindleDirection;
-use program::Program;
+use oxmill_controller::units::Coordinate;
+use program::{Program, in_mm};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -44,6 +45,45 @@ fn g92_suspended_and_restored() {
         ("G92.3", [1.0, 2.0, 3.0]),
         ("X2", [2.0, 2.0, 3.0]),
     ]);
+}
+
+/// As in RS274NGC the offset changes before the motion of its line.
+#[test]
+fn g92_changes_before_the_motion_of_its_line() {
+    play(&[
+        ("G0 Y0", [1.0, 0.0, 3.0]),
+        ("G92 Y4", [1.0, 0.0, 3.0]),
+        ("G92.2 G0 Y2", [1.0, 2.0, 3.0]),
+        ("G92.3 G0 Y2", [1.0, -2.0, 3.0]),
+        ("G92.2 Y3", [1.0, 3.0, 3.0]),
+        ("G92.3 G91 Y3", [1.0, 6.0, 3.0]),
+        ("G90 G92.1 Y3", [1.0, 3.0, 3.0]),
+        // The centre of an arc is a coordinate of the program, too.
+        ("G92 X11 Y13", [1.0, 3.0, 3.0]),
+        ("G92.2 G90.1 G2 X3 Y3 I2 J3", [3.0, 3.0, 3.0]),
+        ("G92.3 G2 X11 Y13 I12 J13", [1.0, 3.0, 3.0]),
+    ]);
+}
+
+#[test]
+fn g92_changes_before_the_cycle_of_its_line() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        program.run_all("G92 X11 Z13");
+        let levels = |program: &mut Program, line: &str| {
+            let Motion::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
+            let mut lowest = [f64::MAX; 3];
+            while let Some(step) = cycle.step(Coordinate(0)) {
+                if let CycleStep::Feed(place, _) = step {
+                    lowest = in_mm(&place);
+                }
+            }
+            lowest
+        };
+        assert_eq!(levels(&mut program, "G92.2 G81 X2 Y0 Z-1 R1"), [2.0, 0.0, -1.0]);
+        assert_eq!(levels(&mut program, "G92.3 G81 X2 Y0 Z9 R11"), [-8.0, 0.0, -1.0]);
+        assert_eq!(levels(&mut program, "G92.1 G81 X2 Y0 Z-2 R1"), [2.0, 0.0, -2.0]);
+    }
 }
 
 #[test]

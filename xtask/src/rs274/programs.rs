@@ -266,8 +266,14 @@ impl Writer {
             4 => "G43 H1 ".into(),
             5 => "G80 ".into(),
             6 => "G64 ".into(),
+            7 => self.offset_acts().into(),
             _ => String::new(),
         }
+    }
+
+    /// A word that clears, suspends or restores the offset of G92 before the motion of its line.
+    fn offset_acts(&mut self) -> &'static str {
+        ["G92.1 ", "G92.2 ", "G92.3 "][self.below(3) as usize]
     }
 
     fn plane_axes(&self) -> [usize; 3] {
@@ -400,6 +406,9 @@ impl Writer {
             let mut line = if begins { format!("{retract}{word}") } else { String::new() };
             if begins && self.percent(20) {
                 line = format!("G80 {line}");
+            }
+            if begins && self.percent(5) {
+                line = format!("{}{line}", self.offset_acts());
             }
             for axis in [first, second] {
                 if self.percent(60) {

@@ -169,11 +169,11 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,
-    /// and the G92 from before it.
+    /// and the G92 that acts on it.
     pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
         along(&offsets.system(self.checked.modal.coordinate_system), axis)
-            + along(&offsets.g92, axis)
+            + along(&self.checked.g92, axis)
             + self.tool_offset(axis)
     }
 

@@ -68,6 +68,9 @@ pub(super) fn check<const N: usize>(
     if !is_move {
         check.dwell()?;
         check.tool_length()?;
+        if dialect != Dialect::Grbl {
+            check.offset_acts();
+        }
     }
     check.rotation()?;
     if !is_move {
@@ -85,6 +88,10 @@ pub(super) fn check<const N: usize>(
             matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
                 && matches!(checked.after.keeping, Keeping::Leave);
     } else {
+        // Grbl finds the target of a line before its G92.1 acts.
+        if dialect == Dialect::Grbl {
+            check.offset_acts();
+        }
         check.finish();
     }
     Ok(())

@@ -33,17 +33,6 @@ impl<const N: usize> Check<'_, N> {
                 self.checked.stored = Some(self.state.position);
                 Ok(())
             }
-            NonModal::ClearOffset | NonModal::SuspendOffset => {
-                self.checked.g92 = PerAxis::all(Coordinate::ZERO);
-                self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
-                self.checked.after.g92_acts = false;
-                Ok(())
-            }
-            NonModal::RestoreOffset => {
-                self.checked.g92 = self.state.offsets.g92_kept;
-                self.checked.after.g92_acts = true;
-                Ok(())
-            }
             NonModal::LocalOffset if self.line.axes.is_empty() => Err(Error::NoAxisWords),
             NonModal::LocalOffset => {
                 self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
@@ -55,8 +44,26 @@ impl<const N: usize> Check<'_, N> {
                 MotionMode::Rapid | MotionMode::Linear => Ok(()),
                 _ => Err(Error::G53NeedsMotion),
             },
-            NonModal::Dwell => Ok(()),
+            NonModal::Dwell | NonModal::ClearOffset | NonModal::SuspendOffset | NonModal::RestoreOffset => Ok(()),
         }
+    }
+
+    /// G92.1, G92.2 and G92.3. A motion of the line goes by what they leave, as in RS274NGC.
+    pub(super) fn offset_acts(&mut self) {
+        match self.line.non_modal {
+            Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
+                self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
+                self.let_offset_act(false);
+            }
+            Some(NonModal::RestoreOffset) => self.let_offset_act(true),
+            _ => {}
+        }
+    }
+
+    /// Takes the offset of G92 back, or away.
+    pub(super) fn let_offset_act(&mut self, acts: bool) {
+        self.checked.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
+        self.checked.after.g92_acts = acts;
     }
 
     /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets

@@ -57,6 +57,10 @@ impl<const N: usize> Check<'_, N> {
         if !self.line.values.has(letter) {
             return Err(Error::ValueWordMissing);
         }
+        // P may be that of a spline.
+        if value < Decimal::ZERO {
+            return Err(Error::NegativeValue);
+        }
         Ok(whole(value)?.unsigned_abs())
     }
 

@@ -11,7 +11,6 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION};
-use crate::gcode::offsets::{Offsets, StoredOffset};
 use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
 use crate::gcode::word::NonModal;
@@ -59,7 +58,7 @@ impl<const N: usize> Check<'_, N> {
 
     fn plane_with(&self, rotation: Option<&Rotation>) -> Result<Option<RotatedPlane>, Error> {
         let system = self.checked.modal.coordinate_system;
-        self.state.offsets.rotated_plane(system, &self.checked.tool_length, rotation)
+        self.state.offsets.rotated_plane(system, &self.checked.g92, &self.checked.tool_length, rotation)
     }
 
     /// G68: R is the angle; an axis of the plane that is not named has the centre where the tool is. Distance mode plays no
@@ -200,7 +199,8 @@ impl<const N: usize> Check<'_, N> {
         }
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;
-        let Some(rotated) = offsets.rotated_plane(system, &self.checked.tool_length, None)? else { return Ok(false) };
+        let rotated = offsets.rotated_plane(system, &offsets.g92, &self.checked.tool_length, None)?;
+        let Some(rotated) = rotated else { return Ok(false) };
         let origin = offsets.system(system);
         let mut moved = self.with_axis_words(origin, |axis, value| {
             self.position(axis) - along(&offsets.g92, axis) - self.tool_offset(axis) - value
@@ -225,16 +225,16 @@ impl<const N: usize> Check<'_, N> {
     /// G10 L10 and L11 in a system that is rotated. Whether it was one.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
-        let mut offsets: Offsets<N> = self.state.offsets;
-        let mut system = self.checked.modal.coordinate_system;
-        if l == 11 {
-            system = CoordinateSystem::G59_3;
-            offsets.g92 = PerAxis::all(Coordinate::ZERO);
-        }
-        let Some(rotated) = offsets.rotated_plane(system, present, None)? else { return Ok(false) };
-        let origin = offsets.stored(StoredOffset::System(system));
+        let offsets = &self.state.offsets;
+        let (system, g92) = if l == 11 {
+            (CoordinateSystem::G59_3, PerAxis::all(Coordinate::ZERO))
+        } else {
+            (self.checked.modal.coordinate_system, offsets.g92)
+        };
+        let Some(rotated) = offsets.rotated_plane(system, &g92, present, None)? else { return Ok(false) };
+        let origin = offsets.system(system);
         let mut tool = self.with_axis_words(*present, |axis, value| {
-            self.position(axis) - along(&origin, axis) - along(&offsets.g92, axis) - value
+            self.position(axis) - along(&origin, axis) - along(&g92, axis) - value
         });
         rotated.put(&mut tool, self.moved_by(rotated, rotated.part_of(present)));
         self.checked.stored = Some(tool);

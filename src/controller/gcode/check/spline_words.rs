@@ -8,12 +8,14 @@ use crate::gcode::checked::{Motion, SplineMove};
 use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
 use crate::gcode::rotation::difference;
 use crate::gcode::values::{in_xy, reachable};
+use crate::gcode::word::Claim;
 use crate::units::Coordinate;
 
 impl<const N: usize> Check<'_, N> {
     /// P of G5 is a distance; all others are numbers that have no sign.
     pub(super) fn sign_of_p(&self) -> Result<(), Error> {
-        let is_distance = self.checked.modal.motion == MotionMode::Spline(SplineKind::Cubic);
+        let is_distance =
+            self.claim == Claim::Motion && self.checked.modal.motion == MotionMode::Spline(SplineKind::Cubic);
         if self.line.extended.is_p_negative && !is_distance { Err(Error::NegativeValue) } else { Ok(()) }
     }
 

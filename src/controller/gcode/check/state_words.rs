@@ -2,12 +2,11 @@
 //! M73 to save, forget and restore the modal state (`Keeping`).
 
 use super::line::Check;
-use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::checked::Keeping;
 use crate::gcode::modal::{EXTENDED, Modal, OverridesHeld};
 use crate::gcode::word::{Groups, Letters};
-use crate::units::{Coordinate, Decimal};
+use crate::units::Decimal;
 
 impl<const N: usize> Check<'_, N> {
     /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.
@@ -55,9 +54,7 @@ impl<const N: usize> Check<'_, N> {
                 checked.tool_length = saved.tool_length;
                 // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
                 if checked.after.g92_acts != saved.g92_acts {
-                    let kept = self.state.offsets.g92_kept;
-                    checked.g92 = if saved.g92_acts { kept } else { PerAxis::all(Coordinate::ZERO) };
-                    checked.after.g92_acts = saved.g92_acts;
+                    self.let_offset_act(saved.g92_acts);
                 }
             }
         }
