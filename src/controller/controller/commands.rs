@@ -3,10 +3,10 @@
 //! (`$RST`), tell the restart (`$RC`), ask for the view of pins, begin a listing, check lines (`$LC`), save startup
 //! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`). `system` sets the `task` to
 //! `Task::Listing` or `Task::Storing`, `set_setting` looks at numbers such as `DOOR_FITTED`, `KINEMATICS`,
-//! `REPORT_INCHES`, `STEP_PULSE` and `RESET_IS_EMERGENCY_STOP`, at the `dialect` and at the `least_pulse`; `changed`
-//! acts on it and asks whether it `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`,
-//! `restore_defaults` (`Restore::All`), `check_lines`, `report_build_info` and `ask_view`. Too long a text is
-//! `LineTooLong`.
+//! `REPORT_INCHES`, `STEP_PULSE`, `RESET_IS_EMERGENCY_STOP`, and `LASER`, `SPINDLE_MAXIMUM` and `SPINDLE_MINIMUM`, which
+//! stop the spindle (`stop_spindle`), at the `dialect` and at the `least_pulse`; `changed` acts on it and asks whether it
+//! `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`),
+//! `check_lines`, `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};
@@ -26,8 +26,11 @@ const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
 const HOMING: u16 = Key::Homing.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
+const LASER: u16 = Key::Laser.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
 const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const SPINDLE_MAXIMUM: u16 = Key::SpindleMaximum.number();
+const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
 const STEP_PULSE: u16 = Key::StepPulse.number();
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
@@ -166,8 +169,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 _ => {}
             }
         }
+        let before = self.settings.by_number(number);
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;
+        // The same S is another power now.
+        if matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) && self.settings.by_number(number) != before {
+            self.stop_spindle();
+        }
         self.changed(number, soft_limits);
         if self.dialect() != dialect {
             self.interpreter.change_dialect();
@@ -250,6 +258,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
+            self.stop_spindle();
             let mut settings = Settings::default();
             settings.restore(Key::Dialect.number(), self.settings.value(Key::Dialect));
             let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)

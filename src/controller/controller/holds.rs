@@ -2,8 +2,8 @@
 //! spindle restored and the laser darkened meanwhile, or it is forgotten, as by `stop_softly` and `end_jog`. Also the
 //! start of motion, and the drivers' idle delay (`$1`) at its end. In it are `feed_hold`, `cancel_jog` (`Mode::Jog` is
 //! `cancelling` then), `forget_received_jogs`, `end_soft_stop`, `stop_at_error` (`Key::StopOnError`), `start_motion`,
-//! `start_idle_delay`, `restore_spindle`, `darken_laser`. What follows is `AfterBraking::Continue` or `Lock`; in
-//! `Mode::Home` it is `Alarm::HomingReset`.
+//! `start_idle_delay`, `toggle_spindle` (`Realtime::SpindleStop`), `restore_spindle`, `darken_laser`. What
+//! follows is `AfterBraking::Continue` or `Lock`; in `Mode::Home` it is `Alarm::HomingReset`.
 
 use super::Controller;
 use super::task::Task;
@@ -58,6 +58,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if !self.motion.is_idle() {
                 self.start_motion();
             }
+        }
+    }
+
+    /// Spindle stop in a hold. While the machine brakes the spindle turns on, and a second press changes nothing, as in Grbl.
+    pub(super) fn toggle_spindle(&mut self) {
+        self.accessories.end_spin_up();
+        if !self.motion.is_at_rest() {
+            self.accessories.stop_at_rest();
+        } else if self.accessories.is_suspended() {
+            self.restore_spindle();
+        } else {
+            self.accessories.suspend();
+            self.replies.overrides_changed();
         }
     }
 

@@ -495,6 +495,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.start_idle_delay();
             }
         }
+        if self.motion.is_at_rest() && self.accessories.rests() {
+            self.replies.overrides_changed();
+        }
         match self.mode {
             Mode::Jog { cancelling }
                 if self.motion.is_at_rest() && (cancelling || (self.motion.is_idle() && self.task.is_none())) =>

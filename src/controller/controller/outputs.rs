@@ -3,7 +3,7 @@
 //! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
 //! `next_look` and `settle_outputs` follow the motion. In it are `spindle_now`, `turning_power`, `overridden_power`,
 //! `resting_power`, `burns_at_rest`, `has_spun_up`, `next_look_at_spindle`, `apply_overrides`, `switch_off`,
-//! `switch_outputs_off`, `drivers_held_off`, `forget_waiting_outputs`; `Key::Laser`, `Key::IdleDelay`,
+//! `stop_spindle`, `switch_outputs_off`, `drivers_held_off`, `forget_waiting_outputs`; `Key::Laser`, `Key::IdleDelay`,
 //! `Alarm::SpindleSpeed`.
 
 use super::Controller;
@@ -63,6 +63,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn switch_off(&mut self) {
         self.accessories.switch_off();
         self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+    }
+
+    /// The spindle, whose state the next line inherits.
+    pub(super) fn stop_spindle(&mut self) {
+        self.accessories.stop_spindle();
+        self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
+        self.replies.overrides_changed();
     }
 
     /// Power of the spindle while nothing moves.

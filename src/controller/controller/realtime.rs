@@ -53,14 +53,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.release_held();
             }
             Realtime::SpindleStop => {
-                if matches!(self.mode, Mode::Hold) && self.accessories.is_on() && self.motion.is_at_rest() {
-                    self.accessories.end_spin_up();
-                    if self.accessories.is_suspended() {
-                        self.restore_spindle();
-                    } else {
-                        self.accessories.suspend();
-                        self.replies.overrides_changed();
-                    }
+                if matches!(self.mode, Mode::Hold) && self.accessories.is_on() {
+                    self.toggle_spindle();
                 }
             }
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),

@@ -95,6 +95,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.motion.discard();
             }
             StopReason::Alarm(alarm) => {
+                self.accessories.rests();
                 if !self.keeps_spindle_on(alarm) {
                     self.switch_off();
                 }

@@ -1,10 +1,10 @@
 //! `Accessories`: spindle (or laser) direction and speed, coolant, overrides and digital outputs, as the program has
 //! switched them on, and whether the spindle is suspended. How long it takes to spin up or down, whether it is up to
-//! speed (`SpinUp`), a watch (`SpeedWatch`) for speed lost in mid-job, and its power at rest. `suspend`, `restore` and
-//! `switch_off`; `settled_at` and `fault_at` are moments of the watch. In it are `spinning_up`, `end_spin_up`,
-//! `set_speed`, `set_spindle`, `stop_spindle`, `set_coolant`, `set_overrides`, `take_overrides_due`, `spindle_output`,
-//! `must_tell_speed`, `is_at_speed`, `watches_speed`, `has_lost_speed`, `forget_speed`, `resting_power`, `next_look`;
-//! `digital_mut`, `DigitalOutputs`, `SpindleDirection`, `AtSpeedWithin`.
+//! speed (`SpinUp`), a watch (`SpeedWatch`) for speed lost in mid-job, and its power at rest. `suspend`, `stop_at_rest`
+//! and `rests`, `restore` and `switch_off`; `settled_at` and `fault_at` are moments of the watch. In it are
+//! `spinning_up`, `end_spin_up`, `set_speed`, `set_spindle`, `stop_spindle`, `set_coolant`, `set_overrides`,
+//! `take_overrides_due`, `spindle_output`, `must_tell_speed`, `is_at_speed`, `watches_speed`, `has_lost_speed`,
+//! `forget_speed`, `resting_power`, `next_look`; `digital_mut`, `DigitalOutputs`, `SpindleDirection`, `AtSpeedWithin`.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
@@ -29,6 +29,8 @@ pub struct Accessories {
     coolant: Coolant,
     /// The spindle is stopped although the program has it on.
     suspended: bool,
+    /// The operator has asked for that in a hold that still brakes.
+    stops_at_rest: bool,
     /// S of the last line, rpm.
     speed: f32,
     /// A hold is being left: motion resumes when the spindle turns (`$394`), at this moment at the earliest.
@@ -74,6 +76,7 @@ impl Accessories {
         direction: SpindleDirection::Off,
         coolant: Coolant { flood: false, mist: false },
         suspended: false,
+        stops_at_rest: false,
         speed: 0.0,
         spinning_up: None,
         watch: SpeedWatch::NONE,
@@ -185,8 +188,21 @@ impl Accessories {
         self.suspended = true;
     }
 
-    /// Ends [`Accessories::suspend`]. Whether it was suspended.
+    /// The same, once the machine is at rest.
+    pub fn stop_at_rest(&mut self) {
+        self.stops_at_rest = true;
+    }
+
+    /// The machine is at rest. Whether the spindle is stopped by that.
+    pub fn rests(&mut self) -> bool {
+        let stops = core::mem::take(&mut self.stops_at_rest);
+        self.suspended |= stops;
+        stops
+    }
+
+    /// Ends [`Accessories::suspend`], also one that is still to come. Whether it was suspended.
     pub fn restore(&mut self) -> bool {
+        self.stops_at_rest = false;
         if self.suspended {
             self.forget_speed();
         }
@@ -397,6 +413,20 @@ mod tests {
         assert_eq!((on.spindle_output(), on.is_on()), (SpindleDirection::Off, true));
         assert!(on.restore() && !on.restore());
         assert_eq!(on.spindle_output(), SpindleDirection::CounterClockwise);
+    }
+
+    #[test]
+    fn a_spindle_that_stops_at_rest_turns_until_then() {
+        let mut on = Accessories::OFF;
+        on.set_spindle(SpindleDirection::Clockwise, &settings(&[]));
+        on.stop_at_rest();
+        on.stop_at_rest();
+        assert_eq!(on.spindle_output(), SpindleDirection::Clockwise);
+        assert!(on.rests() && !on.rests());
+        assert_eq!(on.spindle_output(), SpindleDirection::Off);
+        assert!(on.restore());
+        on.stop_at_rest();
+        assert!(!on.restore() && !on.rests(), "called off");
     }
 
     #[test]

@@ -20,6 +20,8 @@ struct Scribe<const WOKEN: bool> {
     /// Given by `make_room`, once.
     late: VecDeque<u8>,
     said: String,
+    /// The greatest power of the spindle that was put out.
+    power: u16,
 }
 
 impl<const WOKEN: bool> Scribe<WOKEN> {
@@ -45,6 +47,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
             epoch: 0,
             late: none,
             said: String::new(),
+            power: 0,
         };
         while round(&mut scribe) {}
         scribe.log.clear();
@@ -117,7 +120,10 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
                 self.said += std::str::from_utf8(chunk.as_bytes()).unwrap();
                 "reply"
             }
-            Output::Pins(_) => "pins",
+            Output::Pins(pins) => {
+                self.power = self.power.max(pins.power);
+                "pins"
+            }
             Output::Wiring(_) => "wiring",
             Output::Stop => "stop",
             Output::ReadPins { clear_noise } => {
@@ -181,6 +187,17 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
         let next = entries.clone().find(|e| *e == "Store" || outputs.contains(&e.as_str()));
         assert_eq!(next.map(String::as_str), Some("Store"), "{:?}", scribe.log);
     }
+}
+
+#[test]
+fn no_beam_goes_on_while_default_settings_are_being_stored() {
+    let mut scribe = Scribe::<false>::new();
+    scribe.answer_to("$32=1\n");
+    scribe.answer_to("M3S700\n");
+    assert!(scribe.answer_to("$RST=$\n").contains("Restoring defaults"));
+    assert_eq!(scribe.power, 0);
+    scribe.answer_to("M3S700\n");
+    assert_ne!(scribe.power, 0);
 }
 
 #[test]

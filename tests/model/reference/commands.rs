@@ -17,9 +17,10 @@ impl Model {
                     self.brake();
                 }
             }
-            // Oxmill: only where the hold has come to rest.
-            action::SPINDLE_STOP if self.mode == Mode::Hold && self.spindle && self.braking.is_none() => {
-                if self.spindle_stopped {
+            action::SPINDLE_STOP if self.mode == Mode::Hold && self.spindle => {
+                if self.braking.is_some() {
+                    self.stops_at_rest = true;
+                } else if self.spindle_stopped {
                     self.restore_spindle();
                 } else {
                     self.spindle_stopped = true;

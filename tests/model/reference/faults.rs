@@ -79,7 +79,7 @@ impl Model {
     fn lock_until_reset(&mut self, alarm: u8) {
         // What a door or the operator has stopped stays off; and at an open door nothing stays on.
         let at_door = self.on(Pin::Door) || matches!(self.mode, Mode::Door { .. });
-        let stopped = self.spindle_stopped || self.outputs_off || at_door;
+        let stopped = self.spindle_stopped || self.stops_at_rest || self.outputs_off || at_door;
         if self.setup.reaction(alarm) < 3 || stopped {
             self.switch_off();
         }

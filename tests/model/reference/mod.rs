@@ -150,6 +150,8 @@ pub struct Model {
     spindle: bool,
     /// The operator has stopped the spindle in a hold.
     spindle_stopped: bool,
+    /// That has been asked for, and the hold still brakes.
+    stops_at_rest: bool,
     flood: bool,
     /// Oxmill: 0x89, a pause behind each line that moves.
     single_block: bool,
@@ -193,6 +195,7 @@ impl Model {
             trusted: !setup.homing,
             spindle: false,
             spindle_stopped: false,
+            stops_at_rest: false,
             flood: false,
             single_block: false,
             selected: 0,

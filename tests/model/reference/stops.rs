@@ -34,6 +34,7 @@ impl Model {
 
     /// A motion that was stopped has come to rest.
     pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
+        self.spindle_stopped |= std::mem::take(&mut self.stops_at_rest);
         if let Mode::Fault { alarm, later } = self.mode {
             return self.rest_for(alarm, later);
         }
@@ -174,6 +175,7 @@ impl Model {
         self.given = None;
         self.spindle = false;
         self.spindle_stopped = false;
+        self.stops_at_rest = false;
         self.flood = false;
         self.outputs_off = false;
     }
