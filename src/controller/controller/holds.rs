@@ -61,7 +61,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Spindle stop in a hold. While the machine brakes the spindle turns on, and a second press changes nothing, as in Grbl.
+    /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
+    /// changes nothing, as in Grbl.
     pub(super) fn toggle_spindle(&mut self) {
         self.accessories.end_spin_up();
         if !self.motion.is_at_rest() {

@@ -65,11 +65,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
     }
 
-    /// The spindle, whose state the next line inherits.
+    /// M5 without a word of the program, if the spindle is on: the next line inherits it.
     pub(super) fn stop_spindle(&mut self) {
-        self.accessories.stop_spindle();
-        self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
-        self.replies.overrides_changed();
+        if self.accessories.is_on() {
+            self.accessories.stop_spindle();
+            self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
+            self.replies.overrides_changed();
+        }
     }
 
     /// Power of the spindle while nothing moves.
