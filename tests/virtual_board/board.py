@@ -302,7 +302,7 @@ class Board:
     def _ram_at(self, address):
         at = address - self.part.ram_start
         if not 0 <= at <= len(self.ram) - WORD.size:
-            raise Misuse(f"DMA reaches {address:#010x}, which is no RAM")
+            raise Unmodelled(f"DMA reaches {address:#010x}, which is no RAM")
         return at
 
     def word(self, symbol):

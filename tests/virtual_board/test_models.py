@@ -92,7 +92,9 @@ class GpioTraces(unittest.TestCase):
         # Bit 3 both set and reset: setting wins, so nothing changes; then bit 19 resets it.
         port.write(gpio.BSRR, 1 << 3 | 1 << 19)
         bench.now = 9
+        self.assertEqual(port.read(gpio.IDR) & 8, 8)
         port.write(gpio.BSRR, 1 << 19)
+        self.assertEqual(port.read(gpio.IDR) & 8, 0)
         port.write(gpio.ODR, 0x0008)
         self.assertEqual(bench.edges, [(5, "A", 3, 1), (9, "A", 3, 0), (9, "A", 3, 1)])
         self.assertEqual(port.read(gpio.BSRR), 0)
