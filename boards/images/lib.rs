@@ -16,9 +16,12 @@ pub const BOARDS: [&str; 6] =
 /// Boards whose flash holds only an image that is built for size.
 pub const SMALL: [&str; 1] = ["blackpill_f401"];
 
+/// The profile that compiles for speed.
+pub const FAST: &str = "firmware";
+
 /// The cargo profile of a board's image.
 pub fn profile(board: &str) -> &'static str {
-    if SMALL.contains(&board) { "firmware-small" } else { "firmware" }
+    if SMALL.contains(&board) { "firmware-small" } else { FAST }
 }
 
 /// The memory of a board's chip, as the linker takes it under the name `chip.x`.

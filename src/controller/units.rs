@@ -93,6 +93,7 @@ impl Decimal {
     }
 
     /// The nearest `f32`, computed with one exact conversion and one division, so equal on every machine.
+    #[inline]
     pub fn to_f32(self) -> f32 {
         // Apart, so that the wide integer is not rounded before it is divided: a printed setting reads back as itself.
         let size = self.0.unsigned_abs();
@@ -244,6 +245,7 @@ impl StepsPerMm {
     }
 
     /// The step nearest to a coordinate (a half goes away from zero).
+    #[inline]
     pub fn steps(self, coordinate: Coordinate) -> i32 {
         // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57), and what is cut
         // off by the shift has no part in the quotient.

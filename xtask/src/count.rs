@@ -6,10 +6,10 @@
 //! limits are what was reached, and a little more for what a compiler may change.
 
 use crate::elf::Elf;
-use crate::paths::cargo_without_paths;
+use crate::paths::cargo_for_boards;
 use crate::reach::demangled;
 use crate::thumb::{Kind, Meter, decode};
-use crate::{Failure, QEMU_BOARD, TARGET, qemu, root, run};
+use crate::{Failure, QEMU_BOARD, TARGET, boards, qemu, root, run};
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read};
 
@@ -79,7 +79,7 @@ const ROWS: [Row; 20] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_530, 2_260))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_060, 11_330))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_060, 11_400))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
@@ -95,15 +95,15 @@ const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", 
 /// of the step task, which is the same there.
 pub fn count(profile: &str) -> Result<(), Failure> {
     let (calls, _) = traced(profile, "")?;
-    let (table, faults) = table(&calls, profile != "firmware")?;
+    let (table, faults) = table(&calls, profile != boards::FAST)?;
     print!("{table}");
-    if faults.is_empty() || profile != "firmware" { Ok(()) } else { Err(faults.join("\n")) }
+    if faults.is_empty() || profile != boards::FAST { Ok(()) } else { Err(faults.join("\n")) }
 }
 
 /// Where the instructions and cycles of a row are spent: by function, those of one call on the average. The addresses
 /// themselves are left in `target/count.addresses`, for a tool that knows which lines were inlined there.
 pub fn profile(row: &str) -> Result<(), Failure> {
-    let (calls, spent) = traced("firmware", row)?;
+    let (calls, spent) = traced(boards::FAST, row)?;
     let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
     let path = root().join("target").join(TARGET).join("firmware/count");
     let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
@@ -131,9 +131,17 @@ pub fn profile(row: &str) -> Result<(), Failure> {
 /// Builds the program, runs it, and measures: all calls, and what each instruction of one row has cost.
 fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
-    let mut build = cargo_without_paths()?;
-    build.args(["build", "--quiet", "--locked", "--profile", profile, "--package", "oxmill-on-target"]);
-    run(build.args(["--bin", "count", "--target", TARGET, "--features", QEMU_BOARD]))?;
+    let mut build = cargo_for_boards("build", profile)?;
+    run(build.args([
+        "--quiet",
+        "--locked",
+        "--package",
+        "oxmill-on-target",
+        "--bin",
+        "count",
+        "--features",
+        QEMU_BOARD,
+    ]))?;
     let elf = root().join("target").join(TARGET).join(profile).join("count");
     let bytes = std::fs::read(&elf).map_err(|error| format!("{}: {error}", elf.display()))?;
     qemu::trace(&elf, |log| measure(&bytes, log, row))

@@ -1,7 +1,7 @@
 //! Builds an image and looks into it: an image without a vector table or without code links just as well.
 
 use crate::elf::{Elf, Section, Segment};
-use crate::paths::cargo_without_paths;
+use crate::paths::cargo_for_boards;
 use crate::reach::{self, Allowed};
 use crate::{Failure, QEMU_BOARD, TARGET, dfuse, flashable, root, run, sizes};
 use std::fmt;
@@ -67,18 +67,8 @@ impl fmt::Display for Image {
 /// Release build of the firmware for a board.
 pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
-    run(cargo_without_paths()?.args([
-        "build",
-        "--locked",
-        "--profile",
-        profile,
-        "--package",
-        "oxmill-firmware",
-        "--target",
-        TARGET,
-        "--features",
-        board,
-    ]))?;
+    let mut build = cargo_for_boards("build", profile)?;
+    run(build.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same name; a copy of its own survives the next board.
     let folder = root().join("target/boards");

@@ -107,7 +107,7 @@ fn main() -> ExitCode {
         ["package"] => package::list(),
         ["package", "--build"] => package::build(),
         ["rs274", ref arguments @ ..] => rs274::run(arguments),
-        ["count"] => count::count("firmware"),
+        ["count"] => count::count(boards::FAST),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["count", "profile", row] => count::profile(row),
         ["bench", ref files @ ..] => {
@@ -194,16 +194,6 @@ fn flash(board: &str) -> Result<(), Failure> {
     if !exists("cargo-embed") {
         return Err("cargo-embed is missing: `cargo install --locked probe-rs-tools`".into());
     }
-    run(paths::cargo_without_paths()?.args([
-        "embed",
-        "--profile",
-        boards::profile(board),
-        "--package",
-        "oxmill-firmware",
-        "--target",
-        TARGET,
-        "--features",
-        board,
-        board,
-    ]))
+    let mut embed = paths::cargo_for_boards("embed", boards::profile(board))?;
+    run(embed.args(["--package", "oxmill-firmware", "--features", board, board]))
 }

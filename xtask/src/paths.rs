@@ -3,15 +3,31 @@
 //! rustc is told to write a fixed name instead of each folder that differs from machine to machine: the workspace, cargo's
 //! copies of dependencies, and the sources of the standard library.
 
-use crate::{Failure, cargo, root};
+use crate::{Failure, TARGET, boards, cargo, root};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// How costly a function may be, by LLVM's measure, to be inlined without `#[inline]`. What optimisation for speed sets is
+/// about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
+const INLINED: &str = "-Cllvm-args=-inline-threshold=120";
+
 /// Cargo, in the workspace, for what is released. `RUSTFLAGS` of the environment do not reach such a build.
 pub fn cargo_without_paths() -> Result<Command, Failure> {
-    let flags: Vec<String> =
-        names(&root(), &cargo_home()?, &Compiler::found()?)?.map(|(from, to)| flag(&from, &to)).collect();
+    cargo_with(None)
+}
+
+/// A command of cargo on what runs on boards, with a profile of theirs.
+pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure> {
+    // Optimisation for size has a lower limit of its own.
+    let mut cargo = cargo_with((profile == boards::FAST).then_some(INLINED))?;
+    cargo.args([command, "--profile", profile, "--target", TARGET]);
+    Ok(cargo)
+}
+
+fn cargo_with(more: Option<&str>) -> Result<Command, Failure> {
+    let names = names(&root(), &cargo_home()?, &Compiler::found()?)?;
+    let flags: Vec<String> = names.map(|(from, to)| flag(&from, &to)).chain(more.map(str::to_owned)).collect();
     let mut cargo = cargo();
     // What separates flags there.
     cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));

@@ -1,7 +1,7 @@
 //! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the bench with its loop-back wires.
 
-use crate::paths::cargo_without_paths;
-use crate::{Failure, QEMU_BOARD, TARGET, boards, exists, qemu, root, run};
+use crate::paths::cargo_for_boards;
+use crate::{Failure, QEMU_BOARD, boards, exists, qemu, root, run};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -31,9 +31,8 @@ fn tell_left_out(board: &str) {
 }
 
 fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
-    let mut cargo = cargo_without_paths()?;
-    cargo.args(["test", "--locked", "--profile", boards::profile(board), "--package", "oxmill-on-target"]);
-    cargo.args(["--target", TARGET, "--features", board, "--no-fail-fast"]);
+    let mut cargo = cargo_for_boards("test", boards::profile(board))?;
+    cargo.args(["--locked", "--package", "oxmill-on-target", "--features", board, "--no-fail-fast"]);
     cargo.args(suites.iter().flat_map(|suite| ["--test", suite]));
     Ok(cargo)
 }

@@ -75,6 +75,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// The same, with the result in its place; it is worth nothing after an error. Parameters that the line sets wait for
     /// its commit, or for the next check, which forgets them.
+    #[inline]
     pub fn check_into(&mut self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
         self.computed.begin();

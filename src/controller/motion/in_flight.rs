@@ -122,6 +122,7 @@ impl<const N: usize> SegmentsInFlight<N> {
     }
 
     /// Takes over how many segments have begun.
+    #[inline]
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {
             let clocks = self.ring.get(self.first).map_or(0, |record| record.clocks);

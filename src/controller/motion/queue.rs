@@ -151,6 +151,7 @@ impl<const N: usize> AnyQueue<N> {
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.
+    #[inline]
     pub(super) fn free_blocks(&self) -> usize {
         let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(self.planner.capacity()) - 1 } else { 0 };
         if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare + self.blocks_held()) }
