@@ -14,7 +14,10 @@ After this page you know each setting, what it does, its unit, its range and its
 (no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
-for it with `error:9`. Nothing is clamped silently.
+for it with `error:9`. No rate or acceleration is clamped silently.
+
+Values are read as Grbl reads them. Where only whole numbers count, a fraction is cut off (`$1=25.5` is 25). *0 or 1*: any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
+any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:3`, of `$0` `error:6`.
 
 When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
 listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log). The same holds for a stored value out
