@@ -10,11 +10,17 @@ use std::fmt::Write;
 
 const HEAD: &str = "# Settings
 
-After this page you know each setting, what it does, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run
-(no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
-board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
-pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
-for it with `error:9`. Nothing is clamped silently.
+After this page you know each setting, what it does, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run, motion is locked until it is mended: a message after
+the `ok` names the setting, and another one the first time that a line is refused for it with `error:9`. No rate or acceleration is clamped silently. What cannot be run:
+
+* no steps/mm; a rate outside of 0.00003 to 6,000,000 mm/min, that of homing (`$22=1`) and of parking (`$41=1` besides) among them; an acceleration outside of 0.001 to 10,000,000 mm/s²; a jerk between 0 and 1
+* a rate times steps/mm beyond the step rate that the board can keep with the pulse `$0` ([what it costs](how-it-works.md#what-it-costs)), or a stored pulse shorter than the board makes
+* a backlash of more than 10,000 steps, `$11` above 1000, `$12` below 0.0001
+* soft limits (`$20`) without homing (`$22`); a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
+* a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A
+
+Values are read as Grbl reads them. Where only whole numbers count, a fraction is cut off (`$1=25.5` is 25). *0 or 1*: any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
+any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:3`, of `$0` `error:6`.
 
 When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
 listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log). The same holds for a stored value out

@@ -52,7 +52,6 @@ const PORT_SIZE: usize = 0x400;
 pub mod timer {
     #![allow(missing_docs, reason = "the manual's names")]
     pub const CR1: usize = 0x00;
-    pub const CR2: usize = 0x04;
     pub const SMCR: usize = 0x08;
     pub const DIER: usize = 0x0C;
     pub const SR: usize = 0x10;

@@ -107,7 +107,7 @@ impl Control {
             recorder,
             clock: Clock::new(),
             round_began: Instant::from_ticks(0),
-            line_reader: LineReader::new(),
+            line_reader: LineReader::default(),
             line_bytes_out: 0,
             hosts_came: 0,
             hosts_went: 0,

@@ -196,7 +196,7 @@ impl Serial {
                 flushed: true,
                 realtime,
                 lines,
-                line_sender: LineSender::new(),
+                line_sender: LineSender::default(),
                 bytes_queued: 0,
             },
             replies,

@@ -107,7 +107,9 @@ pub fn for_error(error: Error) -> &'static str {
             "Unlock with $X, or home with $H. A message before the error says which setting locks the motion, if one does."
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
-        Error::LineTooLong => "Shorten the line: 256 characters, 79 in the dialect of Grbl. Remarks count.",
+        Error::LineTooLong => {
+            "Shorten the line: 256 characters, 79 in the dialect of Grbl. Blanks and remarks do not count."
+        }
         Error::StepRateTooHigh => {
             "Lower the rate ($110 to $112) or the steps/mm ($100 to $102), or choose a faster board."
         }

@@ -80,7 +80,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::DirectionSetup,
-        "Least time from a change of direction to the step pulse behind it. Take what the data sheet of the driver asks for.",
+        "Least time from a change of direction to the step pulse behind it. Take what the data sheet of the driver asks for; 2 us are kept in any case.",
     ),
     (Key::SpindleMaximum, "Speed of the spindle at full output. Measure it without a cutter."),
     (

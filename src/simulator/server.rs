@@ -57,7 +57,7 @@ const SLICE: Duration = Duration::from_millis(20);
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
 /// What is said to a client before it is closed because its line does not end, or because there is no place for it.
 pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
-pub(crate) const CROWDED: &[u8] = b"[MSG:Too many connections]\r\n";
+const CROWDED: &[u8] = b"[MSG:Too many connections]\r\n";
 const CLOSING_TIME: Duration = Duration::from_secs(1);
 
 /// What the threads tell the loop.

@@ -489,11 +489,6 @@ impl Simulator {
         self.turn();
     }
 
-    /// Takes the job away.
-    pub fn unload_job(&mut self) -> Option<JobText> {
-        self.job.0.take()
-    }
-
     /// The job, if one was loaded.
     pub fn job(&self) -> Option<&JobText> {
         self.job.0.as_ref()

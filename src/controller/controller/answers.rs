@@ -161,7 +161,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Cold: asked for a few times in a second, and looked for before each output.
     #[cold]
     #[inline(never)]
-    pub(super) fn report_status(&mut self) {
+    fn report_status(&mut self) {
         let busy = self.step_supply.is_running()
             || matches!(
                 self.mode,
@@ -200,7 +200,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The inputs as a report shows them.
-    pub(super) fn shown_signals(&self) -> Signals {
+    fn shown_signals(&self) -> Signals {
         let signals = *self.inputs.signals();
         Signals { limits: inputs::axes_of_switches(signals.limits, &self.settings), ..signals }
     }

@@ -550,7 +550,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     #[inline(never)]
-    pub(super) fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
+    fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
         let line = if self.mode.is_alarm() { None } else { self.records.startup_line(index).cloned() };
         let Some(line) = line else {
             if let Some(answer) = then {

@@ -33,7 +33,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
     /// belts (CoreXY) X and Y add up to the distance of a motor.
     #[inline]
-    pub(super) fn leaves_range(&self) -> bool {
+    fn leaves_range(&self) -> bool {
         // The check has looked at the target of a line, and nothing of it is beyond.
         let is_plain = matches!(self.line.checked.motion, gcode::Motion::None | gcode::Motion::Line { .. });
         !(is_plain && self.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
@@ -127,7 +127,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// The curve of the control points that the interpreter keeps.
-    pub(super) fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
+    fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
         NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order }
     }
 
@@ -143,7 +143,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The setting that allows no motion at all.
     #[inline]
-    pub(super) fn locking_setting(&mut self) -> Option<u16> {
+    fn locking_setting(&mut self) -> Option<u16> {
         self.settings_lock.setting(&self.settings)
     }
 
@@ -172,12 +172,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     #[inline(never)]
-    pub(super) fn name_locking(&mut self, setting: u16) {
+    fn name_locking(&mut self, setting: u16) {
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
     }
 
     /// With homing on, what uses machine coordinates waits for a position that is true.
-    pub(super) fn needs_homing(&self) -> bool {
+    fn needs_homing(&self) -> bool {
         !self.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
             && self.settings.is_on(Key::Homing)

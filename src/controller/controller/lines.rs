@@ -159,7 +159,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
-    pub(super) fn must_wait(&self, line: &[u8]) -> bool {
+    fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
             && matches!(self.mode, Mode::Jog { cancelling: true })
             && self.lines.is_jog_behind_cancel()

@@ -69,7 +69,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         true
     }
 
-    pub(super) fn list_setting(&mut self, line: usize) -> bool {
+    fn list_setting(&mut self, line: usize) -> bool {
         let Some((entry, number, value)) = self.settings.row(line) else { return false };
         if entry.grbl || self.dialect() != Dialect::Grbl {
             self.say(|out| report::setting(out, &entry, number, value));
@@ -77,7 +77,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         true
     }
 
-    pub(super) fn list_parameter(&mut self, line: usize) -> bool {
+    fn list_parameter(&mut self, line: usize) -> bool {
         let form = self.place_form();
         let systems =
             if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
@@ -114,7 +114,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         true
     }
 
-    pub(super) fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
+    fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
         // The switch of an axis that is not in use is none, and beside A there is no second motor.
         let axes = self.settings.axes_in_use();
         let counts =
@@ -159,7 +159,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// What `$I` says is switched on, in Grbl's letters and their order.
-    pub(super) fn option_letters(&self) -> heapless::Vec<u8, 12> {
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
         let on = |key| self.settings.is_on(key);
         [

@@ -174,7 +174,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A soft reset (Ctrl-X) has taken effect. At rest it is followed by the welcome line; a reset in a motion or in homing aborts a
     /// cycle: `ALARM:3` or `ALARM:6`, position lost, as in Grbl.
-    pub(super) fn finish_reset(&mut self, moving: bool) {
+    fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
         self.lines.clear();
         let homing = matches!(self.mode, Mode::Home(_));

@@ -90,7 +90,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.has_nothing_to_do() && self.motion.is_idle() && self.door.motion().is_idle() && self.is_off()
     }
 
-    pub(super) fn is_off(&self) -> bool {
+    fn is_off(&self) -> bool {
         self.pins.are_off()
     }
 

@@ -124,7 +124,7 @@ impl<const N: usize> Offsets<N> {
     }
 
     /// G92 and tool length offset together.
-    pub fn g92_and_tool_length(&self) -> PerAxis<Coordinate, N> {
+    fn g92_and_tool_length(&self) -> PerAxis<Coordinate, N> {
         self.g92.zip(&self.tool_length, |g92, tool| g92 + tool)
     }
 

@@ -7,7 +7,7 @@
 /// Groups that can wait. One more waits in front of its line until motion has come so far.
 const GROUPS: usize = 8;
 /// Marks are counted with so many bits: more than twice as many as there are groups.
-pub const MARK_BITS: u32 = 5;
+const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
 /// Changes that are due together.

@@ -55,7 +55,7 @@ pub struct Opening {
 
 impl Opening {
     /// By the door itself.
-    pub const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
+    const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
 }
 
 /// The points of the parking moves.

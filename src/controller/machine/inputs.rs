@@ -156,7 +156,7 @@ impl InputLevels {
 }
 
 /// Bits of the limit switches of the axes in use, without that of a second motor.
-pub fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
+fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
     (1 << settings.axes_in_use()) - 1
 }
 

@@ -72,7 +72,7 @@ pub struct LineBytes {
 }
 
 impl LineBytes {
-    /// So many fit.
+    /// How many bytes fit.
     pub const MOST: usize = 15;
     /// None.
     pub const EMPTY: LineBytes = LineBytes { epoch: 0, damaged: 0, len: 0, bytes: [0; LineBytes::MOST] };

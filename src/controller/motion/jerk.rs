@@ -150,7 +150,7 @@ impl PathState {
 
     /// Whether from the summit that belongs to this state the ramp to `target` ends within `distance` from here.
     #[inline]
-    pub(super) fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
+    fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (summit, ahead) = self.summit(bounds.jerk);
         summit <= target || ramp_distance(summit, target, bounds) + ahead <= distance
     }

@@ -280,11 +280,6 @@ impl<const N: usize> AnyMotion<N> {
         self.prepared().lead
     }
 
-    /// The motors lead the tool by this much; at rest with an empty queue only.
-    pub fn set_lead(&mut self, lead: [i32; N]) {
-        self.plan_from(Motors { lead, ..self.prepared() });
-    }
-
     /// After what is queued the motors lead the tool by this much.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.queue.backlash.want(lead);

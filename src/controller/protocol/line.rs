@@ -3,12 +3,12 @@
 //! the latest remark, whose message `(MSG, ...)` it finds; too long a line overflows. `push_plain` is the short form
 //! for most bytes.
 
-/// Longest line in Grbl's dialect, after filtering.
+/// Longest line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
-/// Longest line in Oxmill's dialect, after filtering.
+/// Longest line in Oxmill's dialects, in bytes, without blanks and remarks.
 pub const LENGTH: usize = 256;
 
-/// Longest message of a program, in bytes.
+/// How many bytes of a remark in parentheses are kept, its keyword (`MSG,`) included; what is beyond is cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
 /// What a byte completed.
@@ -25,7 +25,7 @@ pub enum Pushed {
 /// How lines are filtered in a dialect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineRules {
-    /// Longest line, after filtering.
+    /// Longest line, in bytes, without blanks and remarks.
     pub length: usize,
     /// Whether CR LF is one line end (Grbl takes it for two).
     pub merge_crlf: bool,

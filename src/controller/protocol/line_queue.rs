@@ -20,18 +20,15 @@ pub struct LineSender {
     partial: usize,
 }
 
+/// Nothing gathered.
 impl Default for LineSender {
+    #[inline]
     fn default() -> Self {
-        Self::new()
+        Self { gathered: LineBytes::EMPTY, partial: 0 }
     }
 }
 
 impl LineSender {
-    /// Nothing gathered.
-    pub const fn new() -> Self {
-        Self { gathered: LineBytes::EMPTY, partial: 0 }
-    }
-
     /// Takes a byte. `send` queues a message if there is room. `false`: no room, nothing done.
     #[inline]
     pub fn push(&mut self, byte: LineByte, send: impl FnOnce(LineBytes) -> bool) -> bool {
@@ -93,18 +90,15 @@ pub struct LineReader {
     next: usize,
 }
 
+/// Nothing received.
 impl Default for LineReader {
+    #[inline]
     fn default() -> Self {
-        Self::new()
+        Self { message: LineBytes::EMPTY, next: 0 }
     }
 }
 
 impl LineReader {
-    /// Nothing received.
-    pub const fn new() -> Self {
-        Self { message: LineBytes::EMPTY, next: 0 }
-    }
-
     /// The epoch and the bytes that come next, as far as they have been received and are none that loss has damaged.
     #[inline]
     pub fn ahead(&self) -> (u16, &[u8]) {

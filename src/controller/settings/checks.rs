@@ -119,6 +119,26 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
+    /// As Grbl reads them: a fraction is cut off, and any byte but 0 switches on.
+    #[test]
+    fn whole_numbers_lose_their_fraction_and_switches_take_a_byte() {
+        let mut s = Settings::<3>::default();
+        for (number, thousandths, taken) in [
+            (1, 25_500, Some(25.0)),
+            (21, 2000, Some(1.0)),
+            (21, 255_900, Some(1.0)),
+            (21, 256_000, None),
+            (21, 900, Some(0.0)),
+            (23, 255_000, Some(255.0)),
+            (23, 256_000, None),
+            (44, 8000, None),
+        ] {
+            let result = set(&mut s, number, thousandths);
+            assert_eq!(result, taken.map_or(Err(Error::InvalidStatement), |_| Ok(())), "${number}={thousandths}");
+            assert!(taken.is_none_or(|value| s.by_number(number) == Some(value)), "${number}={thousandths}");
+        }
+    }
+
     /// `$0` is exact in tenths; what is not is refused, and so is what no board makes.
     #[test]
     fn a_step_pulse_is_taken_to_the_tenth_or_not_at_all() {

@@ -144,6 +144,36 @@ mod tests {
         assert_eq!(s.unrunnable(rates(100_000), true), None);
     }
 
+    /// The bounds that `docs/settings.md` names.
+    #[test]
+    fn each_bound_of_what_can_run_is_where_it_is_said_to_be() {
+        let (homing, parking): (&[_], &[_]) = (&[(22, 1)], &[(22, 1), (41, 1)]);
+        // A setting that locks motion with its first value and not with its second, in ten-millionths.
+        for (before, number, locked, free) in [
+            (&[][..], 11, 10_001_000_000, 10_000_000_000),
+            (&[], 12, 999, 1000),
+            (&[], 160, 400_010_000, 400_000_000),
+            (&[], 110, 0, 1000),
+            (&[], 120, 9000, 11_000),
+            (&[], 220, 9_999_000, 10_000_000),
+            (&[], 20, 10_000_000, 0),
+            (homing, 24, 0, 1000),
+            (homing, 25, 0, 1000),
+            (parking, 42, 30_000_000, 20_000_000),
+            (parking, 57, 0, 1000),
+            (parking, 59, 0, 1000),
+        ] {
+            let mut s = Settings::<3>::default();
+            for (number, value) in before {
+                s.set(*number, Decimal::from_int(*value)).unwrap();
+            }
+            s.set(number, Decimal(locked)).unwrap();
+            assert_eq!(s.unrunnable(rates(100_000), true), Some(number), "{locked}");
+            s.set(number, Decimal(free)).unwrap();
+            assert_eq!(s.unrunnable(rates(100_000), true), None, "${number}={free}");
+        }
+    }
+
     #[test]
     fn motors_that_pull_together_add_their_rates() {
         let mut s = Settings::<3>::default();

@@ -6,32 +6,10 @@ mod program;
 
 use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, Motion};
 use oxmill_controller::units::{DECIMAL_ONE, Decimal};
-use program::{Program, in_mm};
+use program::{Program, in_mm, play, ready};
 
 /// Half of the root of 3.
 const H: f64 = 0.866_025_403_784_438_6;
-
-fn ready(setup: &str) -> Program {
-    let mut program = Program::new(Dialect::Oxmill);
-    program.run_all("G21 G90 F300");
-    program.run_all(setup);
-    program
-}
-
-/// Lines, and the machine positions that they lead to.
-fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
-    let mut program = ready(setup);
-    for (line, place) in lines {
-        program.run(line);
-        let machine = program.machine();
-        assert!(machine.iter().zip(place).all(|(a, b)| (a - b).abs() < 2.1e-7), "{line}: {machine:?}, not {place:?}");
-    }
-    program
-}
-
-fn written(program: &Program) -> [f64; 3] {
-    in_mm(&program.interpreter.to_program(program.interpreter.position()))
-}
 
 /// About its origin; an axis that is not named stays where the program has it.
 #[test]
@@ -52,7 +30,7 @@ fn a_rotated_system() {
             ("X10 Y1", [1.0, -10.0, 3.0]),
         ],
     );
-    assert_eq!(written(&program), [10.0, 1.0, 3.0]);
+    assert_eq!(program.written(), [10.0, 1.0, 3.0]);
     let angle = program.interpreter.offsets().angle(CoordinateSystem::G54);
     assert_eq!(angle.degrees(), Decimal::from_int(-90));
 }
@@ -91,7 +69,7 @@ fn increments_do_not_drift() {
         program.run("G1 X0.001 Y-.0003");
     }
     let reached = program.machine();
-    assert_eq!(written(&program), [100.0, -30.0, 0.0]);
+    assert_eq!(program.written(), [100.0, -30.0, 0.0]);
     program.run("G90 G0 X1");
     program.run("X100 Y-30");
     assert_eq!(program.machine(), reached);

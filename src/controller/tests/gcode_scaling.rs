@@ -6,29 +6,7 @@ mod program;
 
 use oxmill_controller::gcode::{CycleStep, Dialect, Feed, Motion};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
-use program::{Program, in_mm};
-
-fn ready(setup: &str) -> Program {
-    let mut program = Program::new(Dialect::Oxmill);
-    program.run_all("G21 G90 F300");
-    program.run_all(setup);
-    program
-}
-
-/// Lines, and the machine positions that they lead to.
-fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
-    let mut program = ready(setup);
-    for (line, place) in lines {
-        program.run(line);
-        let machine = program.machine();
-        assert!(machine.iter().zip(place).all(|(a, b)| (a - b).abs() < 2.1e-7), "{line}: {machine:?}, not {place:?}");
-    }
-    program
-}
-
-fn written(program: &Program) -> [f64; 3] {
-    in_mm(&program.interpreter.to_program(program.interpreter.position()))
-}
+use program::{Program, in_mm, play, ready};
 
 #[test]
 fn about_a_centre() {
@@ -49,7 +27,7 @@ fn about_a_centre() {
         ],
     );
     assert!(program.interpreter.scaling().is_none());
-    assert_eq!(written(&program), [10.0, 10.0, 30.0]);
+    assert_eq!(program.written(), [10.0, 10.0, 30.0]);
 }
 
 /// An axis that is not named has the centre where the tool is.
@@ -66,7 +44,7 @@ fn about_the_tool() {
             ("G50 X0 Y0", [1.0, 0.0, 0.0]),
         ],
     );
-    assert_eq!(written(&program), [0.0, 0.0, 0.0]);
+    assert_eq!(program.written(), [0.0, 0.0, 0.0]);
 }
 
 #[test]
@@ -178,7 +156,7 @@ fn feed_probe_and_digit() {
     assert!((checked.digit - 0.02).abs() < 1e-6);
     let Motion::Probe { target, .. } = program.run("G38.2 X5").motion else { panic!() };
     assert_eq!(in_mm(&target), [10.0, 0.0, 0.0]);
-    assert_eq!(written(&program), [5.0, 0.0, 0.0]);
+    assert_eq!(program.written(), [5.0, 0.0, 0.0]);
 }
 
 /// With a rotation: scaled first, then turned, and the centre of G68 is written by the program, too.
@@ -287,7 +265,7 @@ fn increments_do_not_drift() {
             program.run("G1 X0.0001 Y-.0003");
         }
         let reached = program.machine();
-        assert_eq!(written(&program), [10.0, -30.0, 0.0], "{setup}");
+        assert_eq!(program.written(), [10.0, -30.0, 0.0], "{setup}");
         program.run("G90 G0 X1 Y1");
         program.run("X10 Y-30");
         let again = program.machine();

@@ -5,7 +5,7 @@
 
 mod program;
 
-use oxmill_controller::gcode::{CycleStep, Dialect, Flow, Motion, PathControl, PathTolerance};
+use oxmill_controller::gcode::{CycleStep, Dialect, Flow, Motion, PathControl};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Coordinate;
 use program::{Program, in_mm};
@@ -292,7 +292,7 @@ fn g92_and_m72() {
 #[cfg(feature = "blending")]
 #[test]
 fn path_tolerances() {
-    let within = |path, merging| PathControl::Within(PathTolerance { path, merging });
+    let within = |path, merging| PathControl::Within(oxmill_controller::gcode::PathTolerance { path, merging });
     for dialect in NEW {
         let mut program = ready(dialect);
         for (line, path) in [

@@ -23,7 +23,7 @@ mod suite {
     fn the_line_queue_keeps_order_and_refuses_when_full() {
         let mut channel: Channel<LineBytes, LINE_MESSAGES> = Channel::new();
         let (mut send, mut receive) = channel.split();
-        let (mut sender, mut reader) = (LineSender::new(), LineReader::new());
+        let (mut sender, mut reader) = (LineSender::default(), LineReader::default());
         for round in 0..3_u8 {
             let mut inside = 0_u16;
             let byte = |place: u16| LineByte { byte: place as u8, epoch: round.into(), damaged: false };

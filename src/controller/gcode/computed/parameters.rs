@@ -30,7 +30,7 @@ const GLOBAL: u8 = u8::MAX;
 const LOCAL_END: i64 = 30;
 
 /// Greatest number of a parameter.
-pub(super) const NUMBER_MAX: i64 = 5999;
+const NUMBER_MAX: i64 = 5999;
 
 /// A key as it is stored.
 type Key = heapless::Vec<u8, NAME_LENGTH>;

@@ -8,6 +8,25 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
 
+/// In millimetres, with a feed, and after the lines of `setup`.
+pub fn ready(setup: &str) -> Program {
+    let mut program = Program::new(Dialect::Oxmill);
+    program.run_all("G21 G90 F300");
+    program.run_all(setup);
+    program
+}
+
+/// Runs lines after `setup`, each with the machine position in mm that it leads to.
+pub fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
+    let mut program = ready(setup);
+    for (line, place) in lines {
+        program.run(line);
+        let machine = program.machine();
+        assert!(machine.iter().zip(place).all(|(a, b)| (a - b).abs() < 2.1e-7), "{line}: {machine:?}, not {place:?}");
+    }
+    program
+}
+
 /// An interpreter and the dialect it is asked in.
 #[derive(Clone)]
 pub struct Program {
@@ -53,6 +72,11 @@ impl Program {
     /// Machine position in mm.
     pub fn machine(&self) -> [f64; 3] {
         in_mm(self.interpreter.position())
+    }
+
+    /// Where a program would say that the tool is, in mm.
+    pub fn written(&self) -> [f64; 3] {
+        in_mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
     /// Work position in mm.
