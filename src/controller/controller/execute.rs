@@ -298,7 +298,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
-            gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
+            gcode::Motion::Line { ref target, feed, .. } => {
+                let mv = self.move_of(target, speed(feed), job.jog);
+                self.queue_move(&mv, job).then_some(Stage::Flow)
+            }
             _ => self.begin_other_motion(job),
         }
     }
