@@ -61,12 +61,16 @@ fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     // How many bytes are used up to the point.
     let mut point = 0;
     for &byte in text {
-        match byte {
-            b'0'..=b'9' => mantissa = mantissa.wrapping_mul(10).wrapping_add(u32::from(byte - b'0')),
-            b'.' if point == 0 => point = used + 1,
-            _ => break,
-        }
         used += 1;
+        let digit = u32::from(byte).wrapping_sub(u32::from(b'0'));
+        if digit < 10 {
+            mantissa = mantissa.wrapping_mul(10).wrapping_add(digit);
+        } else if byte == b'.' && point == 0 {
+            point = used;
+        } else {
+            used -= 1;
+            break;
+        }
     }
     let digits = used - usize::from(point > 0);
     let fraction = if point > 0 { used - point } else { 0 };

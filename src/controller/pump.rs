@@ -6,13 +6,13 @@
 //! ```text
 //!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends
 //!    ▲                                                                        │
-//!    └──── a message to the step task, a stop, a question to store or pins ◀──┘
+//!    └── a message to the step task, a line, a stop, a question to the store ◀┘
 //! ```
-//! Each message to the step task begins another round, so the look-ahead is as full as the received bytes allow before each
-//! segment is cut, and the steps do not depend on the speed of the processor; unless it is too slow for them: where the step task
-//! soon has no more segments of a motion, these come before lines. Whatever is answered by an event (a stop, a
-//! stored record, the view of the pins) begins one too: the answer is told before another output is asked for, and there is
-//! never more than one of a kind under way.
+//! Each message to the step task and each line that has been carried out begins another round, so the look-ahead is as full as
+//! the received bytes allow before each segment is cut, and the steps do not depend on the speed of the processor; unless it is
+//! too slow for them: where the step task soon has no more segments of a motion, these come before lines. Whatever is answered by
+//! an event (a stop, a stored record, the view of the pins) begins one too: the answer is told before another output is asked
+//! for, and there is never more than one of a kind under way.
 
 use crate::controller::Controller;
 use crate::messages::{Event, LineByte, Observed, Output, Room};
@@ -126,6 +126,8 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
         let begins_again = match output {
             // Events first: a long arc must not keep a stop waiting.
             Output::Worked => return true,
+            // The next line comes before another segment is cut.
+            Output::Answer(_) => true,
             Output::Step(_) | Output::Stop | Output::Store => true,
             Output::ReadPins { .. } | Output::ReadRecording { .. } => true,
             Output::Reply(_) | Output::Pins(_) | Output::Wiring(_) => false,

@@ -248,15 +248,15 @@ impl StepsPerMm {
     #[inline]
     pub fn steps(self, coordinate: Coordinate) -> i32 {
         // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57), and what is cut
-        // off by the shift has no part in the quotient.
+        // off by the shift has no part in the quotient; nor has it in half of the divisor.
+        const HALF: u64 = DECIMAL_ONE as u64 / 2;
         let size = coordinate.0.unsigned_abs();
-        let half = (DECIMAL_ONE as u64 / 2) << self.shift;
-        let product = if size >> 39 == 0 {
-            size.wrapping_mul(u64::from(self.mantissa)).wrapping_add(half)
+        let rounded = if size >> 39 == 0 {
+            (size.wrapping_mul(u64::from(self.mantissa)) >> self.shift).wrapping_add(HALF)
         } else {
-            far_product(size, self.mantissa, half)
+            far_product(size, self.mantissa, HALF << self.shift) >> self.shift
         };
-        let steps = ones(product >> self.shift);
+        let steps = ones(rounded);
         match (coordinate.0 < 0, i32::try_from(steps)) {
             (false, steps) => steps.unwrap_or(i32::MAX),
             (true, Ok(steps)) => -steps,

@@ -388,7 +388,7 @@ impl Pump<AXES, BLOCKS> for Control {
                     boards::call_step();
                 }
             }
-            Output::Reply(chunk) => {
+            Output::Reply(chunk) | Output::Answer(chunk) => {
                 let _ = self.ends.replies.try_send(chunk);
                 boards::call_serial();
             }

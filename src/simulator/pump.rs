@@ -88,7 +88,7 @@ impl Pump<AXES, BLOCKS> for Simulator {
                 self.step.queue(message, mark, &self.clock, &mut self.world);
             }
             Output::Stop => self.stop(),
-            Output::Reply(chunk) => {
+            Output::Reply(chunk) | Output::Answer(chunk) => {
                 self.outgoing.extend_from_slice(chunk.as_bytes());
                 if let Some(job) = &mut self.job.0 {
                     job.answered(chunk.as_bytes());

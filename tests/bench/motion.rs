@@ -67,7 +67,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         }
         match controller.output(now, Room { step: queue.len() < SEGMENTS_DEPTH, reply: true }) {
             Some(Output::Step(message)) => queue.push_back(message),
-            Some(Output::Reply(chunk)) => answers.extend_from_slice(chunk.as_bytes()),
+            Some(Output::Reply(chunk) | Output::Answer(chunk)) => answers.extend_from_slice(chunk.as_bytes()),
             Some(_) => {}
             None => {
                 while stepper.wants()

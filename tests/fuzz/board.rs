@@ -565,7 +565,7 @@ impl Pump<AXES, BLOCKS> for Board {
                 self.queue.push_back(message);
                 self.load();
             }
-            Output::Reply(chunk) => {
+            Output::Reply(chunk) | Output::Answer(chunk) => {
                 self.said.extend_from_slice(chunk.as_bytes());
                 self.book.told(chunk.as_bytes());
             }

@@ -68,18 +68,18 @@ const ROWS: [Row; 20] = [
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (515, 850)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (586, 948)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_780, 2_990))
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (575, 935)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_695, 2_875))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
         .beside("56 / 72", "41 / 55"),
-    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_075, 2_097)),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_900, 5_130)),
+    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_080)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_815, 5_010)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_530, 2_260))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_450, 2_180))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (272, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (7_060, 11_400))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (6_595, 10_730))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

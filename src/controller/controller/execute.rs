@@ -176,18 +176,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let checking = matches!(self.mode, Mode::Check);
         let mut progressed = false;
         loop {
-            // The stages of a line that only moves; nearly all lines have no others.
+            // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
             let next = match job.stage {
                 // There is nothing to wait for but a record of a line before.
                 Stage::Apply if self.line.checked.moves_only() && self.records.are_stored() => {
                     self.interpreter.commit(&self.line.checked);
                     // A stop may have left another one.
                     self.accessories.set_speed(self.line.checked.speed);
-                    Some(Stage::Target)
+                    job.stage = Stage::Target;
+                    progressed = true;
+                    continue;
                 }
                 Stage::Target if !checking => self.begin_motion(job),
                 Stage::Flow if self.line.checked.flow == Flow::None && !self.line.is_single_block() => {
-                    Some(Stage::Done)
+                    job.stage = Stage::Done;
+                    return true;
                 }
                 Stage::Done => return true,
                 _ => self.advance_stage(job, checking),
@@ -295,7 +298,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
-            gcode::Motion::Line { target, feed, .. } => self.queue(&target, speed(feed), job).then_some(Stage::Flow),
+            gcode::Motion::Line { ref target, feed, .. } => {
+                let mv = self.move_of(target, speed(feed), job.jog);
+                self.queue_move(&mv, job).then_some(Stage::Flow)
+            }
             _ => self.begin_other_motion(job),
         }
     }

@@ -3,8 +3,8 @@
 //! to be done: stops, wiring, pins, records, replies, messages to the step task. `look_round` and `settle` follow what
 //! has ended or is still running (motion that is idle), `next_wakeup` says when to call. It hears the hosts and their
 //! heartbeat. The only room that knows all the others. `Event` is `Realtime`, `Line`, `Signals`, `Pins`, `Step`,
-//! `Stored`, `Connected` or `Disconnected`; `Output` is `Reply`, `Wiring`, `Store`, `Stop` or `Worked`. `step_message`
-//! gives a `ToStep` (`Watch`, `Resume`, `Segment`) in its turn (`message_in_turn`); `wants_line`,
+//! `Stored`, `Connected` or `Disconnected`; `Output` is `Reply`, `Answer`, `Wiring`, `Store`, `Stop` or `Worked`.
+//! `step_message` gives a `ToStep` (`Watch`, `Resume`, `Segment`) in its turn (`message_in_turn`); `wants_line`,
 //! `is_short_of_segments`, `may_have_changed` and `auto_start` ask; `settle` matches each `Mode` and a jog that is
 //! `cancelling`. Also `accessories`, `interpreter`, `records`, `settings_lock`, `reference`, `ZEROS` by `offset_of`,
 //! and what it has `stored` and does `restore`.
@@ -338,8 +338,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     ///
     /// No getter: this is what drives everything that takes longer than an event. In the order of urgency it follows what has
     /// ended, gives out stops, pins and records, keeps the step queue filled, answers, and then does one bounded piece of the
-    /// task in hand ([`Output::Worked`]: there is more). So the path of a line goes through here at least five times: carried
-    /// out, answered, begun, and handed to the step task segment by segment.
+    /// task in hand ([`Output::Worked`] or [`Output::Answer`]: there is more). So the path of a line goes through here at least
+    /// three times: carried out and answered, begun, and handed to the step task segment by segment.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.now = now;
         if self.may_have_changed()
@@ -362,7 +362,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return Some(Output::Reply(chunk));
         }
         if self.may_advance() && self.advance() {
-            return Some(Output::Worked);
+            // The answer to a line that only moves goes out at once; after anything else what that has changed comes first.
+            let answer = if room.reply && self.pins.are_calm() { self.replies.next_chunk() } else { None };
+            return Some(answer.map_or(Output::Worked, Output::Answer));
         }
         if matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
             self.pins.disturb();

@@ -26,7 +26,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn queue(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, job: &Job) -> bool {
         let mv = self.move_of(target, speed, job.jog);
-        let taken = self.motion.line(&mv);
+        self.queue_move(&mv, job)
+    }
+
+    /// The same with a move that is ready. Whether there was room for it.
+    pub(super) fn queue_move(&mut self, mv: &Move<N>, job: &Job) -> bool {
+        let taken = self.motion.line(mv);
         if !taken {
             self.start_queued();
         } else if job.jog {

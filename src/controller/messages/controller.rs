@@ -50,7 +50,7 @@ pub struct Observed {
 pub struct Room {
     /// One [`Output::Step`].
     pub step: bool,
-    /// One [`Output::Reply`].
+    /// One [`Output::Reply`] or [`Output::Answer`].
     pub reply: bool,
 }
 
@@ -63,6 +63,8 @@ pub enum Output {
     Step(ToStep),
     /// For the host.
     Reply(Chunk),
+    /// The same behind the piece of work that it answers, as [`Output::Worked`]: there is more.
+    Answer(Chunk),
     /// For the slow pins.
     Pins(SlowOutputs),
     /// For the tasks that own the fast pins.

@@ -26,6 +26,8 @@ const GREATEST_SHARE: f32 = 1.0;
 pub(super) struct Backlash<const N: usize> {
     /// Steps of slack; 0 = none.
     slack: [i32; N],
+    /// Whether any motor has slack.
+    is_on: bool,
     /// How far the motor leads the tool at the end of the queue, 0 to `slack`.
     lead: [i32; N],
     /// How far it must lead after the last direction taken.
@@ -52,11 +54,12 @@ impl<const N: usize> Motors<N> {
 }
 
 impl<const N: usize> Backlash<N> {
-    pub(super) const NONE: Self = Self { slack: [0; N], lead: [0; N], wanted: [0; N] };
+    pub(super) const NONE: Self = Self { slack: [0; N], is_on: false, lead: [0; N], wanted: [0; N] };
 
     /// New slacks; a lead stays as far as it can.
     pub(super) fn configure(&mut self, slack: [i32; N]) {
         self.slack = slack;
+        self.is_on = slack.iter().any(|slack| *slack != 0);
         self.rest(self.lead);
     }
 
@@ -87,7 +90,7 @@ impl<const N: usize> Backlash<N> {
     /// Whether any motor has slack.
     #[inline]
     pub(super) fn is_on(&self) -> bool {
-        self.slack.iter().any(|slack| *slack != 0)
+        self.is_on
     }
 
     /// Takes over the directions of a move (in steps of the tool). Motors that do not move want what they wanted.

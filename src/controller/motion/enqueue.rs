@@ -203,6 +203,7 @@ impl<const N: usize> AnyQueue<N> {
         let (mut motors, sizes) = self.steps_to(target_steps);
         if sizes.dominant == 0 {
             self.end.length_carry = path.length;
+            self.end.is_past_block = true;
             return;
         }
         // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
@@ -211,6 +212,7 @@ impl<const N: usize> AnyQueue<N> {
         self.end.length_carry = greater(path.length - length, -sizes.least_mm);
         let start = core::mem::replace(&mut self.end.block_end, m.target);
         self.end.planned_steps = *target_steps;
+        self.end.is_past_block = false;
 
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let line_number = self.number_of(m);
@@ -322,7 +324,7 @@ impl<const N: usize> AnyQueue<N> {
             square += part * part;
         }
         let straight = square_root(square);
-        let own = if self.end.planned == self.end.block_end { straight } else { self.end.distance(target) };
+        let own = if self.end.is_past_block { self.end.distance(target) } else { straight };
         Path { way, straight, own, length: own + self.end.length_carry }
     }
 

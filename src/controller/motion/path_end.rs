@@ -6,10 +6,11 @@ use super::trapezoid::square_root;
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
 
-/// The way of an axis, mm: one that stays needs no division.
+/// The way of an axis between places within [`Coordinate::LIMIT`], mm: one that stays needs no division.
 #[inline]
 pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
-    if to == from { 0.0 } else { (to - from).to_mm() }
+    let way = to.0 - from.0;
+    if way == 0 { 0.0 } else { Coordinate(way).to_mm() }
 }
 
 /// The end of the queue, before which the last block ends.
@@ -23,6 +24,8 @@ pub(super) struct PathEnd<const N: usize> {
     pub length_carry: f32,
     /// Unit vector of the last block.
     pub direction: [f32; N],
+    /// Moves without a step have led on from `block_end`.
+    pub is_past_block: bool,
     /// The last block has taken the time of moves without a step that led nowhere.
     pub had_stepless_moves: bool,
     /// The last block moves motors and no tool: what follows begins at rest.
@@ -36,6 +39,7 @@ impl<const N: usize> PathEnd<N> {
         planned_steps: PerAxis::all(0),
         length_carry: 0.0,
         direction: [0.0; N],
+        is_past_block: false,
         had_stepless_moves: false,
         motors_only: false,
     };
@@ -46,6 +50,7 @@ impl<const N: usize> PathEnd<N> {
         self.planned_steps = steps;
         self.planned = position;
         self.block_end = position;
+        self.is_past_block = false;
         self.motors_only = false;
         self.had_stepless_moves = false;
     }

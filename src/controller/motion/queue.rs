@@ -141,6 +141,7 @@ impl<const N: usize> AnyQueue<N> {
     pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
         self.end.planned = *position;
         self.end.block_end = *position;
+        self.end.is_past_block = false;
         self.chain.restart(position);
     }
 

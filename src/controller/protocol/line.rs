@@ -41,7 +41,9 @@ pub struct LineRules {
 /// A line being received.
 #[derive(Clone, Debug)]
 pub struct Line {
-    text: heapless::Vec<u8, LENGTH>,
+    /// The text, as long as `len` says. No `Vec`, which would store its length with each byte.
+    text: [u8; LENGTH],
+    len: usize,
     comment: Comment,
     /// The latest remark in parentheses, as far as there is room.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
@@ -70,8 +72,8 @@ impl Default for Line {
 
 /// The text of each byte that most lines are made of: digits, letters as capitals, points, minus signs and blanks; 0 for others.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
-const PLAIN: [u8; 128] = {
-    let mut plain = [0; 128];
+const PLAIN: [u8; 256] = {
+    let mut plain = [0; 256];
     let mut byte = 0_u8;
     while byte < 128 {
         if byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b' ') {
@@ -86,7 +88,8 @@ impl Line {
     /// An empty line.
     pub const fn new() -> Self {
         Self {
-            text: heapless::Vec::new(),
+            text: [0; LENGTH],
+            len: 0,
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
@@ -97,7 +100,7 @@ impl Line {
 
     /// The text up to now.
     pub fn text(&self) -> &[u8] {
-        &self.text
+        self.text.get(..self.len).unwrap_or_default()
     }
 
     /// What a remark of the line has to say to the operator, and whether it shows values of parameters: `(MSG, ...)` does
@@ -112,12 +115,12 @@ impl Line {
 
     /// Whether nothing of a line has come yet.
     pub fn is_empty(&self) -> bool {
-        self.text.is_empty() && self.comment == Comment::None && !self.overflow
+        self.len == 0 && self.comment == Comment::None && !self.overflow
     }
 
     /// Forgets the text: the next byte begins a line.
     pub fn clear(&mut self) {
-        self.text.clear();
+        self.len = 0;
         self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
@@ -127,7 +130,7 @@ impl Line {
     /// [`Line::push`], and when that ends.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
-        self.expect_line(plain && !self.text.is_empty());
+        self.expect_line(plain && self.len > 0);
     }
 
     /// The same of text that has yet to begin, too, in this line or the next.
@@ -165,12 +168,31 @@ impl Line {
     /// [`Line::push`] would do with it, in brief.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
-        match PLAIN.get(usize::from(byte)) {
-            // A blank is left out.
-            Some(b' ') => self.plain > 0,
-            Some(text) if *text != 0 => self.text.len() < usize::from(self.plain) && self.text.push(*text).is_ok(),
-            _ => false,
+        self.push_plain_text(&[byte]) > 0
+    }
+
+    /// The same with the first of some bytes, as far as they are such bytes. Gives how many.
+    #[inline]
+    pub fn push_plain_text(&mut self, bytes: &[u8]) -> usize {
+        let most = usize::from(self.plain);
+        let mut len = self.len;
+        let mut taken = 0;
+        for byte in bytes {
+            match PLAIN.get(usize::from(*byte)) {
+                Some(text @ b'!'..) if len < most => {
+                    if let Some(place) = self.text.get_mut(len) {
+                        *place = *text;
+                    }
+                    len += 1;
+                }
+                // A blank is left out.
+                Some(b' ') if most > 0 => {}
+                _ => break,
+            }
+            taken += 1;
         }
+        self.len = len;
+        taken
     }
 
     /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
@@ -196,9 +218,13 @@ impl Line {
             0..=b' ' => {}
             b'/' if self.drops_slash(&rules()) => {}
             _ => {
-                let full = self.text.len() >= GRBL_LENGTH && self.text.len() >= rules().length;
-                if full || self.text.push(byte.to_ascii_uppercase()).is_err() {
-                    self.overflow = true;
+                let full = self.len >= GRBL_LENGTH && self.len >= rules().length;
+                match self.text.get_mut(self.len) {
+                    Some(place) if !full => {
+                        *place = byte.to_ascii_uppercase();
+                        self.len += 1;
+                    }
+                    _ => self.overflow = true,
                 }
             }
         }
@@ -209,17 +235,17 @@ impl Line {
     /// executed.
     #[inline(never)]
     fn drops_slash(&mut self, rules: &LineRules) -> bool {
-        let begins = match self.text.split_first() {
+        let begins = match self.text().split_first() {
             None => true,
             Some((first, number)) => *first == b'N' && number.iter().all(u8::is_ascii_digit),
         };
         if begins && rules.block_delete {
-            self.text.clear();
+            self.len = 0;
             self.comment = Comment::Semicolon;
         } else if begins && rules.expressions {
             self.comment = Comment::Slash;
         }
-        let divides = rules.expressions && self.text.iter().any(|byte| matches!(byte, b'[' | b'#'));
+        let divides = rules.expressions && self.text().iter().any(|byte| matches!(byte, b'[' | b'#'));
         begins || !divides && !rules.block_delete
     }
 

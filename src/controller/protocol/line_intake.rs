@@ -120,11 +120,7 @@ impl LineIntake {
     /// Takes the first of some bytes of an epoch, as far as [`LineIntake::take_plain`] takes each of them. Gives how many.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
-        if epoch != self.epoch {
-            return 0;
-        }
-        let other = bytes.iter().position(|byte| !self.line.push_plain(*byte));
-        other.unwrap_or(bytes.len())
+        if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
     }
 
     /// Takes an LF that ends a line of such bytes; what [`LineIntake::take`] would do with it, in brief. Whether it was one.

@@ -29,7 +29,10 @@ pub struct Replies {
     /// The host knows of the failure before this start.
     restart_told: bool,
     restart: Restart,
-    queue: heapless::Deque<u8, BYTES>,
+    /// The place of the first byte that waits, and how many do.
+    first: usize,
+    waiting: usize,
+    ring: [u8; BYTES],
 }
 
 impl Default for Replies {
@@ -40,7 +43,7 @@ impl Default for Replies {
 
 impl Replies {
     /// Bytes of a new one that are all 0: from where, and how many.
-    pub(crate) const ZEROS: (usize, usize) = (offset_of!(Self, queue), size_of::<heapless::Deque<u8, BYTES>>());
+    pub(crate) const ZEROS: (usize, usize) = (offset_of!(Self, ring), BYTES);
 
     /// Nothing to say.
     pub const fn new() -> Self {
@@ -51,14 +54,16 @@ impl Replies {
             rare_fields: RareFields::DUE,
             restart_told: false,
             restart: Restart::POWER,
-            queue: heapless::Deque::new(),
+            first: 0,
+            waiting: 0,
+            ring: [0; BYTES],
         }
     }
 
     /// Whether there is room for what can wait for it.
     #[inline]
     pub fn has_room(&self) -> bool {
-        self.queue.capacity() - self.queue.len() >= RESERVE
+        BYTES - self.waiting >= RESERVE
     }
 
     /// Whether a startup line has been echoed, whose answer follows on the same line.
@@ -68,13 +73,13 @@ impl Replies {
 
     /// Whether nothing waits to be sent.
     pub fn is_idle(&self) -> bool {
-        self.queue.is_empty() && !self.status_due
+        self.waiting == 0 && !self.status_due
     }
 
     /// A host has gone; this is the number (wrapping) of such hosts. What waits was for it, and is not for the next one.
     pub fn host_left(&mut self, hosts_gone: u16) {
         self.hosts_gone = hosts_gone;
-        self.queue.clear();
+        self.waiting = 0;
     }
 
     /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a
@@ -85,32 +90,37 @@ impl Replies {
     /// to a line of one that has gone for one of its own, so it is left out.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
         let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_of_one_host(text);
-        let free = self.queue.capacity() - self.queue.len();
+        let free = BYTES - self.waiting;
         let has_room = free >= text.len() + ANSWER || free >= text.len() && is_answer(text);
         if unheard || !has_room {
             return;
         }
         self.echoed = text.last() == Some(&b':');
-        for byte in text {
-            let _ = self.queue.push_back(*byte);
+        let end = self.first + self.waiting;
+        for (place, byte) in (end..).zip(text) {
+            if let Some(slot) = self.ring.get_mut(place % BYTES) {
+                *slot = *byte;
+            }
         }
+        self.waiting += text.len();
     }
 
     /// The next bytes to be sent. Asked before each segment: no call for nothing.
     #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
-        if self.queue.is_empty() { None } else { Some(self.chunk()) }
+        if self.waiting == 0 { None } else { Some(self.chunk()) }
     }
 
     #[inline(never)]
     fn chunk(&mut self) -> Chunk {
         let mut chunk = Chunk { len: 0, bytes: [0; 15] };
-        while let Some(slot) = chunk.bytes.get_mut(usize::from(chunk.len))
-            && let Some(byte) = self.queue.pop_front()
-        {
-            *slot = byte;
-            chunk.len += 1;
+        let count = self.waiting.min(chunk.bytes.len());
+        for (slot, place) in chunk.bytes.iter_mut().zip(self.first..self.first + count) {
+            *slot = self.ring.get(place % BYTES).copied().unwrap_or(0);
         }
+        chunk.len = count as u8;
+        self.first = (self.first + count) % BYTES;
+        self.waiting -= count;
         chunk
     }
 

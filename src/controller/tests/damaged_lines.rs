@@ -28,7 +28,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
             heard: 0,
         });
         while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
-            if let Output::Reply(chunk) = output {
+            if let Output::Reply(chunk) | Output::Answer(chunk) = output {
                 text.push_str(std::str::from_utf8(chunk.as_bytes()).unwrap());
             }
         }

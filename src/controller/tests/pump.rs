@@ -116,7 +116,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     fn carry(&mut self, output: Output) {
         let name = match output {
             Output::Step(_) => "step",
-            Output::Reply(chunk) => {
+            Output::Reply(chunk) | Output::Answer(chunk) => {
                 self.said += std::str::from_utf8(chunk.as_bytes()).unwrap();
                 "reply"
             }

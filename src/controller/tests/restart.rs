@@ -45,7 +45,7 @@ impl Board {
         let mut said = String::new();
         self.controller.observe(Observed { segments_begun: 0, step_idle, rx_free: 255, received: 0, heard: 0 });
         while let Some(output) = self.controller.output(NOW, Room { step: true, reply: true }) {
-            if let Output::Reply(chunk) = output {
+            if let Output::Reply(chunk) | Output::Answer(chunk) = output {
                 said.push_str(&String::from_utf8_lossy(chunk.as_bytes()));
             }
         }

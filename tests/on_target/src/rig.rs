@@ -181,7 +181,7 @@ impl Pump<AXES, BLOCKS> for Rig {
     fn carry(&mut self, output: Output) {
         match output {
             Output::Step(message) => self.stepper.load(message),
-            Output::Reply(chunk) => self.hear(chunk.as_bytes()),
+            Output::Reply(chunk) | Output::Answer(chunk) => self.hear(chunk.as_bytes()),
             Output::Pins(_) | Output::Wiring(_) | Output::Worked => {}
             Output::Stop | Output::Store | Output::ReadPins { .. } | Output::ReadRecording { .. } => {
                 panic!("nothing here answers that")
