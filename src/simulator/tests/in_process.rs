@@ -66,6 +66,19 @@ fn a_reset_in_motion_stops_the_pulses_at_once() {
     assert!(mill.take_output().contains("ALARM:3"));
 }
 
+/// A laser with scaled power (M4) is dark from the end of its motion on, and not only when the drivers go off.
+#[test]
+fn a_beam_with_scaled_power_ends_with_the_motion() {
+    for (idle_delay, direction, stays) in [(25, "M4", false), (255, "M4", false), (255, "M3", true)] {
+        let mut mill = mill();
+        mill.send(format!("$1={idle_delay}\n$32=1\n{direction} S500 G91 F600 G1 X1\n"));
+        mill.run_for(Duration::from_millis(300));
+        assert!(mill.is_stepping() && mill.power() != 0, "{direction}");
+        assert!(mill.run_until_idle());
+        assert_eq!(mill.power() != 0, stays, "{direction} with $1={idle_delay}");
+    }
+}
+
 #[test]
 fn pins_are_moved_by_lines() {
     let mut mill = mill();
