@@ -14,7 +14,7 @@ After this page you know each setting, what it does, its unit, its range and its
 (no steps/mm, rate or acceleration; a jerk between 0 and 1; a rate times steps/mm beyond the step rate that the
 board can keep with the pulse `$0`, see [what it costs](how-it-works.md#what-it-costs); a second motor that the board has no
 pins for), motion is locked until it is mended: a message after the `ok` names the setting, and another one the first time that a line is refused
-for it with `error:9`. Nothing is clamped silently.
+for it with `error:9`. A door that opens then parks nothing (`$41`). Nothing is clamped silently.
 
 When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
 listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log). The same holds for a stored value out

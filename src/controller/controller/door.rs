@@ -179,13 +179,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position, or
-    /// where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
+    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position or
+    /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job
     pub(super) fn begin_parking(&mut self) {
-        let allowed =
-            self.door.opening().retract && self.reference.is_trusted() && !self.interpreter.modal().no_parking;
+        let allowed = self.door.opening().retract
+            && self.reference.is_trusted()
+            && self.locking_setting().is_none()
+            && !self.interpreter.modal().no_parking;
         if self.door.leave_job(allowed, &self.settings, &self.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
