@@ -64,6 +64,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn prompt(&mut self) {
         let tool = self.line.checked.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.wait_for_operator();
+    }
+
+    /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
+    fn wait_for_operator(&mut self) {
+        self.drivers.switch_on();
         self.mode = Mode::Hold;
     }
 
@@ -148,8 +154,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             ChangeOrder::Prompt => {
-                // Whoever pulls at the spindle does not move the axes.
-                self.drivers.stay();
                 self.interpreter.tool_removed();
                 self.prompt();
             }
@@ -163,7 +167,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             ChangeOrder::Confirm => {
                 self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
-                self.mode = Mode::Hold;
+                self.wait_for_operator();
             }
             ChangeOrder::Done => return self.return_to_work(),
             ChangeOrder::Failed(alarm) => return self.fail_tool_change(alarm),
