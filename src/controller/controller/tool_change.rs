@@ -87,7 +87,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let plan = self.plan_tool_change();
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
-        let crawls = [Key::ToolSetterSeek, Key::ToolSetterLocate].iter().any(|rate| self.settings.crawls(*rate));
+        let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
+        let crawls = rates.iter().any(|rate| self.settings.crawls(*rate));
         (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
@@ -188,8 +189,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         // A laser is dark in rapids only.
         let rate = per_second(self.settings.value(Key::ParkingPullOutRate));
-        let slow = rate > 0.0 && !self.settings.is_on(Key::Laser);
-        let feed = if slow { Feed::PerMinute(rate) } else { Feed::Rapid };
+        let feed = if self.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.checked.return_with_tool(way, feed, length);
         Stage::Apply
     }
