@@ -99,9 +99,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Begins the next phases as the ones before come to their end. One of no length has come to it at once, and nothing
+    /// would wake the controller for it.
+    pub(super) fn settle_phases(&mut self, mut door: Door) {
+        loop {
+            self.settle_door(door);
+            match self.mode {
+                Mode::Door(next) if next != door => door = next,
+                _ => return,
+            }
+        }
+    }
+
     /// Begins the next phase when one has come to its end.
     #[inline(never)]
-    pub(super) fn settle_door(&mut self, door: Door) {
+    fn settle_door(&mut self, door: Door) {
         match door {
             Door::Braking if self.motion.is_at_rest() => {
                 if self.door.take_jog() {

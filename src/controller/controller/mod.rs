@@ -506,7 +506,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Stopping { then } if self.motion.is_at_rest() => self.settle_braking(then),
             Mode::Normal => self.look_for_spindle(),
-            Mode::Door(door) => self.settle_door(door),
+            Mode::Door(door) => self.settle_phases(door),
             Mode::Hold => {
                 if let Some(until) = self.accessories.spinning_up()
                     && self.has_spun_up(until)
