@@ -11,7 +11,7 @@ use std::fmt::Write;
 const HEAD: &str = "# Settings
 
 After this page you know each setting, what it does, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run, motion is locked until it is mended: a message after
-the `ok` names the setting, and another one the first time that a line is refused for it with `error:9`. No rate or acceleration is clamped silently. What cannot be run:
+the `ok` names the setting, and another one the first time that a line is refused for it with `error:9`. A door that opens then parks nothing (`$41`). No rate or acceleration is clamped silently. What cannot be run:
 
 * no steps/mm; a rate outside of 0.00003 to 6,000,000 mm/min, that of homing (`$22=1`) and of parking (`$41=1` besides) among them; an acceleration outside of 0.001 to 10,000,000 mm/s²; a jerk between 0 and 1
 * a rate times steps/mm beyond the step rate that the board can keep with the pulse `$0` ([what it costs](how-it-works.md#what-it-costs)), or a stored pulse shorter than the board makes

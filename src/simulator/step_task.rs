@@ -197,7 +197,7 @@ impl StepTask {
             self.begun = begun;
             world.trace.segment(due);
             world.meter.begin(clock.seconds(due), world.machine.motors());
-            self.segment_power(world);
+            self.carry_power(self.stepper.power(), world);
         }
         let probed = self.stepper.is_watching() && self.look_at_probe(world, inputs);
         if tick.underrun {
@@ -209,6 +209,8 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
+            // A laser with scaled power (M4) is dark at no speed, one with constant power stays on.
+            self.carry_power(self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
@@ -216,8 +218,8 @@ impl StepTask {
         probed || contact
     }
 
-    fn segment_power(&mut self, world: &mut World) {
-        let power = self.stepper.power();
+    /// Shows another power of a laser, where segments carry it.
+    fn carry_power(&mut self, power: u16, world: &mut World) {
         if let Some(outputs) = self.outputs
             && outputs.power_from_segments
             && power != self.power
@@ -251,6 +253,7 @@ impl StepTask {
         }
         self.events.push_back(event);
         self.due = None;
+        self.carry_power(0, world);
         world.meter.stopped(clock.seconds(clock.now()));
     }
 }

@@ -98,12 +98,24 @@ impl Mill {
             assert!(self.bench.seconds() < end, "no end: {:?} {}", self.said, self.bench.status());
             self.look();
             if matches!(self.bench.state().as_str(), "Hold:0" | "Door:0") {
+                self.assert_held();
                 self.bench.send("~");
             }
         }
         while self.bench.state() != "Idle" {
             assert!(self.bench.seconds() < end, "{:?} {}", self.said, self.bench.status());
             self.look();
+        }
+    }
+
+    /// While somebody is asked for the drivers are on, also after the idle delay (`$1`).
+    fn assert_held(&mut self) {
+        self.bench.wait(0.1);
+        let asks = |text: &str| self.said.last().is_some_and(|line| line.starts_with(text));
+        let place = self.place();
+        let is_there = (0..2).all(|axis| (place[axis] - CHANGE[axis]).abs() < EXACT);
+        if asks("[MSG:First tool") || asks("[MSG:Tool change") && is_there {
+            assert!(self.bench.mill.outputs().is_some_and(|outputs| outputs.drivers), "{place:?}");
         }
     }
 

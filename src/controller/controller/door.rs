@@ -99,9 +99,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
+    /// Begins the next phases as the ones before come to their end. One of no length has come to it at once, and nothing
+    /// would wake the controller for it.
+    pub(super) fn settle_phases(&mut self, mut door: Door) {
+        loop {
+            self.settle_door(door);
+            match self.mode {
+                Mode::Door(next) if next != door => door = next,
+                _ => return,
+            }
+        }
+    }
+
     /// Begins the next phase when one has come to its end.
     #[inline(never)]
-    pub(super) fn settle_door(&mut self, door: Door) {
+    fn settle_door(&mut self, door: Door) {
         match door {
             Door::Braking if self.motion.is_at_rest() => {
                 if self.door.take_jog() {
@@ -179,13 +191,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position, or
-    /// where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
+    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position or
+    /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job
     pub(super) fn begin_parking(&mut self) {
-        let allowed =
-            self.door.opening().retract && self.reference.is_trusted() && !self.interpreter.modal().no_parking;
+        let allowed = self.door.opening().retract
+            && self.reference.is_trusted()
+            && self.locking_setting().is_none()
+            && !self.interpreter.modal().no_parking;
         if self.door.leave_job(allowed, &self.settings, &self.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {

@@ -508,7 +508,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Mode::Stopping { then } if self.motion.is_at_rest() => self.settle_braking(then),
             Mode::Normal => self.look_for_spindle(),
-            Mode::Door(door) => self.settle_door(door),
             Mode::Hold => {
                 if let Some(until) = self.accessories.spinning_up()
                     && self.has_spun_up(until)
@@ -518,6 +517,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             _ => {}
+        }
+        // It may have been opened just now.
+        if let Mode::Door(door) = self.mode {
+            self.settle_phases(door);
         }
         self.drivers.look(self.now);
         self.look_for_host();

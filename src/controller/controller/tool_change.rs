@@ -64,6 +64,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn prompt(&mut self) {
         let tool = self.line.checked.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.wait_for_operator();
+    }
+
+    /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
+    fn wait_for_operator(&mut self) {
+        self.drivers.switch_on();
         self.mode = Mode::Hold;
     }
 
@@ -81,7 +87,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let plan = self.plan_tool_change();
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
-        let crawls = [Key::ToolSetterSeek, Key::ToolSetterLocate].iter().any(|rate| self.settings.crawls(*rate));
+        let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
+        let crawls = rates.iter().any(|rate| self.settings.crawls(*rate));
         (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
@@ -148,8 +155,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             ChangeOrder::Prompt => {
-                // Whoever pulls at the spindle does not move the axes.
-                self.drivers.stay();
                 self.interpreter.tool_removed();
                 self.prompt();
             }
@@ -163,7 +168,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             ChangeOrder::Confirm => {
                 self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
-                self.mode = Mode::Hold;
+                self.wait_for_operator();
             }
             ChangeOrder::Done => return self.return_to_work(),
             ChangeOrder::Failed(alarm) => return self.fail_tool_change(alarm),
@@ -184,8 +189,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         // A laser is dark in rapids only.
         let rate = per_second(self.settings.value(Key::ParkingPullOutRate));
-        let slow = rate > 0.0 && !self.settings.is_on(Key::Laser);
-        let feed = if slow { Feed::PerMinute(rate) } else { Feed::Rapid };
+        let feed = if self.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.checked.return_with_tool(way, feed, length);
         Stage::Apply
     }

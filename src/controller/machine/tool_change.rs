@@ -11,7 +11,7 @@
 //!  setter    left                                contact        └─ locate
 //! ```
 //! All ways between places lie at one height: that of G30, or the one that the tool has if it is higher. Below it nothing but a
-//! probing move goes down, by `$342` at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
+//! probing move goes down, to `$342` below G30 at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
 //! measured has nothing to be compared with: where its tip would come to is not known, so it stays up and waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
@@ -32,7 +32,7 @@ pub struct ChangePlan<const N: usize> {
     pub change: PerAxis<Coordinate, N>,
     /// Where the tool setter is (G59.3): X and Y.
     pub setter: PerAxis<Coordinate, N>,
-    /// `$342`: how far below the height the setter is looked for.
+    /// `$342`: how far below the height of G30 the setter is looked for.
     pub depth: Coordinate,
     /// `$344`
     pub seek_rate: f32,
@@ -72,9 +72,9 @@ impl<const N: usize> ChangePlan<N> {
         [self.over(&self.left, self.height()), self.over(&self.change, self.height()), at_setter, down]
     }
 
-    /// No probing move goes further down.
+    /// No probing move goes further down, however high the tool comes from.
     fn lowest(&self) -> Coordinate {
-        (self.height() - self.depth).limited()
+        (along(&self.change) - self.depth).limited()
     }
 
     /// X and Y of `place`, this height, and the other axes where they were left.
@@ -316,7 +316,7 @@ mod tests {
         let mut change = ToolChange::new(ChangePlan { left: at(-50, -60, -3), ..plan() });
         assert_eq!(change.begin(), ChangeOrder::Rapid(at(-50, -60, -3)));
         assert_eq!(change.next(None), ChangeOrder::Rapid(at(-1, -2, -3)));
-        assert_eq!(change.plan.corners()[3], at(-7, -8, -33));
+        assert_eq!(change.plan.corners()[3], at(-7, -8, -40), "looked for as far down as by any other");
     }
 
     #[test]

@@ -66,6 +66,35 @@ fn a_reset_in_motion_stops_the_pulses_at_once() {
     assert!(mill.take_output().contains("ALARM:3"));
 }
 
+/// A laser with scaled power (M4) is dark from the end of its motion on, and not only when the drivers go off.
+#[test]
+fn a_beam_with_scaled_power_ends_with_the_motion() {
+    for (idle_delay, direction, stays) in [(25, "M4", false), (255, "M4", false), (255, "M3", true)] {
+        let mut mill = mill();
+        mill.send(format!("$1={idle_delay}\n$32=1\n{direction} S500 G91 F600 G1 X1\n"));
+        mill.run_for(Duration::from_millis(300));
+        assert!(mill.is_stepping() && mill.power() != 0, "{direction}");
+        assert!(mill.run_until_idle());
+        assert_eq!(mill.power() != 0, stays, "{direction} with $1={idle_delay}");
+    }
+}
+
+/// Whoever changes a tool pulls at the spindle: the drivers are on until `~`, whatever `$1` says, and for its delay after that.
+#[test]
+fn the_drivers_are_on_while_a_tool_is_changed() {
+    let mut mill = mill();
+    mill.send("$1=25\n$918=1\nG91 F500 G1 X1\nT1 M6\n");
+    mill.run_for(Duration::from_secs(3));
+    assert!(mill.take_output().ends_with("[MSG:Tool change T1]\r\n"));
+    assert!(mill.outputs().is_some_and(|outputs| outputs.drivers));
+    mill.send("~");
+    mill.run_for(Duration::from_millis(10));
+    assert!(mill.outputs().is_some_and(|outputs| outputs.drivers));
+    mill.run_for(Duration::from_millis(100));
+    assert_eq!(mill.take_output(), "ok\r\n");
+    assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers));
+}
+
 #[test]
 fn pins_are_moved_by_lines() {
     let mut mill = mill();

@@ -13,7 +13,7 @@ use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
 use crate::gcode::tools::entry_number;
 use crate::gcode::values::{along, whole};
-use crate::gcode::word::{Claim, Letters, ToolLength};
+use crate::gcode::word::{Claim, Letters, NonModal, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Check<'_, N> {
@@ -33,7 +33,9 @@ impl<const N: usize> Check<'_, N> {
         if self.line.extended.tool_change {
             self.checked.tool_change = modal.tool != self.state.spindle_tool;
             self.checked.after.spindle_tool = modal.tool;
-            self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none();
+            // G28.1 would store the place that the tool has left.
+            let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
+            self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
         if self.line.extended.tool_number {
             return self.name_tool();

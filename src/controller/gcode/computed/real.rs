@@ -544,7 +544,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        if self.is_below(Self::known(-120, 0)) {
+        // Below 10^-40; a scale of 2^137 would not fit.
+        if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }
         let wide = self.to_fixed();

@@ -342,6 +342,17 @@ fn tree() -> impl Strategy<Value = Tree> {
 }
 
 #[test]
+fn too_small_a_result_is_zero() {
+    for text in ["[EXP[-95]]", "[EXP[-100]]", "[EXP[-120]]", "[EXP[-121]]", "[10**-50.5]", "[0.1**45.5]"] {
+        exact(text, "0");
+    }
+    for (text, value) in [("[EXP[-73]]", (-73_f64).exp()), ("[10**-31.5]", 10_f64.powf(-31.5))] {
+        let ratio = f64_of(compute(text).unwrap()) / value;
+        assert!((ratio - 1.0).abs() < 1e-12, "{text}: {ratio}");
+    }
+}
+
+#[test]
 fn too_great_a_result() {
     for text in ["[EXP[94]]", "[10**40*9.99]", "[0-10**40]", "[10**40]"] {
         assert!(compute(text).is_ok(), "{text}");
