@@ -8,26 +8,29 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// How costly a function may be, by LLVM's measure, to be inlined without `#[inline]`. What optimisation for speed sets is
-/// about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
-const INLINED: &str = "-Cllvm-args=-inline-threshold=120";
+/// What images that are built for speed are compiled with besides: instructions in the order that is best for the processor
+/// of all boards, and a limit of how costly a function may be, by LLVM's measure, to be inlined without `#[inline]`. Its own
+/// limit is about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
+const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
 /// Cargo, in the workspace, for what is released. `RUSTFLAGS` of the environment do not reach such a build.
 pub fn cargo_without_paths() -> Result<Command, Failure> {
-    cargo_with(None)
+    cargo_with(&[])
 }
 
 /// A command of cargo on what runs on boards, with a profile of theirs.
 pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure> {
     // Optimisation for size has a lower limit of its own.
-    let mut cargo = cargo_with((profile == boards::FAST).then_some(INLINED))?;
+    let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &[] };
+    let mut cargo = cargo_with(flags)?;
     cargo.args([command, "--profile", profile, "--target", TARGET]);
     Ok(cargo)
 }
 
-fn cargo_with(more: Option<&str>) -> Result<Command, Failure> {
+fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
     let names = names(&root(), &cargo_home()?, &Compiler::found()?)?;
-    let flags: Vec<String> = names.map(|(from, to)| flag(&from, &to)).chain(more.map(str::to_owned)).collect();
+    let flags: Vec<String> =
+        names.map(|(from, to)| flag(&from, &to)).chain(more.iter().map(ToString::to_string)).collect();
     let mut cargo = cargo();
     // What separates flags there.
     cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));

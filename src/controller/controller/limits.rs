@@ -143,7 +143,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The setting that allows no motion at all.
     #[inline]
-    fn locking_setting(&mut self) -> Option<u16> {
+    pub(super) fn locking_setting(&mut self) -> Option<u16> {
         self.settings_lock.setting(&self.settings)
     }
 
