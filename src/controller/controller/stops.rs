@@ -177,6 +177,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn finish_reset(&mut self, moving: bool) {
         self.motion.discard();
         self.lines.clear();
+        if matches!(self.mode, Mode::Hold | Mode::Door(_)) {
+            // They may have stayed on for whoever changes a tool.
+            self.start_idle_delay();
+        }
         let homing = matches!(self.mode, Mode::Home(_));
         if moving || homing {
             self.reference.lose();

@@ -95,6 +95,22 @@ fn the_drivers_are_on_while_a_tool_is_changed() {
     assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers));
 }
 
+/// Whatever ends a tool change in which the drivers are on, they go off after `$1`.
+#[test]
+fn the_drivers_go_off_when_a_tool_change_is_given_up() {
+    for stop in [&b"\x18"[..], b"\x19", b"!\x18", b"\x84\x18", b"\x84\x19~"] {
+        let mut mill = mill();
+        mill.send("$1=25\n$918=1\nG91 F500 G1 X1\nT1 M6\n");
+        mill.run_for(Duration::from_secs(3));
+        assert!(mill.outputs().is_some_and(|outputs| outputs.drivers));
+        for byte in stop {
+            mill.send([*byte]);
+            mill.run_for(Duration::from_millis(500));
+        }
+        assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers), "{stop:?}: {}", mill.take_output());
+    }
+}
+
 #[test]
 fn pins_are_moved_by_lines() {
     let mut mill = mill();
