@@ -105,7 +105,7 @@ pub fn count(profile: &str) -> Result<(), Failure> {
 pub fn profile(row: &str) -> Result<(), Failure> {
     let (calls, spent) = traced(boards::FAST, row)?;
     let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
-    let path = root().join("target").join(TARGET).join("firmware/count");
+    let path = root().join("target").join(TARGET).join(boards::FAST).join("count");
     let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
     let mut symbols = Elf { bytes: &bytes }.symbols().ok_or("the program is no ELF file")?;
     symbols.retain(|symbol| symbol.function);

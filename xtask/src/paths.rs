@@ -1,4 +1,5 @@
-//! Builds without the paths of the machine that makes them, so that the same sources give the same bytes wherever they lie.
+//! How cargo builds what is released: without the paths of the machine, so that the same sources give the same bytes
+//! wherever they lie, and what runs on boards with the flags of its profile.
 //!
 //! rustc is told to write a fixed name instead of each folder that differs from machine to machine: the workspace, cargo's
 //! copies of dependencies, and the sources of the standard library.
