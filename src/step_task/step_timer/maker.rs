@@ -337,6 +337,12 @@ impl Maker {
         self.stepper.lacks_segment() && (left > 0 || onset == Onset::FromRest)
     }
 
+    /// The next tick waits for a segment, and none has come.
+    #[inline(always)]
+    pub fn is_out_of_segments(&self) -> bool {
+        self.stepper.lacks_segment() && self.segments.is_empty()
+    }
+
     /// As many segments or changes of power are ahead as can be kept.
     fn is_marked_full(&self) -> bool {
         self.begins.is_full() || self.beam.is_full()
@@ -345,8 +351,7 @@ impl Maker {
     /// Less is ahead of a moment than there should be, and there is more to be made, and room for it.
     fn wants_more(&self, from: u32, ahead: usize) -> bool {
         let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;
-        let is_stopped =
-            self.one_by_one || self.stepper.lacks_segment() && self.segments.is_empty() || self.is_marked_full();
+        let is_stopped = self.one_by_one || self.is_out_of_segments() || self.is_marked_full();
         has_room && !is_stopped && !self.is_far_ahead(from)
     }
 

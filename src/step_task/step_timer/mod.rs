@@ -406,13 +406,24 @@ impl Step {
         }
     }
 
+    /// Whether a message that is queued now must not wait for the next call: events put out, the moment of that call
+    /// counts with what is in the queue, and only one that finds it empty where a segment is needed makes it sooner.
+    #[inline(always)]
+    fn wants_message(&self) -> bool {
+        let Maker { stepper, one_by_one, .. } = &self.maker;
+        match self.state {
+            State::Running | State::Preparing(_) if !one_by_one => self.maker.is_out_of_segments(),
+            _ => stepper.wants(),
+        }
+    }
+
     /// Lets the other tasks know how it goes.
     #[inline(always)]
     fn tell(&mut self) {
-        let is_preparing = self.is_preparing();
+        let (is_preparing, wants) = (self.is_preparing(), self.wants_message());
         let Maker { stepper, output, begins, beam, .. } = &mut self.maker;
         STEP.segments_begun.store(stepper.segments_begun().wrapping_sub(begins.len()), Ordering::Relaxed);
-        STEP.wants.store(u8::from(stepper.wants()), Ordering::Relaxed);
+        STEP.wants.store(u8::from(wants), Ordering::Relaxed);
         let (is_rest, is_ending) = (self.state == State::Rest, self.state == State::Ending);
         let is_dark = (is_rest || is_ending) && stepper.is_shut();
         if beam.show(output, is_rest, is_dark) && !is_preparing {
