@@ -197,6 +197,11 @@ pub trait Port {
     fn allow(&mut self, room: usize);
     /// Sends a byte, if there is room for it.
     fn send(&mut self, byte: u8) -> bool;
+    /// Sends the first of some bytes, as far as there is room. Gives how many.
+    #[inline]
+    fn send_text(&mut self, bytes: &[u8]) -> usize {
+        bytes.iter().take_while(|byte| self.send(**byte)).count()
+    }
     /// What was sent goes out; and whether to be called when there is room for more.
     fn call_when_free(&mut self, wanted: bool);
 }

@@ -287,6 +287,19 @@ impl Port for UsbPort {
         self.outgoing.push(byte).is_ok()
     }
 
+    fn send_text(&mut self, bytes: &[u8]) -> usize {
+        if !self.is_configured() || !self.host.is_listening() {
+            return bytes.len();
+        }
+        if self.outgoing.is_full() {
+            self.flush();
+        }
+        let room = SENT - self.outgoing.len();
+        let text = bytes.get(..room).unwrap_or(bytes);
+        let _ = self.outgoing.extend_from_slice(text);
+        text.len()
+    }
+
     fn call_when_free(&mut self, _wanted: bool) {
         // The end of each packet calls.
         if self.is_configured() {

@@ -440,6 +440,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         text: &[u8],
         controller: &Controller<N, BLOCKS>,
     ) {
+        // All of it is plain.
+        let is_expected = word_of(LineByte { byte: b' ', epoch, damaged: false }) == self.plain_from;
+        if is_expected && self.next.extend_from_slice(text).is_ok() {
+            return;
+        }
         for byte in text {
             let byte = LineByte { byte: *byte, epoch, damaged: false };
             if !self.put_plain(byte) {

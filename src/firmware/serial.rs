@@ -250,7 +250,8 @@ impl Serial {
             if !clear {
                 break;
             }
-            let Some(byte) = self.sending.as_bytes().get(self.sent).copied() else {
+            let text = self.sending.as_bytes().get(self.sent..).unwrap_or_default();
+            if text.is_empty() {
                 let was_full = self.replies.is_full();
                 let Ok(chunk) = self.replies.try_recv() else { break };
                 self.sending = chunk;
@@ -259,13 +260,13 @@ impl Serial {
                 // Whoever found it full waits to be woken.
                 room |= was_full;
                 continue;
-            };
-            let taken = if to_usb { self.usb.port.send(byte) } else { self.uart.port.send(byte) };
-            if !taken {
+            }
+            let taken = if to_usb { self.usb.port.send_text(text) } else { self.uart.port.send_text(text) };
+            if taken == 0 {
                 more = true;
                 break;
             }
-            self.sent += 1;
+            self.sent += taken;
         }
         self.uart.port.call_when_free(!uart || more && !to_usb);
         self.usb.port.call_when_free(!usb || more && to_usb);
