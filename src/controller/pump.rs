@@ -6,9 +6,9 @@
 //! ```text
 //!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends
 //!    ▲                                                                        │
-//!    └── a message to the step task, a line, a stop, a question to the store ◀┘
+//!    └── a segment for the step task, a line, a stop, a question to the store ◀┘
 //! ```
-//! Each message to the step task and each line that has been carried out begins another round, so the look-ahead is as full as
+//! Each segment for the step task and each line that has been carried out begins another round, so the look-ahead is as full as
 //! the received bytes allow before each segment is cut, and the steps do not depend on the speed of the processor; unless it is
 //! too slow for them: where the step task soon has no more segments of a motion, these come before lines. Whatever is answered by
 //! an event (a stop, a stored record, the view of the pins) begins one too: the answer is told before another output is asked
@@ -128,7 +128,9 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
             Output::Worked => return true,
             // The next line comes before another segment is cut.
             Output::Answer(_) => true,
-            Output::Step(_) | Output::Stop | Output::Store => true,
+            // What announces a block is followed by its first segment.
+            Output::Step(message) => !message.announces_block(),
+            Output::Stop | Output::Store => true,
             Output::ReadPins { .. } | Output::ReadRecording { .. } => true,
             Output::Reply(_) | Output::Pins(_) | Output::Wiring(_) => false,
         };

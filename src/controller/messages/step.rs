@@ -43,6 +43,14 @@ pub enum ToStep {
     },
 }
 
+impl ToStep {
+    /// Whether it says what a block is, of which a segment is to follow.
+    #[inline]
+    pub fn announces_block(&self) -> bool {
+        matches!(self, ToStep::BlockRest { .. } | ToStep::Block { .. } | ToStep::Reenter { .. })
+    }
+}
+
 /// The part of one axis in a block: its steps, and how far the true ends of the move are from the steps they are rounded
 /// to.
 ///
