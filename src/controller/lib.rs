@@ -50,6 +50,7 @@ mod step_timing;
 pub use controller::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
+pub use protocol::coalescing::Coalescing;
 pub use protocol::line_queue::{LineReader, LineSender};
 pub use protocol::link::{HostArbiter, Link, Owed, Queues};
 pub use protocol::realtime::Received;

@@ -21,7 +21,7 @@ use oxmill_controller::messages::{
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
-use oxmill_controller::{Controller, LineReader, Owed};
+use oxmill_controller::{Coalescing, Controller, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 
 /// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
@@ -75,6 +75,7 @@ pub struct Control {
     /// Commands were owed when the round began; taken, and still to be told.
     owes: bool,
     owed: Owed,
+    coalescing: Coalescing,
     /// Whether the last record was stored, still to be told.
     stored: Option<bool>,
     /// The controller has asked to see the inputs.
@@ -116,6 +117,7 @@ impl Control {
             lines_in: 0,
             owes: false,
             owed: Owed::default(),
+            coalescing: Coalescing::default(),
             stored: None,
             pins_asked: false,
             wants_erase_soon: false,
@@ -134,7 +136,7 @@ impl Control {
     pub fn turn(&mut self) {
         let heard = SERIAL.heard.load(Ordering::Relaxed);
         loop {
-            while round(self) {}
+            while round(self) || self.release_answers() {}
             self.note_place();
             if !self.erase_ahead() {
                 break;
@@ -160,6 +162,22 @@ impl Control {
             wakeup = Some(wakeup.map_or(soon, |at| at.min(soon)));
         }
         self.clock.set_alarm(wakeup);
+    }
+
+    /// Whether bytes of lines wait that this round may take.
+    #[inline(always)]
+    fn lines_wait(&self) -> bool {
+        self.line_bytes_out != self.lines_in
+    }
+
+    /// Nothing is left to be done for now: answers are not held any longer. Whether there are any.
+    #[inline(always)]
+    fn release_answers(&mut self) -> bool {
+        let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
+        if are_held {
+            self.coalescing.release(self.round_began);
+        }
+        are_held
     }
 
     /// Leaves place and line where a handler that ends the program finds them.
@@ -289,6 +307,7 @@ impl Pump<AXES, BLOCKS> for Control {
         self.owes = shared::owes();
         self.wants_erase_soon = self.settings.wants_erase_soon();
         self.round_began = self.clock.now();
+        self.coalescing.begin(self.round_began);
         self.round_began
     }
 
@@ -341,7 +360,7 @@ impl Pump<AXES, BLOCKS> for Control {
             }
             return Some(LineByte { byte, epoch: 0, damaged: false });
         }
-        if self.line_bytes_out == self.lines_in {
+        if !self.lines_wait() {
             return None;
         }
         let byte = self.line_reader.next(|| self.ends.lines.try_recv().ok())?;
@@ -374,7 +393,8 @@ impl Pump<AXES, BLOCKS> for Control {
 
     #[inline(always)]
     fn room(&mut self) -> Room {
-        Room { step: !self.ends.segments.is_full(), reply: !self.ends.replies.is_full() }
+        let reply = !self.coalescing.holds(self.lines_wait()) && !self.ends.replies.is_full();
+        Room { step: !self.ends.segments.is_full(), reply }
     }
 
     #[inline(always)]
@@ -390,7 +410,10 @@ impl Pump<AXES, BLOCKS> for Control {
             }
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 let _ = self.ends.replies.try_send(chunk);
-                boards::call_serial();
+                // What follows comes with the same run.
+                if !self.controller.has_answers() || self.ends.replies.is_full() {
+                    boards::call_serial();
+                }
             }
             Output::Pins(levels) => {
                 self.outputs.show(levels);

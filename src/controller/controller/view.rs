@@ -38,6 +38,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.is_idle() && !self.interpreter.is_within_block()
     }
 
+    /// Whether answers wait for room to be put out.
+    #[inline]
+    pub fn has_answers(&self) -> bool {
+        self.replies.are_waiting()
+    }
+
     /// Whether a job is under way.
     pub(super) fn is_at_work(&self) -> bool {
         self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()

@@ -3,9 +3,10 @@
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues ([`line_queue`] with several bytes in a message), [`mod@line`] makes filtered lines, [`line_intake`]
 //! knows which of their bytes still count, [`checked_line`] whether a line is what was sent, [`heartbeat`] whether anything comes at all, [`system`] reads `$`
-//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`descriptions`] those that put numbers into words, [`replies`] keeps them until they are sent.
+//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`descriptions`] those that put numbers into words, [`replies`] keeps them until they are sent, [`coalescing`] says which are sent together.
 
 pub mod checked_line;
+pub mod coalescing;
 pub mod descriptions;
 pub mod heartbeat;
 pub mod line;

@@ -76,6 +76,12 @@ impl Replies {
         self.waiting == 0 && !self.status_due
     }
 
+    /// Whether text waits to be sent.
+    #[inline]
+    pub fn are_waiting(&self) -> bool {
+        self.waiting != 0
+    }
+
     /// A host has gone; this is the number (wrapping) of such hosts. What waits was for it, and is not for the next one.
     pub fn host_left(&mut self, hosts_gone: u16) {
         self.hosts_gone = hosts_gone;
