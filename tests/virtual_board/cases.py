@@ -39,7 +39,7 @@ STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
-LINES_S = 3300
+LINES_S = 3700
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
@@ -2036,6 +2036,32 @@ def usb_lines(bench):
         bench.wait_state("Idle", 60)
 
 
+def usb_answers(bench):
+    """Answers of lines that wait one behind the other share packets, and none is held while the line behind it takes its time."""
+    board, host = with_usb(bench)
+    bench.settings(**BELTS)
+    text = chords(200, 0.05, 6000)
+    begin = len(host.lines)
+    host.stream(text)
+    bench.wait(lambda: host.all_answered, 5, "the last answer")
+    answered = [cycle for cycle, line in host.lines[begin:] if line == "ok"]
+    packets = len(set(answered))
+    if packets > len(answered) / 2:
+        raise Failure(f"{len(answered)} answers in {packets} packets")
+    bench.wait_state("Idle", 5)
+    begin, sent = len(host.lines), board.now
+    host.send("G21\n" * 3 + "G4P1\n" + "G21\n")
+    board.run(seconds=0.9)
+    held = [cycle for cycle, line in host.lines[begin:] if line == "ok"]
+    if len(held) != 3:
+        raise Failure(f"{len(held)} answers before the end of the dwell and not 3")
+    took = board.seconds(held[-1]) - board.seconds(sent)
+    yield f"{len(answered)} answers in {packets} packets; three in front of a dwell within {us(took)}"
+    if took > 3e-3:
+        raise Failure("an answer was held while nothing was to be done")
+    bench.wait(lambda: sum(line == "ok" for _, line in host.lines[begin:]) == 5, 1, "the answers behind the dwell")
+
+
 def usb_unplugged(bench):
     """The cable is pulled in mid-job: a hold, and the UART or the next host takes over."""
     board, host = with_usb(bench)
@@ -2188,6 +2214,7 @@ def all_cases(root):
         ("usb", usb_port),
         ("usb flood", usb_flood),
         ("usb lines", usb_lines),
+        ("usb answers", usb_answers),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
     ]
