@@ -136,7 +136,7 @@ impl<const N: usize> AnyQueue<N> {
             }
             self.begin_taking_up(m, curve_speed2, chord);
         }
-        let steps = self.kinematics.steps(&m.target);
+        let steps = self.kinematics.steps_from(&self.end.planned, &self.end.planned_steps, &m.target);
         let mut most = 0;
         for (new, old) in steps.iter().zip(self.end.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
