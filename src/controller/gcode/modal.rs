@@ -361,6 +361,8 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
+    /// F of G94 in mm/s, as moves take it: most lines keep the F that is in force, and need not convert it.
+    pub feed_per_second: f32,
     /// It was written in inches: to rotary axes it is degrees per minute as it was written.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
@@ -386,6 +388,7 @@ impl Modal {
         overrides_held: OverridesHeld { feed: false, spindle: false },
         tool: 0,
         feed: Decimal::ZERO,
+        feed_per_second: 0.0,
         feed_in_inches: false,
         speed: 0.0,
     };

@@ -91,10 +91,8 @@ impl<const N: usize> AxisLimits<N> {
     pub(super) fn along_shares(&self, shares: &[f32; N]) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
+        // An axis without a share is never beyond its own.
         for ((share, most), rate) in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate) {
-            if *share == 0.0 {
-                continue;
-            }
             if share * acceleration > *most {
                 acceleration = quotient(*most, *share);
             }

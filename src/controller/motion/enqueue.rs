@@ -124,15 +124,11 @@ impl<const N: usize> AnyQueue<N> {
     /// Queues a move where there is room. `chord`: along its true ends, instead of the steps next to them.
     #[inline]
     pub(super) fn put(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
-        let timed;
-        let m = match m.speed {
-            // The time is that of the whole, and a piece of it may be cut off.
-            Speed::Duration(seconds) if self.backlash.is_on() => {
-                timed = Move { speed: Speed::Feed(self.end.distance(&m.target) / seconds), ..*m };
-                &timed
-            }
-            _ => m,
-        };
+        if self.backlash.is_on()
+            && let Speed::Duration(seconds) = m.speed
+        {
+            return self.put_timed(m, seconds, curve_speed2, chord);
+        }
         // A probe brakes within its own block.
         if self.backlash.is_on() && !m.no_feed_override {
             if !chord {
@@ -140,7 +136,7 @@ impl<const N: usize> AnyQueue<N> {
             }
             self.begin_taking_up(m, curve_speed2, chord);
         }
-        let steps = self.kinematics.steps(&m.target);
+        let steps = self.kinematics.steps_from(&self.end.planned, &self.end.planned_steps, &m.target);
         let mut most = 0;
         for (new, old) in steps.iter().zip(self.end.planned_steps.iter()) {
             most = most.max(new.abs_diff(*old));
@@ -157,6 +153,14 @@ impl<const N: usize> AnyQueue<N> {
         let pieces = most / (MAX_STEPS / 2) + 1;
         self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
+    }
+
+    /// The time is that of the whole, and a piece of it may be cut off.
+    // By itself, so that the other moves are read where they are.
+    #[inline(never)]
+    fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {
+        let speed = Speed::Feed(self.end.distance(&m.target) / seconds);
+        self.queue(&Move { speed, ..*m }, curve_speed2, chord);
     }
 
     /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.

@@ -44,6 +44,28 @@ impl<const N: usize> Kinematics<N> {
         self.steps_per_mm.zip(self.of_motors(place, &mut turned), |scale, coordinate| scale.steps(coordinate))
     }
 
+    /// The same for a place that is reached from another one, whose steps are known: those of an axis that stays are.
+    #[inline]
+    pub(super) fn steps_from(
+        &self,
+        before: &PerAxis<Coordinate, N>,
+        steps: &PerAxis<i32, N>,
+        place: &PerAxis<Coordinate, N>,
+    ) -> PerAxis<i32, N> {
+        if self.arrangement == Arrangement::CoreXy {
+            return self.steps(place);
+        }
+        let mut steps = *steps;
+        let places = place.iter().zip(before.iter());
+        for (steps, (scale, (to, from))) in steps.iter_mut().zip(self.steps_per_mm.iter().zip(places)) {
+            if to != from {
+                *steps = scale.steps(*to);
+            }
+        }
+        debug_assert_eq!(steps, self.steps(place));
+        steps
+    }
+
     /// How far a place is beyond the steps nearest to it, in sevenths of a step.
     #[inline(never)]
     pub(super) fn sevenths_beyond(&self, place: &PerAxis<Coordinate, N>, steps: &PerAxis<i32, N>) -> [i32; N] {

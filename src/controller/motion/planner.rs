@@ -43,6 +43,7 @@ use super::block::{Block, CurveLoad, OverrideFactors, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::trapezoid::{greater, lesser, square_root};
+use core::ops::Range;
 
 /// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
 /// anchor at each of them would cost more than the tighter bounds.
@@ -241,6 +242,14 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         if index >= self.blocks.len() { index - self.blocks.len() } else { index }
     }
 
+    /// The slots of so many blocks from a place on, up to the end of the ring and from its begin, each with its first place.
+    #[inline]
+    fn slots(&self, place: usize, count: usize) -> [(usize, Range<usize>); 2] {
+        let slot = self.slot(place);
+        let before_wrap = count.min(self.blocks.len() - slot);
+        [(place, slot..slot + before_wrap), (place + before_wrap, 0..count - before_wrap)]
+    }
+
     pub(super) fn first(&self) -> Option<&Block<N>> {
         if self.len == 0 { None } else { self.blocks.get(self.first) }
     }
@@ -340,10 +349,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
         let from = newest.saturating_sub(bend.farthest).max(1);
         let count = self.len.saturating_sub(bend.nearest).saturating_sub(from);
-        let slot = self.slot(from);
-        let before_wrap = count.min(self.blocks.len() - slot);
         let mut lowered = Lowered::default();
-        for (from, slots) in [(from, slot..slot + before_wrap), (from + before_wrap, 0..count - before_wrap)] {
+        for (from, slots) in self.slots(from, count) {
             if let Some(blocks) = self.blocks.get_mut(slots) {
                 lowered.lower(blocks, from, bend);
             }
@@ -363,21 +370,24 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
-        for place in (self.settled..end).rev() {
-            let slot = self.slot(place);
-            let Some(block) = self.blocks.get_mut(slot) else { return };
-            let reach2 = block.braking_entry2(exit2);
-            if block.is_steep() || (place == self.settled && !block.is_surely_capped(reach2)) {
-                self.settled = 0;
-                self.changed = self.changed.min(place);
-                return;
+        for (from, slots) in self.slots(self.settled, end.saturating_sub(self.settled)).into_iter().rev() {
+            let Some(blocks) = self.blocks.get_mut(slots) else { return };
+            let mut place = from + blocks.len();
+            for block in blocks.iter_mut().rev() {
+                place -= 1;
+                let reach2 = block.braking_entry2(exit2);
+                if block.is_steep() || (place == self.settled && !block.is_surely_capped(reach2)) {
+                    self.settled = 0;
+                    self.changed = self.changed.min(place);
+                    return;
+                }
+                exit2 = lesser(block.max_entry2, reach2);
+                // Of the lowered ones the last may stay and one before it not.
+                if place < first && block.entry2 == exit2 {
+                    return;
+                }
+                block.entry2 = exit2;
             }
-            exit2 = lesser(block.max_entry2, reach2);
-            // Of the lowered ones the last may stay and one before it not.
-            if place < first && block.entry2 == exit2 {
-                return;
-            }
-            block.entry2 = exit2;
         }
     }
 

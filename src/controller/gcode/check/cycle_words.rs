@@ -10,7 +10,7 @@ use crate::gcode::cycle::{Cycle, CycleWords, Next};
 use crate::gcode::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PlaneAxes};
 use crate::gcode::values::{along, reachable, seconds};
 use crate::messages::SpindleDirection;
-use crate::units::{Coordinate, Decimal, per_second};
+use crate::units::{Coordinate, Decimal};
 
 /// Most repetitions that L may ask for.
 const REPEATS_MAX: i32 = 1_000_000;
@@ -61,7 +61,7 @@ impl<const N: usize> Check<'_, N> {
             peck,
             reached: r,
             next: Next::Rise,
-            feed: per_second(modal.feed.to_f32()),
+            feed: modal.feed_per_second,
             spindle: modal.spindle,
             words,
         };

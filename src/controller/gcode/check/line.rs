@@ -43,8 +43,8 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
 
 /// Apart, so that the division is left out where F is a speed.
 #[inline(never)]
-fn inverse_time(feed: f32) -> Feed {
-    Feed::InverseTime(60.0 / feed)
+fn inverse_time(feed: Decimal) -> Feed {
+    Feed::InverseTime(60.0 / feed.to_f32())
 }
 
 /// A line half checked.
@@ -182,10 +182,10 @@ impl<'a, const N: usize> Check<'a, N> {
     }
 
     pub(super) fn feed_of_motion(&self) -> Feed {
-        let feed = self.checked.modal.feed.to_f32();
-        match self.checked.modal.feed_mode {
-            FeedMode::PerMinute => Feed::PerMinute(per_second(feed)),
-            FeedMode::InverseTime => inverse_time(feed),
+        let modal = &self.checked.modal;
+        match modal.feed_mode {
+            FeedMode::PerMinute => Feed::PerMinute(modal.feed_per_second),
+            FeedMode::InverseTime => inverse_time(modal.feed),
         }
     }
 

@@ -29,7 +29,7 @@ use super::values::seconds;
 use super::word::{Claim, Groups, Letters, MWord, NonModal};
 use crate::error::Error;
 use crate::messages::Coolant;
-use crate::units::Decimal;
+use crate::units::{Decimal, per_second};
 use line::Check;
 pub(super) use line::Purpose;
 
@@ -129,7 +129,9 @@ impl<const N: usize> Check<'_, N> {
             }
             (FeedMode::PerMinute, true) => {
                 self.checked.modal.feed_in_inches = modal.units == Units::Inch;
-                Decimal(self.length(self.line.value(b'F')).0)
+                let feed = Decimal(self.length(self.line.value(b'F')).0);
+                self.checked.modal.feed_per_second = per_second(feed.to_f32());
+                feed
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
             (FeedMode::PerMinute, false) => Decimal::ZERO,
